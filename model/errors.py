@@ -1,0 +1,119 @@
+"""The whole error tree: everything joulemap raises on purpose.
+
+    JoulemapError(code, message, context)
+    ├── InputError                   the caller sent something unusable            422
+    │   ├── HeightmapError           not a heightmap, bad resolution, no known cell
+    │   ├── RobotError               a robot file with a missing, unknown or impossible value
+    │   ├── ModelError               an unknown model name or a broken model folder
+    │   ├── RunsError                a measured run that cannot be read
+    │   └── PointError               NaN, infinite or out-of-map coordinates
+    ├── InfeasibleError              a well-formed question without an answer      422
+    │   ├── BlockedError             start or goal stands on blocked ground
+    │   ├── NoRouteError             no route joins start and goal
+    │   └── NegativeCycleError       regeneration pays for driving in circles
+    ├── NotFoundError                no such heightmap, cost map or model          404
+    ├── ConflictError                this lattice is for another robot, or not ready 409
+    ├── TooLargeError                more bytes or cells than the limit            413
+    └── BusyError                    come back later                               503
+
+`service/problems.py` alone maps the tree to HTTP statuses and exit codes. Anything else that escapes is our bug.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class JoulemapError(Exception):
+    """Base of the tree. `message` is for a robot operator; `context` carries the offending value and the limit."""
+
+    code = "joulemap_error"
+
+    def __init__(self, message: str, **context: Any) -> None:
+        super().__init__(message)
+        self.message = message
+        self.context = context
+
+
+class InputError(JoulemapError):
+    """The caller sent something that cannot be used."""
+
+    code = "invalid_input"
+
+
+class HeightmapError(InputError):
+    """Not a heightmap, a wrong or missing resolution, or no known cell."""
+
+    code = "invalid_heightmap"
+
+
+class RobotError(InputError):
+    """A robot description with a missing, unknown or impossible value."""
+
+    code = "invalid_robot"
+
+
+class ModelError(InputError):
+    """A model that is not there, or whose files do not fit together."""
+
+    code = "invalid_model"
+
+
+class RunsError(InputError):
+    """A measured run that cannot be read."""
+
+    code = "invalid_runs"
+
+
+class PointError(InputError):
+    """Coordinates that are not finite or lie outside the map."""
+
+    code = "invalid_point"
+
+
+class InfeasibleError(JoulemapError):
+    """The question is well-formed, but it has no answer."""
+
+    code = "infeasible"
+
+
+class BlockedError(InfeasibleError):
+    """Start or goal stands on blocked ground; `reason` is in the context."""
+
+    code = "blocked"
+
+
+class NoRouteError(InfeasibleError):
+    """No route joins start and goal within the robot's limits."""
+
+    code = "no_route"
+
+
+class NegativeCycleError(InfeasibleError):
+    """Regeneration would pay for driving in circles: the prices cannot be true."""
+
+    code = "negative_cycle"
+
+
+class NotFoundError(JoulemapError):
+    """No such heightmap, cost map, path or model."""
+
+    code = "not_found"
+
+
+class ConflictError(JoulemapError):
+    """The request contradicts what is stored: another robot, or a cost map that is not ready."""
+
+    code = "conflict"
+
+
+class TooLargeError(JoulemapError):
+    """More bytes or cells than the limit allows."""
+
+    code = "too_large"
+
+
+class BusyError(JoulemapError):
+    """The service is full or still starting; `retry_after_s` is in the context."""
+
+    code = "busy"

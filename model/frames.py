@@ -1,0 +1,139 @@
+"""World and cell coordinates, headings and angle wrap: the only home of these conventions.
+
+World: x east, y north, metres, in the map's CRS. Raster: row 0 is north; fractional (row, col) is (0, 0) at the
+*centre* of the north-west cell. Heading: clockwise from north, radians inside, so a step of heading h moves
+(sin h, cos h) in (x, y), and bin k of K is 2 pi k / K.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from model.errors import HeightmapError, PointError
+
+TAU = 2.0 * math.pi
+
+
+def heading_bins(count: int) -> NDArray[np.float64]:
+    """Headings [rad] of `count` equal bins, bin 0 to the north. Shape (count,)."""
+    return np.arange(count) * (TAU / count)
+
+
+def heading_vector(heading_rad: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit step (dx east, dy north) of a heading [rad]; same shape as the input."""
+    heading = np.asarray(heading_rad, dtype=np.float64)
+    return np.sin(heading), np.cos(heading)
+
+
+def heading_of(dx: ArrayLike, dy: ArrayLike) -> NDArray[np.float64]:
+    """Heading [rad, in 0..2 pi) of the world step (dx east, dy north)."""
+    return np.mod(np.arctan2(dx, dy), TAU)
+
+
+def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """The same angle in -pi..pi (half-open at +pi)."""
+    return np.mod(np.asarray(angle_rad, dtype=np.float64) + math.pi, TAU) - math.pi
+
+
+@njit(cache=True, inline="always")
+def heading_of_step(drow: float, dcol: float) -> float:
+    """Heading [rad, -pi..pi] of a raster step: a smaller row is north, a larger column is east."""
+    return math.atan2(dcol, -drow)
+
+
+@dataclass(frozen=True)
+class GridFrame:
+    """Where a north-up square grid lies in the world.
+
+    west_m, north_m : the outer edges of the north-west cell [m]; resolution_m : side of a cell [m];
+    rows, cols : number of cells; crs : authority string or WKT, None when unknown.
+    """
+
+    west_m: float
+    north_m: float
+    resolution_m: float
+    rows: int
+    cols: int
+    crs: str | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
+            raise HeightmapError(
+                f"resolution must be a positive number of metres, got {self.resolution_m}", resolution_m=self.resolution_m
+            )
+        if not (math.isfinite(self.west_m) and math.isfinite(self.north_m)):
+            raise HeightmapError(f"the map's corner must be finite, got ({self.west_m}, {self.north_m})")
+        if self.rows < 1 or self.cols < 1:
+            raise HeightmapError(f"a map needs at least one cell, got {self.rows} x {self.cols}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.rows, self.cols
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """(west, south, east, north) [m]: outer edges of the outer cells."""
+        east = self.west_m + self.cols * self.resolution_m
+        south = self.north_m - self.rows * self.resolution_m
+        return self.west_m, south, east, self.north_m
+
+    def rowcol(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Fractional (row, col) of world points; any shape."""
+        col = (np.asarray(x, dtype=np.float64) - self.west_m) / self.resolution_m - 0.5
+        row = (self.north_m - np.asarray(y, dtype=np.float64)) / self.resolution_m - 0.5
+        return row, col
+
+    def xy(self, row: ArrayLike, col: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World (x, y) [m] of fractional (row, col); any shape."""
+        x = self.west_m + (np.asarray(col, dtype=np.float64) + 0.5) * self.resolution_m
+        y = self.north_m - (np.asarray(row, dtype=np.float64) + 0.5) * self.resolution_m
+        return x, y
+
+    def cell_of(self, x: float, y: float, *, name: str = "point") -> tuple[int, int]:
+        """(row, col) of the cell that holds a world point. Raises PointError when not finite or outside."""
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise PointError(f"{name} ({x}, {y}) is not a pair of finite numbers", x=str(x), y=str(y))
+        west, south, east, north = self.bounds
+        if not (west <= x <= east and south <= y <= north):
+            raise PointError(
+                f"{name} ({x:g}, {y:g}) lies outside the map, which spans x {west:g}..{east:g}, y {south:g}..{north:g}",
+                x=x, y=y, bounds=[west, south, east, north],
+            )  # fmt: skip
+        row, col = self.rowcol(x, y)
+        return min(int(row + 0.5), self.rows - 1), min(int(col + 0.5), self.cols - 1)
+
+    def centres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World x of every column (cols,) and y of every row (rows,), at cell centres."""
+        x, _ = self.xy(0.0, np.arange(self.cols))
+        _, y = self.xy(np.arange(self.rows), 0.0)
+        return x, y
+
+    def window(self, row0: int, row1: int, col0: int = 0, col1: int | None = None) -> GridFrame:
+        """The frame of cells [row0, row1) x [col0, col1)."""
+        col1 = self.cols if col1 is None else col1
+        return replace(
+            self,
+            west_m=self.west_m + col0 * self.resolution_m,
+            north_m=self.north_m - row0 * self.resolution_m,
+            rows=row1 - row0,
+            cols=col1 - col0,
+        )
+
+    def respaced(self, spacing_m: float) -> GridFrame:
+        """The grid of `spacing_m` cells that starts at the same north-west corner and fits inside."""
+        if not (math.isfinite(spacing_m) and spacing_m > 0):
+            raise HeightmapError(f"spacing must be a positive number of metres, got {spacing_m}", spacing_m=str(spacing_m))
+        rows = int(self.rows * self.resolution_m / spacing_m + 1e-6)
+        cols = int(self.cols * self.resolution_m / spacing_m + 1e-6)
+        if rows < 2 or cols < 2:
+            raise HeightmapError(
+                f"a map of {self.cols * self.resolution_m:g} x {self.rows * self.resolution_m:g} m is too small for "
+                f"cells of {spacing_m:g} m: at least 2 x 2 are needed",
+                spacing_m=spacing_m,
+            )
+        return replace(self, resolution_m=spacing_m, rows=rows, cols=cols)

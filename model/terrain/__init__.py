@@ -1,0 +1,1 @@
+"""Heightmaps: reading them, cutting patches from them, making them."""

@@ -1,0 +1,103 @@
+"""The Heightmap value: heights on a north-up grid, with unknown cells kept unknown."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import ArrayLike, NDArray
+
+from model.errors import HeightmapError
+from model.frames import GridFrame
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Heightmap:
+    """Heights of the ground.
+
+    heights : (rows, cols) float32 [m], row 0 north, NaN where unknown. frame : where the grid lies.
+    Raises HeightmapError on a shape that does not fit, infinite heights, or no known cell.
+    """
+
+    heights: NDArray[np.float32]
+    frame: GridFrame
+    source: str = field(default="memory")
+
+    def __post_init__(self) -> None:
+        heights = np.ascontiguousarray(self.heights, dtype=np.float32)
+        if heights.shape != self.frame.shape:
+            raise HeightmapError(f"heights are {heights.shape}, but the frame is {self.frame.shape}")
+        if min(heights.shape) < 2:
+            raise HeightmapError(f"a heightmap needs at least 2 x 2 cells, got {heights.shape[0]} x {heights.shape[1]}")
+        if np.isinf(heights).any():
+            raise HeightmapError("heights must be finite or NaN (unknown), found an infinite one")
+        if np.isnan(heights).all():
+            raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
+        heights.setflags(write=False)
+        object.__setattr__(self, "heights", heights)
+
+    @property
+    def resolution_m(self) -> float:
+        return self.frame.resolution_m
+
+    @cached_property
+    def known_share(self) -> float:
+        """Share of cells whose height is known, 0..1."""
+        return float(1.0 - np.isnan(self.heights).mean())
+
+    @cached_property
+    def data_hash(self) -> str:
+        """SHA-256 (16 hex digits) of heights and frame: the heightmap's identity in provenance."""
+        digest = hashlib.sha256(self.heights.tobytes())
+        digest.update(repr(self.frame).encode())
+        return digest.hexdigest()[:16]
+
+    def sample(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Bilinear heights [m] at world points (any shape).
+
+        Pixels are areas: in the outer half pixel the nearest cell square is continued linearly. NaN outside the bounds
+        and wherever a height with non-zero weight is unknown.
+        """
+        row, col = self.frame.rowcol(x, y)
+        row, col = np.broadcast_arrays(row, col)
+        flat = sample_bilinear(self.heights, np.ascontiguousarray(row).ravel(), np.ascontiguousarray(col).ravel())
+        return flat.reshape(row.shape)
+
+
+@njit(cache=True)
+def bilinear(values: NDArray[np.float32], row: float, col: float) -> float:
+    """Bilinear value at fractional (row, col), continued linearly in the outer half cell; NaN beyond it."""
+    rows, cols = values.shape
+    edge = 0.5 + 1e-6
+    if not (-edge <= row <= rows - 1 + edge and -edge <= col <= cols - 1 + edge):
+        return math.nan
+    i = min(max(int(math.floor(row)), 0), rows - 2)
+    j = min(max(int(math.floor(col)), 0), cols - 2)
+    fr = row - i
+    fc = col - j
+    total = 0.0
+    for di in range(2):
+        wr = fr if di == 1 else 1.0 - fr
+        if abs(wr) < 1e-9:
+            continue
+        for dj in range(2):
+            wc = fc if dj == 1 else 1.0 - fc
+            if abs(wc) < 1e-9:
+                continue
+            total += wr * wc * values[i + di, j + dj]
+    return total
+
+
+@njit(cache=True, parallel=True)
+def sample_bilinear(values: NDArray[np.float32], row: FloatArray, col: FloatArray) -> FloatArray:
+    """`bilinear` at many points. row, col : (n,). Returns (n,) float64."""
+    out = np.empty(row.size)
+    for k in prange(row.size):
+        out[k] = bilinear(values, row[k], col[k])
+    return out

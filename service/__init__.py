@@ -1,0 +1,1 @@
+"""Who asks, what is kept, what is answered?"""
