@@ -1,0 +1,100 @@
+"""CostLattice: what driving costs at every cell and heading, what is blocked and why, and how it was made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.errors import InputError
+from model.frames import GridFrame, heading_bins, heading_vector
+from model.robot import Robot
+
+
+class Blocked(IntEnum):
+    """Why a cell, or a heading in a cell, cannot be driven. Lower codes win where several hold."""
+
+    FREE = 0
+    OUTSIDE = 1  # the square metre around the cell leaves the heightmap
+    UNKNOWN = 2  # a height in it is unknown
+    STEP = 3  # a height jump above the wheel radius
+    GRADE = 4  # steeper along the motion than max_grade_deg (this heading only)
+    CROSS_SLOPE = 5  # steeper across the motion than max_cross_slope_deg (this heading only)
+
+    @property
+    def label(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True, eq=False)
+class CostLattice:
+    """A directional cost map for one robot on one heightmap.
+
+    frame : where the cells lie; cell (0, 0) is north-west.
+    robot : whose prices and limits these are.
+    traction_per_m : (rows, cols, headings) float32 [J/m], what motion alone asks for per horizontal metre on the 1 m
+        segment centred at the cell; negative where the ground pushes; NaN where unknown. Stored instead of the price
+        because it is smooth in heading, so its periodic interpolation is exact where the price has a kink.
+    elevation_m : (rows, cols) float32 [m] at cell centres.
+    gradient : (rows, cols, 2) float32, rise per metre towards east and north of the plane through the square metre.
+    blocked : (rows, cols) uint8, a `Blocked` code that holds for every heading. Limits that depend on the heading
+        follow from `gradient` and the robot, see `blocked_by_heading`.
+    provenance : JSON-able record of model, heightmap hash, settings, versions and warnings.
+    """
+
+    frame: GridFrame
+    robot: Robot
+    traction_per_m: NDArray[np.float32]
+    elevation_m: NDArray[np.float32]
+    gradient: NDArray[np.float32]
+    blocked: NDArray[np.uint8]
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        shapes = {
+            "traction_per_m": (*self.frame.shape, self.traction_per_m.shape[-1]),
+            "elevation_m": self.frame.shape,
+            "gradient": (*self.frame.shape, 2),
+            "blocked": self.frame.shape,
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(f"lattice: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        if self.headings < 4:
+            raise InputError(f"lattice: at least 4 headings are needed, got {self.headings}", headings=self.headings)
+
+    @property
+    def headings(self) -> int:
+        """Number of heading bins K; bin k points to 2 pi k / K."""
+        return int(self.traction_per_m.shape[2])
+
+    @cached_property
+    def energy_per_m(self) -> NDArray[np.float32]:
+        """(rows, cols, headings) float32 [J/m]: the price of the 1 m segment centred at each cell."""
+        return self.robot.price_per_m(self.traction_per_m).astype(np.float32)
+
+    @cached_property
+    def max_tangents(self) -> tuple[float, float]:
+        """The robot's limits as tangents: (along the motion, across it)."""
+        return float(np.tan(np.deg2rad(self.robot.max_grade_deg))), float(
+            np.tan(np.deg2rad(self.robot.max_cross_slope_deg))
+        )
+
+    def blocked_by_heading(self) -> NDArray[np.uint8]:
+        """(rows, cols, headings) uint8 `Blocked` codes, with the limits on grade and cross slope at every bin."""
+        east, north = heading_vector(heading_bins(self.headings))  # (K,)
+        rise_east, rise_north = self.gradient[..., :1], self.gradient[..., 1:]
+        max_grade, max_cross = self.max_tangents
+        codes = np.zeros(self.traction_per_m.shape, dtype=np.uint8)
+        codes[np.abs(rise_east * north - rise_north * east) > max_cross] = Blocked.CROSS_SLOPE
+        codes[np.abs(rise_east * east + rise_north * north) > max_grade] = Blocked.GRADE
+        return np.where(self.blocked[..., None] > 0, self.blocked[..., None], codes)
+
+    def blocked_shares(self) -> dict[str, float]:
+        """Share of (cell, heading) pairs under each reason, `free` included; the values sum to 1."""
+        counts = np.bincount(self.blocked_by_heading().ravel(), minlength=len(Blocked))
+        return {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked}
