@@ -1,0 +1,204 @@
+"""Compiled pricing of straight legs over a lattice: arrays in, numbers out.
+
+A leg is a straight line between two fractional (row, col) points. Between cell centres the traction of a leg's heading
+is bilinear, so along a leg it is a quadratic within every square of four centres, and its price
+hotel + max(t, 0) + regeneration * min(t, 0) is integrated in closed form, kink included. Cutting a leg anywhere, or
+joining two that are collinear, therefore leaves its energy unchanged. A leg that leans on a blocked cell, or on one
+that is too steep in the leg's heading, has no price: NaN.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from model.frames import heading_of_step
+
+TOUCH = 1e-9
+"""Bilinear weight below which a cell does not count as touched."""
+
+
+@njit(cache=True)
+def heading_weights(heading_rad, weights):
+    """Fill `weights` (K,) with the trigonometric interpolation of K equal bins at a heading.
+
+    Exact for every Fourier series of order below K / 2. Source: the periodic sinc (Dirichlet) kernel, e.g.
+    Berrut & Trefethen 2004, section 7.
+    """
+    count = weights.size
+    for k in range(count):
+        half = 0.5 * (heading_rad - 2.0 * math.pi * k / count)
+        s = math.sin(half)
+        if abs(s) < 1e-12:
+            for other in range(count):
+                weights[other] = 0.0
+            weights[k] = 1.0
+            return
+        weights[k] = math.sin(count * half) / (count * (math.tan(half) if count % 2 == 0 else s))
+
+
+@njit(cache=True)
+def mean_response(t0, tm, t1, regeneration):
+    """Mean over a piece of max(t, 0) + regeneration * min(t, 0), t the quadratic through start, middle and end."""
+    mean = (t0 + 4.0 * tm + t1) / 6.0
+    if t0 >= 0.0 and t1 >= 0.0 and 4.0 * tm >= t0 + t1:  # concave enough to stay above its chord
+        return mean
+    a = 2.0 * (t0 + t1 - 2.0 * tm)
+    b = 4.0 * tm - 3.0 * t0 - t1
+    cuts = np.array([0.0, 1.0, 1.0, 1.0])
+    n = 1
+    if abs(a) < 1e-12 * (abs(b) + 1e-300):
+        if b != 0.0 and 0.0 < -t0 / b < 1.0:
+            cuts[1] = -t0 / b
+            n = 2
+    else:
+        square = b * b - 4.0 * a * t0
+        if square > 0.0:
+            q = -0.5 * (b + math.copysign(math.sqrt(square), b))
+            low = q / a
+            high = t0 / q if q != 0.0 else 0.0
+            if low > high:
+                low, high = high, low
+            for root in (low, high):
+                if 0.0 < root < 1.0:
+                    cuts[n] = root
+                    n += 1
+    cuts[n] = 1.0
+    positive = 0.0
+    for k in range(n):
+        u, v = cuts[k], cuts[k + 1]
+        w = 0.5 * (u + v)
+        part = ((a * v / 3.0 + b / 2.0) * v + t0) * v - ((a * u / 3.0 + b / 2.0) * u + t0) * u
+        if (a * w + b) * w + t0 > 0.0:
+            positive += part
+    return positive + regeneration * (mean - positive)
+
+
+@njit(cache=True)
+def _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j):
+    """Traction of one cell at the leg's heading, NaN when it is blocked or too steep for it."""
+    if blocked[i, j] != 0:
+        return math.nan
+    rise_east = gradient[i, j, 0]
+    rise_north = gradient[i, j, 1]
+    if abs(rise_east * east + rise_north * north) > max_grade:
+        return math.nan
+    if abs(rise_east * north - rise_north * east) > max_cross:
+        return math.nan
+    total = 0.0
+    for k in range(weights.size):
+        total += weights[k] * traction[i, j, k]
+    return total
+
+
+@njit(cache=True)
+def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
+    """Energy [J] of the straight leg from (row0, col0) to (row1, col1); NaN when it may not be driven.
+
+    traction : (rows, cols, K) float32; gradient : (rows, cols, 2) float32; blocked : (rows, cols) uint8;
+    terms : (5,) = spacing [m], hotel [J/m], regeneration, max grade, max cross slope (tangents).
+    """
+    spacing, hotel, regeneration, max_grade, max_cross = terms[0], terms[1], terms[2], terms[3], terms[4]
+    rows, cols, bins = traction.shape
+    slack = 0.5 + 1e-6
+    if not (
+        -slack <= row0 <= rows - 1 + slack and -slack <= row1 <= rows - 1 + slack
+        and -slack <= col0 <= cols - 1 + slack and -slack <= col1 <= cols - 1 + slack
+    ):  # fmt: skip
+        return math.nan
+    drow = row1 - row0
+    dcol = col1 - col0
+    heading = heading_of_step(drow, dcol)
+    east = math.sin(heading)
+    north = math.cos(heading)
+    length = math.hypot(drow, dcol)
+    if length == 0.0:
+        i = int(round(row0))
+        j = int(round(col0))
+        return 0.0 if blocked[min(max(i, 0), rows - 1), min(max(j, 0), cols - 1)] == 0 else math.nan
+    weights = np.empty(bins)
+    heading_weights(heading, weights)
+    energy = 0.0
+    t = 0.0
+    corners = np.zeros((2, 2))
+    while t < 1.0:
+        t_next = 1.0
+        if drow != 0.0:
+            row = row0 + t * drow
+            line = math.floor(row + 1e-9) + 1.0 if drow > 0.0 else math.ceil(row - 1e-9) - 1.0
+            t_next = min(t_next, (line - row0) / drow)
+        if dcol != 0.0:
+            col = col0 + t * dcol
+            line = math.floor(col + 1e-9) + 1.0 if dcol > 0.0 else math.ceil(col - 1e-9) - 1.0
+            t_next = min(t_next, (line - col0) / dcol)
+        middle = 0.5 * (t + t_next)
+        i = min(max(int(math.floor(row0 + middle * drow)), 0), rows - 2)
+        j = min(max(int(math.floor(col0 + middle * dcol)), 0), cols - 2)
+        u0 = min(max(row0 + t * drow - i, 0.0), 1.0)
+        u1 = min(max(row0 + t_next * drow - i, 0.0), 1.0)
+        v0 = min(max(col0 + t * dcol - j, 0.0), 1.0)
+        v1 = min(max(col0 + t_next * dcol - j, 0.0), 1.0)
+        for a in range(2):
+            for b in range(2):
+                touched_row = max(u0, u1) if a == 1 else 1.0 - min(u0, u1)
+                touched_col = max(v0, v1) if b == 1 else 1.0 - min(v0, v1)
+                corners[a, b] = 0.0
+                if touched_row > TOUCH and touched_col > TOUCH:
+                    corners[a, b] = _corner(
+                        traction, gradient, blocked, weights, east, north, max_grade, max_cross, i + a, j + b
+                    )
+                    if math.isnan(corners[a, b]):
+                        return math.nan
+        um = 0.5 * (u0 + u1)
+        vm = 0.5 * (v0 + v1)
+        t0 = _blend(corners, u0, v0)
+        tm = _blend(corners, um, vm)
+        t1 = _blend(corners, u1, v1)
+        energy += (t_next - t) * (hotel + mean_response(t0, tm, t1, regeneration))
+        t = t_next
+    return energy * length * spacing
+
+
+@njit(cache=True)
+def _blend(corners, u, v):
+    return (1.0 - u) * ((1.0 - v) * corners[0, 0] + v * corners[0, 1]) + u * (
+        (1.0 - v) * corners[1, 0] + v * corners[1, 1]
+    )
+
+
+@njit(cache=True, parallel=True)
+def leg_energies(traction, gradient, blocked, terms, legs):
+    """`leg_energy` of many legs. legs : (n, 4) float64 of row0, col0, row1, col1. Returns (n,) float64 [J]."""
+    out = np.empty(legs.shape[0])
+    for k in prange(legs.shape[0]):
+        out[k] = leg_energy(
+            traction, gradient, blocked, terms, legs[k, 0], legs[k, 1], legs[k, 2], legs[k, 3]
+        )
+    return out
+
+
+@njit(cache=True)
+def turn_angle(row0, col0, row1, col1, row2, col2):
+    """Absolute change of heading [rad, 0..pi] between the legs 0-1 and 1-2; zero beside an empty leg."""
+    a, b = row1 - row0, col1 - col0
+    c, d = row2 - row1, col2 - col1
+    if (a == 0.0 and b == 0.0) or (c == 0.0 and d == 0.0):
+        return 0.0
+    return abs(math.atan2(a * d - b * c, a * c + b * d))
+
+
+@njit(cache=True)
+def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
+    """Energy [J] of a polyline with its turns. points : (n, 2) float64 (row, col). NaN when a leg may not be driven."""
+    energy = 0.0
+    for k in range(1, points.shape[0]):
+        energy += leg_energy(
+            traction, gradient, blocked, terms, points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1]
+        )
+        if k >= 2 and turn_j_per_rad > 0.0:
+            energy += turn_j_per_rad * turn_angle(
+                points[k - 2, 0], points[k - 2, 1], points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1]
+            )
+    return energy

@@ -1,0 +1,216 @@
+"""The price of every grid move: 8, 16 or 32 neighbours of every cell, priced as `edges` would, all at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from model.errors import InputError
+from model.frames import heading_of
+from planner.edges import interpolation_matrix, price_terms
+from planner.kernels import mean_response
+from planner.lattice import CostLattice
+
+NEIGHBOURS = (8, 16, 32)
+HEIGHT_RATES = 9
+"""How many rates [J per metre of climb] the bounds of `MoveTable.bound_per_m` are known for."""
+
+
+@dataclass(frozen=True, eq=False)
+class MoveTable:
+    """Energies of all grid moves of a lattice.
+
+    offsets : (N, 2) int64 (drow, dcol), clockwise from north. heading_rad, length_m : (N,).
+    energy : (rows, cols, N) float32 [J] of the move that leaves a cell; NaN where it may not be driven.
+    turn_j : (N, N) float64 [J] of turning from one move's heading into another's.
+    rate_j_per_m : (B,) float64, rates b [J per metre of climb], ascending.
+    bound_per_m : (B,) float64 [J/m], the largest a with energy >= a * length + b * climb for every move of the map
+        (climb by `elevation_m`, up positive): the heuristics and the potential for negative prices rest on it.
+    """
+
+    offsets: NDArray[np.int64]
+    heading_rad: NDArray[np.float64]
+    length_m: NDArray[np.float64]
+    energy: NDArray[np.float32]
+    turn_j: NDArray[np.float64]
+    rate_j_per_m: NDArray[np.float64]
+    bound_per_m: NDArray[np.float64]
+
+
+def move_offsets(neighbours: int) -> NDArray[np.int64]:
+    """(N, 2) int64 (drow, dcol) of the N = 8, 16 or 32 shortest moves of different heading, clockwise from north."""
+    if neighbours not in NEIGHBOURS:
+        raise InputError(f"neighbours must be 8, 16 or 32, got {neighbours}", neighbours=neighbours)
+    reach = {8: 1, 16: 2, 32: 3}[neighbours]
+    steps = [
+        (r, c)
+        for r in range(-reach, reach + 1)
+        for c in range(-reach, reach + 1)
+        if math.gcd(r, c) == 1
+    ]  # fmt: skip
+    steps.sort(key=lambda s: float(heading_of(s[1], -s[0])))
+    return np.array(steps, dtype=np.int64)
+
+
+def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
+    """Price all grid moves of a lattice; O(rows * cols * N), two compiled passes."""
+    offsets = move_offsets(neighbours)
+    headings = heading_of(offsets[:, 1], -offsets[:, 0])
+    matrix = interpolation_matrix(headings, lattice.headings).astype(np.float32)
+    at_moves = lattice.traction_per_m.reshape(-1, lattice.headings) @ matrix.T  # (cells, N)
+    allowed = _allowed_moves(lattice.gradient, lattice.blocked, headings, *lattice.max_tangents)
+    pieces = [_pieces(int(r), int(c)) for r, c in offsets]
+    cells, share = _stack_stencils(offsets, pieces)
+    piece_share, piece_cell, piece_blend = _stack_pieces(pieces)
+    length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * lattice.frame.resolution_m
+    rates = _height_rates(lattice)
+    energy, bounds = _price_moves(
+        at_moves.reshape(*lattice.frame.shape, -1), allowed, lattice.elevation_m, offsets, length_m, price_terms(lattice),
+        cells, share, piece_share, piece_cell, piece_blend, rates,
+    )  # fmt: skip
+    change = np.abs(np.angle(np.exp(1j * (headings[None, :] - headings[:, None]))))
+    turn = lattice.robot.turn_j_per_rad * change
+    return MoveTable(offsets, headings, length_m, energy, turn, rates, bounds)
+
+
+def _height_rates(lattice: CostLattice) -> NDArray[np.float64]:
+    """Rates worth bounding: nothing, to one and a half times the robot's weight."""
+    weight = lattice.robot.weight_n
+    between = 0.5 * (lattice.robot.regeneration + 1.0)
+    return weight * np.sort(np.append(np.linspace(0.0, 1.5, HEIGHT_RATES - 1), between))
+
+
+def _pieces(drow: int, dcol: int) -> list[tuple[float, NDArray[np.int64], NDArray[np.float64]]]:
+    """A move from (0, 0), cut where it crosses lines of cell centres.
+
+    Each piece: its share of the move, its four cells (4, 2), and their bilinear weights at start, middle, end (3, 4).
+    """
+    cuts = {0.0, 1.0}
+    for span in (drow, dcol):
+        cuts |= {k / abs(span) for k in range(1, abs(span))}
+    edges = sorted(cuts)
+    out = []
+    for t0, t1 in zip(edges[:-1], edges[1:], strict=True):
+        middle = 0.5 * (t0 + t1)
+        i, j = math.floor(middle * drow), math.floor(middle * dcol)
+        cells = np.array([(i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1)], dtype=np.int64)
+        blend = np.empty((3, 4))
+        for k, t in enumerate((t0, middle, t1)):
+            u, v = t * drow - i, t * dcol - j
+            blend[k] = (1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v
+        out.append((t1 - t0, cells, blend))
+    return out
+
+
+def _stack_stencils(offsets, pieces):
+    """Per move, the cells it leans on (N, S, 2) and their shares of the mean traction (N, S); padded with share -1."""
+    stencils = []
+    for move in pieces:
+        total: dict[tuple[int, int], float] = {}
+        for share, cells, blend in move:
+            simpson = share * (blend[0] + 4.0 * blend[1] + blend[2]) / 6.0
+            for cell, weight, touched in zip(cells.tolist(), simpson, blend.max(axis=0), strict=True):
+                if touched > 1e-9:
+                    total[tuple(cell)] = total.get(tuple(cell), 0.0) + weight
+        stencils.append(total)
+    width = max(len(s) for s in stencils)
+    cells = np.zeros((len(offsets), width, 2), dtype=np.int64)
+    shares = np.full((len(offsets), width), -1.0)
+    for n, stencil in enumerate(stencils):
+        for k, (cell, share) in enumerate(stencil.items()):
+            cells[n, k] = cell
+            shares[n, k] = share
+    return cells, shares
+
+
+def _stack_pieces(pieces):
+    width = max(len(move) for move in pieces)
+    share = np.zeros((len(pieces), width))
+    cell = np.zeros((len(pieces), width, 4, 2), dtype=np.int64)
+    blend = np.zeros((len(pieces), width, 3, 4))
+    for n, move in enumerate(pieces):
+        for k, (part, cells, weights) in enumerate(move):
+            share[n, k], cell[n, k], blend[n, k] = part, cells, weights
+    return share, cell, blend
+
+
+@njit(cache=True, parallel=True)
+def _allowed_moves(gradient, blocked, headings, max_grade, max_cross):
+    """(rows, cols) int64 bit set of the moves whose heading the cell's slope allows; 0 where blocked."""
+    rows, cols = blocked.shape
+    allowed = np.zeros((rows, cols), dtype=np.int64)
+    east = np.sin(headings)
+    north = np.cos(headings)
+    for i in prange(rows):
+        for j in range(cols):
+            if blocked[i, j] != 0:
+                continue
+            bits = 0
+            for k in range(headings.size):
+                along = gradient[i, j, 0] * east[k] + gradient[i, j, 1] * north[k]
+                across = gradient[i, j, 0] * north[k] - gradient[i, j, 1] * east[k]
+                if abs(along) <= max_grade and abs(across) <= max_cross:
+                    bits |= 1 << k
+            allowed[i, j] = bits
+    return allowed
+
+
+@njit(cache=True, parallel=True)
+def _price_moves(
+    traction, allowed, elevation, offsets, length_m, terms, cells, share, piece_share, piece_cell, piece_blend, rates
+):
+    """Energies (rows, cols, N) float32 [J] and bounds (B,) [J/m]. traction : (rows, cols, N) at the moves' headings."""
+    rows, cols, moves = traction.shape
+    hotel, regeneration = terms[1], terms[2]
+    energy = np.full((rows, cols, moves), np.nan, dtype=np.float32)
+    row_bounds = np.full((rows, rates.size), np.inf)
+    for i in prange(rows):
+        for j in range(cols):
+            if allowed[i, j] == 0:
+                continue
+            for n in range(moves):
+                row, col = i + offsets[n, 0], j + offsets[n, 1]
+                if not (0 <= row < rows and 0 <= col < cols):
+                    continue
+                mean = 0.0
+                lowest = np.inf
+                free = True
+                for s in range(cells.shape[1]):
+                    if share[n, s] < 0.0:
+                        break
+                    r, c = i + cells[n, s, 0], j + cells[n, s, 1]
+                    if (allowed[r, c] >> n) & 1 == 0:
+                        free = False
+                        break
+                    t = traction[r, c, n]
+                    mean += share[n, s] * t
+                    lowest = min(lowest, t)
+                if not free:
+                    continue
+                if lowest < 0.0:
+                    mean = 0.0
+                    for p in range(piece_share.shape[1]):
+                        if piece_share[n, p] > 0.0:
+                            t0 = tm = t1 = 0.0
+                            for q in range(4):
+                                if max(piece_blend[n, p, 0, q], piece_blend[n, p, 1, q], piece_blend[n, p, 2, q]) > 0.0:
+                                    t = traction[i + piece_cell[n, p, q, 0], j + piece_cell[n, p, q, 1], n]
+                                    t0 += piece_blend[n, p, 0, q] * t
+                                    tm += piece_blend[n, p, 1, q] * t
+                                    t1 += piece_blend[n, p, 2, q] * t
+                            mean += piece_share[n, p] * mean_response(t0, tm, t1, regeneration)
+                price = np.float32((hotel + mean) * length_m[n])
+                energy[i, j, n] = price
+                climb = np.float64(elevation[row, col]) - np.float64(elevation[i, j])
+                for b in range(rates.size):
+                    bound = (price - rates[b] * climb) / length_m[n]
+                    if bound < row_bounds[i, b]:
+                        row_bounds[i, b] = bound
+    bounds = np.empty(rates.size)
+    for b in range(rates.size):
+        bounds[b] = row_bounds[:, b].min()
+    return energy, bounds
