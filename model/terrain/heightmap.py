@@ -77,8 +77,8 @@ def bilinear(values: NDArray[np.float32], row: float, col: float) -> float:
     edge = 0.5 + 1e-6
     if not (-edge <= row <= rows - 1 + edge and -edge <= col <= cols - 1 + edge):
         return math.nan
-    i = min(max(int(math.floor(row)), 0), rows - 2)
-    j = min(max(int(math.floor(col)), 0), cols - 2)
+    i = min(max(math.floor(row), 0), rows - 2)
+    j = min(max(math.floor(col), 0), cols - 2)
     fr = row - i
     fc = col - j
     total = 0.0

@@ -1,0 +1,209 @@
+"""Decoders of heightmaps through GDAL: GeoTIFF and PNG, cut off from the network and from files beside them."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader, MemoryFile
+from rasterio.windows import Window
+
+from model.errors import HeightmapError
+from model.terrain.decoded import Decoded, Scaling, check_cells
+
+SQUARE_TOLERANCE = 1e-3
+"""Relative difference of two lengths that still count as the same."""
+
+_STRIPE_CELLS = 4_000_000  # decoded at a time, so that a big map needs no second copy of itself
+_MAX_BLOCK_BYTES = 1 << 30
+_ENV = {
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .aux.xml, .ovr, .msk, world files
+    "GDAL_PAM_ENABLED": "NO",
+    "PROJ_NETWORK": "OFF",
+    "GDAL_CACHEMAX": 256,
+}
+_FOOT_UNITS = ("ft", "foot", "feet", "us survey foot", "us-ft", "ftus")
+
+
+@contextmanager
+def _opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
+    """The dataset, decoded by this driver alone; rasterio's failures, also those at reading, as HeightmapError."""
+    name = {"GTiff": "GeoTIFF", "PNG": "PNG image"}[driver]
+    with warnings.catch_warnings(), rasterio.Env(**_ENV):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            if isinstance(source, bytes):
+                with MemoryFile(source) as memory, memory.open(driver=driver) as dataset:
+                    yield dataset
+            else:
+                with rasterio.open(str(source), driver=driver) as dataset:
+                    yield dataset
+        except (RasterioError, OSError) as error:
+            raise HeightmapError(f"the {name} is truncated or corrupt: {error.__cause__ or error}") from error
+
+
+def decode_png(source: Path | bytes, head: bytes, scaling: Scaling, max_cells: int) -> Decoded:
+    """A greyscale PNG of 8 or 16 bits; height = count * scale_m + offset_m. head : its first bytes, 26 at least.
+
+    Raises HeightmapError without a scale, or where the image is in colour; TooLargeError.
+    """
+    if len(head) < 26 or head[12:16] != b"IHDR":
+        raise HeightmapError("the PNG image is truncated or corrupt: it has no header")
+    cols, rows, bits, colour = struct.unpack(">IIBB", head[16:26])
+    check_cells(rows, cols, max_cells, what="the PNG image")
+    if colour != 0 or bits not in (8, 16):
+        kinds = {
+            0: "greyscale",
+            2: "colour",
+            3: "palette",
+            4: "greyscale with transparency",
+            6: "colour with transparency",
+        }
+        raise HeightmapError(
+            f"a PNG heightmap is greyscale with 8 or 16 bits; this one is {kinds.get(colour, 'unknown')} with {bits} bits"
+        )
+    if scaling.scale_m is None:
+        raise HeightmapError(
+            "a PNG image holds counts, not metres: give scale_m, the metres per count (and offset_m, the height of count 0)"
+        )
+    with _opened(source, "PNG") as dataset:
+        heights = _read_band(dataset, 1, scaling, rasterless=True)
+    return Decoded(heights)
+
+
+def decode_geotiff(source: Path | bytes, scaling: Scaling, max_cells: int, *, band: int | None = None) -> Decoded:
+    """One band of a GeoTIFF: mask, nodata, scale and offset honoured, south-up rasters turned.
+
+    band : 1-based; needed where there is more than one. Raises HeightmapError on rotated or non-square pixels, a CRS in
+    degrees or feet, blocks that were never written, truncation; TooLargeError.
+    """
+    with _opened(source, "GTiff") as dataset:
+        check_cells(dataset.height, dataset.width, max_cells, what="the GeoTIFF")
+        band = _checked_band(dataset, band)
+        crs = crs_name(dataset.crs) if dataset.crs else None
+        transform = dataset.transform
+        if transform.is_identity:
+            resolution = west = north = None
+            flip = False
+        else:
+            if transform.b or transform.d:
+                raise HeightmapError(
+                    f"the GeoTIFF is rotated (transform terms {transform.b:g}, {transform.d:g}): "
+                    "make it north-up first, e.g. with `gdalwarp`",
+                    transform=list(transform)[:6],
+                )
+            if transform.a <= 0:
+                raise HeightmapError(f"the GeoTIFF is mirrored: its columns run west (pixel width {transform.a:g} m)")
+            resolution, height = transform.a, abs(transform.e)
+            if abs(resolution - height) > SQUARE_TOLERANCE * max(resolution, height):
+                raise HeightmapError(
+                    f"cells must be square, but the GeoTIFF's are {resolution:g} x {height:g} m: resample it, "
+                    f"e.g. `gdalwarp -tr {resolution:g} {resolution:g}`",
+                    width_m=resolution, height_m=height,
+                )  # fmt: skip
+            flip = transform.e > 0
+            west = transform.c
+            north = transform.f + (dataset.height * transform.e if flip else 0.0)
+        _check_blocks(dataset, band)
+        heights = _read_band(dataset, band, scaling)
+    return Decoded(
+        np.ascontiguousarray(heights[::-1]) if flip else heights,
+        west_m=west, north_m=north, resolution_m=resolution, crs=crs,
+    )  # fmt: skip
+
+
+def crs_name(crs: CRS | str) -> str:
+    """ "EPSG:n" where the CRS has such a code, else its WKT. Raises HeightmapError unless it is in metres."""
+    try:
+        crs = CRS.from_user_input(crs)
+        code, wkt = crs.to_epsg(), crs.to_wkt()
+    except CRSError as error:
+        raise HeightmapError(
+            f"the coordinate reference system {str(crs)[:80]!r} is not known", crs=str(crs)[:80]
+        ) from error
+    name = f"EPSG:{code}" if code else wkt
+    if crs.is_geographic:
+        raise HeightmapError(
+            f"the map is in degrees ({name[:80]}), not in metres: project it first, e.g. "
+            "`gdalwarp -t_srs EPSG:326xx IN.tif OUT.tif` with xx its UTM zone (327xx in the south)",
+            crs=name[:80],
+        )
+    if crs.is_projected:
+        unit, metres = crs.linear_units_factor
+        if abs(metres - 1.0) > 1e-9:
+            raise HeightmapError(
+                f"the map is in {unit} ({metres:g} m), not in metres ({name[:80]}): project it first, e.g. "
+                "`gdalwarp -t_srs EPSG:326xx IN.tif OUT.tif`",
+                crs=name[:80], unit=unit,
+            )  # fmt: skip
+    elif not wkt.upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")) or "FOOT" in wkt.upper():
+        raise HeightmapError(f"the map's coordinate reference system is no plane in metres: {name[:80]}", crs=name[:80])
+    return name
+
+
+def _checked_band(dataset: DatasetReader, band: int | None) -> int:
+    if dataset.count != 1 and band is None:
+        raise HeightmapError(
+            f"the GeoTIFF has {dataset.count} bands: say which holds the heights (band)", bands=dataset.count
+        )
+    band = 1 if band is None else band
+    if not 1 <= band <= dataset.count:
+        raise HeightmapError(f"the GeoTIFF has bands 1 to {dataset.count}, not {band}", bands=dataset.count)
+    dtype = np.dtype(dataset.dtypes[band - 1]) if "complex" not in dataset.dtypes[band - 1] else np.dtype(complex)
+    if dtype.kind not in "fiu":
+        raise HeightmapError(f"band {band} of the GeoTIFF holds {dataset.dtypes[band - 1]}, not real numbers")
+    if dataset.colorinterp[band - 1] == ColorInterp.palette:
+        raise HeightmapError(f"band {band} of the GeoTIFF is a picture with a colour table, not heights")
+    unit = dataset.units[band - 1]
+    if unit and unit.strip().lower() in _FOOT_UNITS:
+        raise HeightmapError(f"the GeoTIFF's heights are in {unit}, not in metres: convert them first", unit=unit)
+    block_rows, block_cols = dataset.block_shapes[band - 1]
+    block_bytes = block_rows * block_cols * dtype.itemsize * dataset.count
+    if block_bytes > max(_MAX_BLOCK_BYTES, dataset.height * dataset.width * dtype.itemsize * dataset.count):
+        raise HeightmapError(
+            f"the GeoTIFF declares blocks of {block_rows} x {block_cols} cells around a small map: corrupt"
+        )
+    return band
+
+
+def _check_blocks(dataset: DatasetReader, band: int) -> None:
+    """GDAL fills blocks that were never written with nodata, or with 0 where none is declared: refuse the latter."""
+    if dataset.nodatavals[band - 1] is not None:
+        return
+    block_rows, block_cols = dataset.block_shapes[band - 1]
+    down, across = -(-dataset.height // block_rows), -(-dataset.width // block_cols)
+    missing = sum(
+        dataset.get_tag_item(f"BLOCK_OFFSET_{j}_{i}", "TIFF", bidx=band) is None
+        for i in range(down)
+        for j in range(across)
+    )
+    if missing:
+        raise HeightmapError(
+            f"{missing} of the GeoTIFF's {down * across} blocks were never written: the file is incomplete",
+            missing=missing,
+        )
+
+
+def _read_band(dataset: DatasetReader, band: int, scaling: Scaling, *, rasterless: bool = False) -> NDArray[np.float32]:
+    rows, cols = dataset.height, dataset.width
+    masked = not rasterless and MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
+    heights = np.empty((rows, cols), dtype=np.float32)
+    block_rows = dataset.block_shapes[band - 1][0]
+    step = max(1, _STRIPE_CELLS // (cols * block_rows)) * block_rows
+    for row in range(0, rows, step):
+        window = Window(0, row, cols, min(step, rows - row))
+        values = dataset.read(band, window=window)
+        known = dataset.read_masks(band, window=window) != 0 if masked else None
+        heights[row : row + step] = scaling.to_metres(
+            values, band_scale=dataset.scales[band - 1], band_offset=dataset.offsets[band - 1], known=known
+        )
+    return heights

@@ -1,0 +1,79 @@
+"""Write rasters as GeoTIFF: a heightmap, or bands on its frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.io import MemoryFile
+from rasterio.transform import Affine
+
+from model.errors import HeightmapError
+from model.frames import GridFrame
+from model.terrain.heightmap import Heightmap
+
+
+def write_bands_geotiff(
+    path: str | Path | None,
+    bands: NDArray[np.float32],
+    frame: GridFrame,
+    *,
+    descriptions: Sequence[str] | None = None,
+    tags: Mapping[str, str] | None = None,
+) -> bytes | None:
+    """A deflated float32 GeoTIFF of bands (n, rows, cols), NaN its nodata; to `path`, or as bytes where that is None.
+
+    descriptions : one text per band. tags : the file's metadata. A file appears whole or not at all. Raises
+    HeightmapError where shapes differ.
+    """
+    bands = np.asarray(bands, dtype=np.float32)
+    if bands.ndim != 3 or bands.shape[1:] != frame.shape:
+        raise HeightmapError(f"bands are {bands.shape}, but the frame is (n, {frame.rows}, {frame.cols})")
+    if descriptions is not None and len(descriptions) != len(bands):
+        raise HeightmapError(f"{len(bands)} bands need as many descriptions, got {len(descriptions)}")
+    profile = {
+        "driver": "GTiff",
+        "width": frame.cols,
+        "height": frame.rows,
+        "count": len(bands),
+        "dtype": "float32",
+        "crs": frame.crs,
+        "transform": Affine(frame.resolution_m, 0.0, frame.west_m, 0.0, -frame.resolution_m, frame.north_m),
+        "nodata": float("nan"),
+        "compress": "deflate",
+        "predictor": 3,
+        "interleave": "band",
+        "bigtiff": "if_safer",
+    }
+
+    def fill(dataset: rasterio.io.DatasetWriter) -> None:
+        dataset.write(bands)
+        for index, text in enumerate(descriptions or (), start=1):
+            dataset.set_band_description(index, text)
+        if tags:
+            dataset.update_tags(**tags)
+
+    with rasterio.Env(GDAL_PAM_ENABLED="NO"):
+        if path is None:
+            with MemoryFile() as memory:
+                with memory.open(**profile) as dataset:
+                    fill(dataset)
+                return bytes(memory.getbuffer())
+        path = Path(path)
+        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        try:
+            with rasterio.open(str(partial), "w", **profile) as dataset:
+                fill(dataset)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    return None
+
+
+def write_geotiff(path: str | Path | None, heightmap: Heightmap) -> bytes | None:
+    """The heightmap as a GeoTIFF of one band; to `path`, or as bytes where that is None."""
+    return write_bands_geotiff(path, heightmap.heights[None], heightmap.frame, descriptions=["height [m]"])
