@@ -1,0 +1,169 @@
+"""A drive over a site, simulated: power along the path, the 1 m segments it truly cost, and the log of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from model.errors import InputError
+from model.field.drives import Drive
+from model.field.electrics import wheel_power_w
+from model.field.robot_dynamics import FieldRobot, Motion, move
+from model.field.sites import Site
+from model.frames import heading_of
+from model.terrain.heightmap import Heightmap
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What truly happened, (n,) per station. t from 0 [s]; z [m] ground under the body; pitch_rad > 0 nose up; roll_rad > 0
+    right side down; power_w at the battery; explained_w the same without the spread that no height explains;
+    wheels_w the share of both drives in power_w."""
+
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
+    heading_rad: FloatArray
+    speed_mps: FloatArray
+    pitch_rad: FloatArray
+    roll_rad: FloatArray
+    power_w: FloatArray
+    explained_w: FloatArray
+    wheels_w: FloatArray
+
+    def energy_j(self, power_w: FloatArray | None = None) -> FloatArray:
+        """Energy since the start [J], (n,): the power of a station holds over the step that ends there."""
+        power = self.power_w if power_w is None else power_w
+        return np.cumsum(power * np.diff(self.t, prepend=self.t[0]))
+
+
+@dataclass(frozen=True)
+class TrueSegments:
+    """Consecutive 1 m segments of a trace, (n,) each, without any error of measurement.
+
+    x, y : centre. heading_rad : of p -> q. energy_j : drawn from the battery; explained_j : without the spread that no
+    height explains. driven_m : horizontal path length; heading_change_rad : net, > 0 to the right.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heading_rad: FloatArray
+    energy_j: FloatArray
+    explained_j: FloatArray
+    duration_s: FloatArray
+    driven_m: FloatArray
+    heading_change_rad: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.x.size)
+
+    @property
+    def noise_floor(self) -> float:
+        """Mean |explained - drawn| / drawn: the error that perfect knowledge of the terrain leaves."""
+        return float(np.mean(np.abs(self.explained_j - self.energy_j) / self.energy_j))
+
+
+def simulate_trace(site: Site, robot: FieldRobot, drive: Drive, *, rng: np.random.Generator) -> Trace:
+    """Drive over the true terrain of `site`. Raises PointError where a wheel would leave it."""
+    motion, wheels = _drives_w(site, site.mu_factor, robot, drive)
+    _, explained = _drives_w(site, site.mu_factor_explained, robot, drive)
+    surface = np.sqrt(np.diff(drive.x) ** 2 + np.diff(drive.y) ** 2 + np.diff(motion.z) ** 2)
+    t = np.concatenate([[0.0], np.cumsum(surface / drive.speed_mps[1:])])
+    path = np.concatenate([[0.0], np.cumsum(surface)])
+    factor = _spread(path, site.ground.spread, site.ground.spread_length_m, rng)
+    return Trace(
+        t=t, x=drive.x, y=drive.y, z=motion.z, heading_rad=drive.heading_rad, speed_mps=drive.speed_mps,
+        pitch_rad=motion.pitch_rad, roll_rad=motion.roll_rad, power_w=robot.idle_w + factor * wheels,
+        explained_w=robot.idle_w + explained, wheels_w=factor * wheels,
+    )  # fmt: skip
+
+
+def simulate_segments(
+    site: Site, robot: FieldRobot, drive: Drive, *, rng: np.random.Generator, max_driven_m: float = 1.05
+) -> TrueSegments:
+    """`true_segments` of `simulate_trace`: many exact segments quickly, without a logger."""
+    return true_segments(simulate_trace(site, robot, drive, rng=rng), max_driven_m=max_driven_m)
+
+
+def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 1.05) -> TrueSegments:
+    """Consecutive segments whose ends lie `length_m` apart in a straight horizontal line.
+
+    Segments driven longer than `max_driven_m` (turns) are left out.
+    """
+    if length_m <= 0:
+        raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=length_m)
+    at = _cut(trace.x, trace.y, length_m)  # fractional station of every end
+    station = np.arange(trace.x.size, dtype=np.float64)
+
+    def ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        there = np.interp(at, station, values)
+        return there[:-1], there[1:]
+
+    (px, qx), (py, qy), (pt, qt) = ends(trace.x), ends(trace.y), ends(trace.t)
+    (pe, qe), (pk, qk) = ends(trace.energy_j()), ends(trace.energy_j(trace.explained_w))
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(trace.x), np.diff(trace.y)))])
+    ps, qs = ends(path)
+    ph, qh = ends(np.unwrap(trace.heading_rad))
+    keep = (qs - ps) <= max_driven_m * length_m
+    heading = heading_of(qx - px, qy - py)
+    columns = ((px + qx) / 2, (py + qy) / 2, heading, qe - pe, qk - pk, qt - pt, qs - ps, qh - ph)
+    return TrueSegments(*(np.ascontiguousarray(c[keep]) for c in columns))
+
+
+def _drives_w(site: Site, mu_factor: Heightmap, robot: FieldRobot, drive: Drive) -> tuple[Motion, FloatArray]:
+    """Motion over the site with this rolling loss, and the power of both drives [W]."""
+    motion = move(
+        site.terrain, mu_factor, site.ground, robot,
+        x=drive.x, y=drive.y, heading_rad=drive.heading_rad, speed_mps=drive.speed_mps,
+    )  # fmt: skip
+    return motion, wheel_power_w(motion, robot, drive.speed_mps, drive.curvature)
+
+
+def _spread(path_m: FloatArray, sigma: float, length_m: float, rng: np.random.Generator) -> FloatArray:
+    """Log-normal factor of mean 1 along a path, correlation exp(-distance / length_m). Shape (n,)."""
+    shock = rng.standard_normal(path_m.size)
+    if sigma == 0.0:
+        return np.ones(path_m.size)
+    decay = np.exp(-np.diff(path_m, prepend=path_m[0]) / length_m)
+    return np.exp(sigma * _walk(shock, decay) - 0.5 * sigma**2)
+
+
+@njit(cache=True)
+def _walk(shock: FloatArray, decay: FloatArray) -> FloatArray:
+    out = np.empty(shock.size)
+    out[0] = shock[0]
+    for k in range(1, shock.size):
+        out[k] = decay[k] * out[k - 1] + math.sqrt(1.0 - decay[k] ** 2) * shock[k]
+    return out
+
+
+@njit(cache=True)
+def _cut(x: FloatArray, y: FloatArray, length: float) -> FloatArray:
+    """Fractional stations of consecutive points `length` apart in a straight line, from station 0."""
+    out = np.empty(x.size)
+    out[0] = 0.0
+    count = 1
+    px = x[0]
+    py = y[0]
+    before = 0.0
+    k = 1
+    while k < x.size:
+        far = math.hypot(x[k] - px, y[k] - py)
+        if far >= length:
+            f = (length - before) / (far - before)
+            px = x[k - 1] + f * (x[k] - x[k - 1])
+            py = y[k - 1] + f * (y[k] - y[k - 1])
+            out[count] = k - 1 + f
+            count += 1
+            before = -1.0
+            far = math.hypot(x[k] - px, y[k] - py)
+        before = far
+        k += 1
+    return out[:count].copy()
