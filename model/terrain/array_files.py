@@ -8,7 +8,7 @@ import math
 import re
 import zipfile
 import zlib
-from typing import BinaryIO
+from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy_format
@@ -22,13 +22,13 @@ _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
 _NPZ_SCALARS = ("resolution_m", "west_m", "north_m", "crs")
 
 
-def decode_npy(stream: BinaryIO, length: int, scaling: Scaling, max_cells: int) -> Decoded:
+def decode_npy(stream: IO[bytes], length: int, scaling: Scaling, max_cells: int) -> Decoded:
     """One 2-D real array. length : bytes in the stream. Raises HeightmapError, TooLargeError."""
     values = _read_array(stream, "the .npy file", max_cells, expected_length=length)
     return Decoded(scaling.to_metres(values))
 
 
-def decode_npz(stream: BinaryIO, scaling: Scaling, max_cells: int) -> Decoded:
+def decode_npz(stream: IO[bytes], scaling: Scaling, max_cells: int) -> Decoded:
     """`heights` (rows, cols) and, optionally, `resolution_m`, `west_m`, `north_m`, `crs`.
 
     Only what the headers declare is decompressed, after the declared size was accepted: a bomb stays packed.
@@ -72,7 +72,7 @@ def _number(scalars: dict[str, object], key: str) -> float | None:
     return float(value)
 
 
-def _read_header(stream: BinaryIO, what: str) -> tuple[tuple[int, ...], bool, np.dtype, int]:
+def _read_header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np.dtype, int]:
     """(shape, fortran order, dtype, bytes read) of a .npy header, reading no more than _MAX_NPY_HEADER bytes."""
     magic = stream.read(8)
     if len(magic) < 8 or magic[:6] != b"\x93NUMPY":
@@ -93,7 +93,7 @@ def _read_header(stream: BinaryIO, what: str) -> tuple[tuple[int, ...], bool, np
     return shape, fortran, dtype, 8 + width + size
 
 
-def _read_array(stream: BinaryIO, what: str, max_cells: int, *, expected_length: int) -> NDArray:
+def _read_array(stream: IO[bytes], what: str, max_cells: int, *, expected_length: int) -> NDArray:
     shape, fortran, dtype, read = _read_header(stream, what)
     if len(shape) != 2:
         raise HeightmapError(f"{what} must be a 2-D array (rows, cols), got shape {shape}", shape=list(shape))
@@ -112,7 +112,7 @@ def _read_array(stream: BinaryIO, what: str, max_cells: int, *, expected_length:
     return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C")
 
 
-def _read_scalar(stream: BinaryIO, key: str) -> object:
+def _read_scalar(stream: IO[bytes], key: str) -> object:
     what = f"`{key}` of the .npz file"
     shape, _, dtype, _ = _read_header(stream, what)
     if math.prod(shape) != 1 or dtype.kind not in "fiuUS" or dtype.itemsize > _MAX_SCALAR_BYTES:

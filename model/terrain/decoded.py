@@ -64,11 +64,10 @@ class Scaling:
         if self.nodata is not None:
             unknown |= values == self.nodata
         for suspect in UNDECLARED:
-            # An integer 16-bit survey reaches none of these on land; a float one neither.
             if values.dtype.kind != "u" and ((values == suspect) & ~unknown).any():
                 raise HeightmapError(
-                    f"some cells hold {suspect:g}, the usual mark of an unknown height, but the file does not declare it: "
-                    f"give nodata={suspect:g} (or `gdal_edit.py -a_nodata {suspect:g} FILE`)",
+                    f"some cells hold {suspect:g}, the usual mark of an unknown height, but the file does not declare "
+                    f"it: give nodata={suspect:g} (or `gdal_edit.py -a_nodata {suspect:g} FILE`)",
                     value=suspect,
                 )
         scale = band_scale * (1.0 if self.scale_m is None else self.scale_m)

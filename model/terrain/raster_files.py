@@ -69,14 +69,16 @@ def decode_png(source: Path | bytes, head: bytes, scaling: Scaling, max_cells: i
             6: "colour with transparency",
         }
         raise HeightmapError(
-            f"a PNG heightmap is greyscale with 8 or 16 bits; this one is {kinds.get(colour, 'unknown')} with {bits} bits"
+            f"a PNG heightmap is greyscale with 8 or 16 bits; this one is {kinds.get(colour, 'unknown')} "
+            f"with {bits} bits"
         )
     if scaling.scale_m is None:
         raise HeightmapError(
-            "a PNG image holds counts, not metres: give scale_m, the metres per count (and offset_m, the height of count 0)"
+            "a PNG image holds counts, not metres: give scale_m, the metres per count (and offset_m, the height of "
+            "count 0)"
         )
     with _opened(source, "PNG") as dataset:
-        heights = _read_band(dataset, 1, scaling, rasterless=True)
+        heights = _read_band(dataset, 1, scaling)
     return Decoded(heights)
 
 
@@ -193,9 +195,9 @@ def _check_blocks(dataset: DatasetReader, band: int) -> None:
         )
 
 
-def _read_band(dataset: DatasetReader, band: int, scaling: Scaling, *, rasterless: bool = False) -> NDArray[np.float32]:
+def _read_band(dataset: DatasetReader, band: int, scaling: Scaling) -> NDArray[np.float32]:
     rows, cols = dataset.height, dataset.width
-    masked = not rasterless and MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
+    masked = MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
     heights = np.empty((rows, cols), dtype=np.float32)
     block_rows = dataset.block_shapes[band - 1][0]
     step = max(1, _STRIPE_CELLS // (cols * block_rows)) * block_rows

@@ -123,12 +123,13 @@ def _frame(
     own = decoded.resolution_m
     if own is None and resolution_m is None:
         raise HeightmapError(
-            "the file does not say how large a cell is: give resolution_m, the side of a cell in metres (or send a GeoTIFF "
-            "with a transform)"
+            "the file does not say how large a cell is: give resolution_m, the side of a cell in metres (or send a "
+            "GeoTIFF with a transform)"
         )
     if own is not None and resolution_m is not None and abs(own - resolution_m) > SQUARE_TOLERANCE * abs(own):
         raise HeightmapError(
-            f"resolution_m = {resolution_m:g} m was given, but the file's cells are {own:g} m: leave it out, or resample",
+            f"resolution_m = {resolution_m:g} m was given, but the file's cells are {own:g} m: leave it out, or "
+            "resample the file",
             resolution_m=resolution_m, file_resolution_m=own,
         )  # fmt: skip
     resolution = own if own is not None else resolution_m
