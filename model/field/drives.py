@@ -133,7 +133,7 @@ def _resample(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The same polyline with points every `STEP_M` (stretched a little so that the ends stay)."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     fresh = np.concatenate([[True], np.diff(s) > 0])
-    at = np.linspace(0.0, s[-1], max(int(round(s[-1] / STEP_M)), 1) + 1)
+    at = np.linspace(0.0, s[-1], max(round(s[-1] / STEP_M), 1) + 1)
     return np.interp(at, s[fresh], x[fresh]), np.interp(at, s[fresh], y[fresh])
 
 

@@ -93,7 +93,7 @@ def _open_circuit(nominal: float, charge: float) -> float:
 @njit(cache=True)
 def _terminals(
     power: FloatArray, duration: FloatArray, nominal: float, capacity_as: float, resistance: float, charge: float
-):  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     n = power.size
     volts = np.full(n, np.nan)
     amps = np.full(n, np.nan)

@@ -133,19 +133,19 @@ class Ground:
     mu : rolling loss over load, at a quarter of the robot's weight per wheel. load_exponent : how much faster than the
     load the loss grows. bump_loss : share of the lifted energy that a wheel loses when it climbs relative to the
     chassis and drops. bump_speed_mps : speed at which that loss has doubled. scrub : side friction of the tyres when
-    turning. hollow_share : rolling loss added in hollows (softer, wetter), per 0.1 m of depth below the 3 m surroundings.
+    turning. hollow_share : rolling loss added in hollows (softer, wetter), per 0.1 m of depth below the 3 m around.
     patchiness : spread of mu from place to place (about 6 m) that no height explains. spread : multiplicative spread
-    of the power at the wheels, correlated over about 1 m, that nothing explains.
-    tussock_m : rms of the relief finer than a survey sees.
+    of the power at the wheels, correlated over spread_length_m, that nothing explains. tussock_m : rms of the relief
+    finer than a survey sees.
     """
 
     name: str = "grass"
-    mu: float = 0.075
+    mu: float = 0.065
     load_exponent: float = 0.25
-    bump_loss: float = 0.5
+    bump_loss: float = 0.9
     bump_speed_mps: float = 1.0
     scrub: float = 0.12
-    hollow_share: float = 0.10
+    hollow_share: float = 0.30
     patchiness: float = 0.02
     spread: float = 0.12
     spread_length_m: float = 1.0
@@ -234,7 +234,7 @@ def _move(
     terrain: NDArray[np.float32], west: float, north: float, res: float, mu_factor: NDArray[np.float32],
     mu_west: float, mu_north: float, mu_res: float, x: FloatArray, y: FloatArray, heading: FloatArray,
     speed: FloatArray, robot: FloatArray, ground: FloatArray,
-):  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     weight, mass, base, track, width, radius, com, twist_k, factor, grip, lag, _, _, _, _ = robot
     mu, exponent, bump_loss, bump_speed, scrub, scrub_curvature = ground
     n = x.size

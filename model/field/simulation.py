@@ -22,9 +22,11 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trace:
-    """What truly happened, (n,) per station. t from 0 [s]; z [m] ground under the body; pitch_rad > 0 nose up; roll_rad > 0
-    right side down; power_w at the battery; explained_w the same without the spread that no height explains;
-    wheels_w the share of both drives in power_w."""
+    """What truly happened, (n,) per station.
+
+    t : from 0 [s]. z : ground under the body [m]. pitch_rad > 0 nose up, roll_rad > 0 right side down. power_w : at the
+    battery; explained_w : the same without the spread that no height explains; wheels_w : both drives' part of power_w.
+    """
 
     t: FloatArray
     x: FloatArray

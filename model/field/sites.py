@@ -25,9 +25,9 @@ _MARGIN_M = 1.6  # drives keep this far from the edge, so that no wheel leaves t
 
 GROUNDS: Mapping[str, Ground] = {
     "grass": Ground(),
-    "grass_b": Ground(name="grass", mu=0.082, bump_loss=0.55, patchiness=0.03),
+    "grass_b": Ground(name="grass", mu=0.072, bump_loss=0.95, patchiness=0.03),
     "dirt": Ground(
-        name="dirt", mu=0.055, load_exponent=0.12, bump_loss=0.75, scrub=0.16, hollow_share=0.16, tussock_m=0.003
+        name="dirt", mu=0.045, load_exponent=0.12, bump_loss=1.0, scrub=0.16, hollow_share=0.20, tussock_m=0.003
     ),
 }
 
@@ -56,18 +56,28 @@ class Site:
 
 @dataclass(frozen=True)
 class Relief:
-    """Shape of a terrain: (shortest, longest wavelength [m], rms height [m]) of each band; slopes of everything longer
-    than 2 m stay within max_slope_deg."""
+    """Shape of a terrain.
 
-    bands: tuple[tuple[float, float, float], ...]
-    max_slope_deg: float
+    hills_m : shortest wavelength of the hills [m], scaled so that their slopes stay within max_slope_deg. swell_m,
+    rough_m : rms height [m] of the relief of 1.2 to 5 m and of 0.25 to 1.2 m. tussocks_per_m2, tussock_m : number and
+    mean height of humps 0.2 to 0.7 m wide. unevenness : spread (log) of roughness and tussocks from place to place.
+    """
+
+    max_slope_deg: float = 4.0
+    hills_m: float = 8.0
+    swell_m: float = 0.015
+    rough_m: float = 0.010
+    tussocks_per_m2: float = 2.0
+    tussock_m: float = 0.07
+    unevenness: float = 1.2
 
 
-_GRASS = Relief(((6.0, 40.0, 0.35), (1.0, 4.0, 0.018), (0.25, 1.0, 0.010)), 5.0)
-_DIRT = Relief(((6.0, 40.0, 0.35), (1.5, 6.0, 0.030), (0.3, 1.5, 0.008)), 5.0)
+_GRASS = Relief()
+_GRASS_B = Relief(hills_m=6.0, tussocks_per_m2=1.6, tussock_m=0.06, rough_m=0.012, unevenness=1.1)
+_DIRT = Relief(swell_m=0.025, rough_m=0.020, tussocks_per_m2=0.4, tussock_m=0.06, unevenness=1.1)
 _NAMED: Mapping[str, tuple[Relief, str, float]] = {
     "grass_a": (_GRASS, "grass", 0.1),
-    "grass_b": (_GRASS, "grass_b", 0.1),
+    "grass_b": (_GRASS_B, "grass_b", 0.1),
     "dirt": (_DIRT, "dirt", 0.1),
 }
 
@@ -93,12 +103,13 @@ def random_site(
     slope = max_slope_deg * float(rng.uniform(0.1, 1.0))
     rough = math.exp(0.6 * rng.standard_normal())
     relief = Relief(
-        (
-            (float(rng.uniform(3.0, 10.0)), 40.0, 0.1 * slope),
-            (1.0, float(rng.uniform(3.0, 6.0)), 0.018 * rough * math.exp(0.5 * rng.standard_normal())),
-            (0.25, 1.2, 0.010 * rough * math.exp(0.4 * rng.standard_normal())),
-        ),
-        slope,
+        max_slope_deg=slope,
+        hills_m=float(rng.uniform(4.0, 12.0)),
+        swell_m=0.018 * rough * math.exp(0.5 * rng.standard_normal()),
+        rough_m=0.008 * rough * math.exp(0.4 * rng.standard_normal()),
+        tussocks_per_m2=float(rng.uniform(0.0, 2.5)),
+        tussock_m=float(rng.uniform(0.02, 0.08)),
+        unevenness=float(rng.uniform(0.3, 1.2)),
     )
     ground = random_ground(rng)
     if survey_m is None:
@@ -138,7 +149,7 @@ def make_site(
 
 
 def _cells(metres: float) -> int:
-    return int(round(metres / TRUE_RESOLUTION_M))
+    return round(metres / TRUE_RESOLUTION_M)
 
 
 def _band(
@@ -158,13 +169,20 @@ def _band(
 
 
 def _relief(relief: Relief, frame: GridFrame, rng: np.random.Generator) -> FloatArray:
-    bands = [rms * _band(frame.shape, frame.resolution_m, lo, hi, rng) for lo, hi, rms in relief.bands]
-    hills = bands[0]
-    slope = np.hypot(*np.gradient(hills, frame.resolution_m))
-    steepest = float(np.quantile(slope, 0.995))
-    limit = math.tan(math.radians(relief.max_slope_deg))
-    scaled = hills * (limit / steepest) if steepest > 0 else hills
-    return np.asarray(scaled + sum(bands[1:], np.zeros(frame.shape)) + 300.0)
+    shape, res = frame.shape, frame.resolution_m
+    hills = _band(shape, res, relief.hills_m, 60.0, rng)
+    steepest = float(np.quantile(np.hypot(*np.gradient(hills, res)), 0.999))
+    hills *= math.tan(math.radians(relief.max_slope_deg)) / max(steepest, 1e-12)
+    uneven = np.exp(relief.unevenness * _band(shape, res, 5.0, 25.0, rng) - 0.5 * relief.unevenness**2)
+    swell = relief.swell_m * _band(shape, res, 1.2, 5.0, rng)
+    rough = relief.rough_m * _band(shape, res, 0.25, 1.2, rng)
+    humps = np.zeros(shape)
+    for radius_m in (0.10, 0.16, 0.25):
+        here = rng.random(shape) < np.minimum(relief.tussocks_per_m2 / 3.0 * uneven * res * res, 1.0)
+        peak = np.where(here, relief.tussock_m * rng.gamma(3.0, 1.0 / 3.0, shape), 0.0)
+        sigma = radius_m / res
+        humps += gaussian_filter(peak, sigma, mode="constant") * (2.0 * math.pi * sigma * sigma)
+    return np.asarray(300.0 + hills + swell + rough * uneven + humps)
 
 
 def _survey(heights: FloatArray, frame: GridFrame, survey_m: float, rng: np.random.Generator) -> Heightmap:
