@@ -84,15 +84,19 @@ class CostLattice:
             np.tan(np.deg2rad(self.robot.max_cross_slope_deg))
         )
 
-    def blocked_by_heading(self) -> NDArray[np.uint8]:
-        """(rows, cols, headings) uint8 `Blocked` codes, with the limits on grade and cross slope at every bin."""
-        east, north = heading_vector(heading_bins(self.headings))  # (K,)
+    def blocked_at(self, headings_rad: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """(rows, cols, n) uint8 `Blocked` codes at any headings (n,) [rad], limits on grade and cross slope included."""
+        east, north = heading_vector(headings_rad)  # (n,)
         rise_east, rise_north = self.gradient[..., :1], self.gradient[..., 1:]
         max_grade, max_cross = self.max_tangents
-        codes = np.zeros(self.traction_per_m.shape, dtype=np.uint8)
+        codes = np.zeros((*self.frame.shape, np.size(headings_rad)), dtype=np.uint8)
         codes[np.abs(rise_east * north - rise_north * east) > max_cross] = Blocked.CROSS_SLOPE
         codes[np.abs(rise_east * east + rise_north * north) > max_grade] = Blocked.GRADE
         return np.where(self.blocked[..., None] > 0, self.blocked[..., None], codes)
+
+    def blocked_by_heading(self) -> NDArray[np.uint8]:
+        """(rows, cols, headings) uint8 `Blocked` codes at every bin."""
+        return self.blocked_at(heading_bins(self.headings))
 
     def blocked_shares(self) -> dict[str, float]:
         """Share of (cell, heading) pairs under each reason, `free` included; the values sum to 1."""
