@@ -85,7 +85,7 @@ class CostLattice:
         )
 
     def blocked_at(self, headings_rad: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """(rows, cols, n) uint8 `Blocked` codes at any headings (n,) [rad], limits on grade and cross slope included."""
+        """(rows, cols, n) uint8 `Blocked` codes at headings (n,) [rad], limits on grade and cross slope included."""
         east, north = heading_vector(headings_rad)  # (n,)
         rise_east, rise_north = self.gradient[..., :1], self.gradient[..., 1:]
         max_grade, max_cross = self.max_tangents
