@@ -54,7 +54,7 @@ def drive_along(
 
     corner_m rounds corners (0 keeps the path exact). With a generator the driver wanders sideways (rms `wander_m`,
     smooth over `wander_length_m`) and the speed varies by `speed_spread`; without one the drive is perfect. Turns
-    tighter than about 1 m of radius are driven at half speed. Raises PointError for fewer than two distinct points.
+    tighter than about 0.7 m of radius are driven slower, at a constant rate of turning. Raises PointError for fewer than two distinct points.
     """
     nodes = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     legs = np.hypot(*np.diff(nodes, axis=0).T) if len(nodes) > 1 else np.empty(0)
@@ -71,11 +71,11 @@ def drive_along(
         x, y = _resample(x + aside * np.cos(heading), y - aside * np.sin(heading))
     heading = _track_heading(x, y)
     drive = Drive(x, y, heading, np.full(x.size, float(speed_mps)))
-    turning = gaussian_filter1d(np.abs(drive.curvature), 0.15 / STEP_M, mode="nearest")
-    speed = speed_mps * (0.5 + 0.5 / (1.0 + turning**4))
+    turning = gaussian_filter1d(np.abs(drive.curvature), 2.0, mode="nearest")
+    speed = speed_mps / np.sqrt(1.0 + (turning / 1.5) ** 2)
     if rng is not None and speed_spread > 0:
         speed = speed * np.exp(speed_spread * _smooth_noise(rng, x.size, 1.5 / STEP_M))
-    return Drive(x, y, heading, gaussian_filter1d(speed, 0.15 / STEP_M, mode="nearest"))
+    return Drive(x, y, heading, gaussian_filter1d(speed, 2.0, mode="nearest"))
 
 
 def lawnmower(

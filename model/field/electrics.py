@@ -32,10 +32,10 @@ class Pack:
 
     @classmethod
     def of(cls, robot: FieldRobot, *, charge: float = 0.95, temperature_c: float = 18.0) -> Pack:
-        """The pack that the declared robot's voltage and energy suggest: 8 % sag at a one-hour discharge."""
+        """The pack that the declared robot's voltage and energy suggest: 4 % sag at a one-hour discharge."""
         nominal = robot.declared.nominal_voltage_v
         capacity = robot.declared.battery_wh / nominal
-        return cls(nominal, capacity, 0.08 * nominal / capacity, charge, temperature_c)
+        return cls(nominal, capacity, 0.04 * nominal / capacity, charge, temperature_c)
 
 
 def open_circuit_v(pack: Pack, charge: float) -> float:

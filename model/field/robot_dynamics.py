@@ -114,6 +114,25 @@ class FieldRobot:
             lag_m=spread(base.lag_m, 0.2),
         )
 
+    @classmethod
+    def random(cls, rng: np.random.Generator) -> FieldRobot:
+        """Another robot altogether, about 12 to 130 kg, for pre-training; its hidden parameters are drawn too."""
+        mass = float(np.clip(35.0 * math.exp(0.6 * rng.standard_normal()), 12.0, 130.0))
+        size = (mass / 35.0) ** (1.0 / 3.0)
+        length = 0.60 * size * math.exp(0.15 * rng.standard_normal())
+        width = length * float(rng.uniform(0.7, 1.0))
+        declared = Robot(
+            name="simulated",
+            mass_kg=mass,
+            length_m=length,
+            width_m=width,
+            wheel_radius_m=length * float(rng.uniform(0.15, 0.27)),
+            speed_mps=float(rng.uniform(0.3, 1.0)),
+            battery_wh=8.0 * mass,
+            idle_power_w=float(rng.uniform(0.15, 0.5)) * mass,
+        )
+        return cls.drawn(declared, rng)
+
     def kernel_parameters(self) -> FloatArray:
         """The numbers the compiled kernels read, in their order. Shape (15,)."""
         return np.array(

@@ -74,7 +74,7 @@ class Relief:
 
 _GRASS = Relief()
 _GRASS_B = Relief(hills_m=6.0, tussocks_per_m2=1.6, tussock_m=0.06, rough_m=0.012, unevenness=1.1)
-_DIRT = Relief(swell_m=0.025, rough_m=0.020, tussocks_per_m2=0.4, tussock_m=0.06, unevenness=1.1)
+_DIRT = Relief(swell_m=0.025, rough_m=0.018, tussocks_per_m2=0.4, tussock_m=0.06, unevenness=0.8)
 _NAMED: Mapping[str, tuple[Relief, str, float]] = {
     "grass_a": (_GRASS, "grass", 0.1),
     "grass_b": (_GRASS_B, "grass_b", 0.1),
@@ -182,7 +182,8 @@ def _relief(relief: Relief, frame: GridFrame, rng: np.random.Generator) -> Float
         peak = np.where(here, relief.tussock_m * rng.gamma(3.0, 1.0 / 3.0, shape), 0.0)
         sigma = radius_m / res
         humps += gaussian_filter(peak, sigma, mode="constant") * (2.0 * math.pi * sigma * sigma)
-    return np.asarray(300.0 + hills + swell + rough * uneven + humps)
+    tallest = 3.0 * max(relief.tussock_m, 1e-9)
+    return np.asarray(300.0 + hills + swell + rough * np.minimum(uneven, 3.0) + tallest * np.tanh(humps / tallest))
 
 
 def _survey(heights: FloatArray, frame: GridFrame, survey_m: float, rng: np.random.Generator) -> Heightmap:
