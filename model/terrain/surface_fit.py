@@ -93,8 +93,8 @@ def _frame_around(
             f"more than the limit of {max_cells}; drop far-off positions or take a coarser resolution",
             cells=rows * cols, limit=max_cells,
         )  # fmt: skip
-    # Rounded to the nanometre: 4999993 x 0.1 is not 499999.3 in binary.
-    return GridFrame(round(west * resolution_m, 9), round(north * resolution_m, 9), resolution_m, rows, cols, crs)
+    # Rounded to the micrometre: 4999993 x 0.1 is not 499999.3 in binary.
+    return GridFrame(round(west * resolution_m, 6), round(north * resolution_m, 6), resolution_m, rows, cols, crs)
 
 
 def _merge_by_cell(points: FloatArray, frame: GridFrame) -> _Cells:

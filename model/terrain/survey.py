@@ -1,0 +1,61 @@
+"""What a survey gives of a fine terrain: a blurred, coarser, noisy heightmap."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.random import Generator
+from scipy import ndimage, sparse
+
+from model.errors import HeightmapError
+from model.terrain.heightmap import Heightmap
+
+
+def degrade(
+    heightmap: Heightmap, *, resolution_m: float, noise_m: float = 0.0, smoothing_m: float = 0.0, rng: Generator
+) -> Heightmap:
+    """A survey of `heightmap` on cells of `resolution_m`, from the same north-west corner.
+
+    Heights are smoothed by a Gaussian of standard deviation smoothing_m [m], averaged over the area of each new cell
+    and given independent noise of standard deviation noise_m [m]. A new cell is unknown where less than half of its
+    area is known. Raises HeightmapError when resolution_m is finer than the heightmap's.
+    """
+    frame = heightmap.frame
+    if not resolution_m >= frame.resolution_m * (1.0 - 1e-9):
+        raise HeightmapError(
+            f"a survey at {resolution_m:g} m cannot be made of a coarser terrain, at {frame.resolution_m:g} m",
+            resolution_m=str(resolution_m), limit=frame.resolution_m,
+        )  # fmt: skip
+    if not (math.isfinite(noise_m) and noise_m >= 0 and math.isfinite(smoothing_m) and smoothing_m >= 0):
+        raise HeightmapError(f"noise_m and smoothing_m must be metres, not negative, got {noise_m} and {smoothing_m}")
+    coarse = frame.respaced(resolution_m)
+    known = ~np.isnan(heightmap.heights)
+    base = float(np.nanmean(heightmap.heights, dtype=np.float64))
+    heights = np.where(known, heightmap.heights - np.float32(base), np.float32(0.0))
+    if smoothing_m > 0.0:
+        sigma = smoothing_m / frame.resolution_m
+        weight = ndimage.gaussian_filter(known.astype(np.float32), sigma, mode="nearest")
+        blurred = ndimage.gaussian_filter(heights, sigma, mode="nearest")
+        heights = np.where(known, blurred / np.maximum(weight, np.float32(1e-6)), np.float32(0.0))
+    ratio = resolution_m / frame.resolution_m
+    by_row, by_col = _area_weights(frame.rows, coarse.rows, ratio), _area_weights(frame.cols, coarse.cols, ratio)
+    share = by_row @ (by_col @ known.astype(np.float64).T).T
+    total = by_row @ (by_col @ heights.astype(np.float64).T).T
+    mean = np.where(share >= 0.5, total / np.maximum(share, 1e-12), np.nan) + base
+    if noise_m > 0.0:
+        mean += noise_m * rng.standard_normal(mean.shape)
+    return Heightmap(mean.astype(np.float32), coarse, source=f"survey of {heightmap.source}")
+
+
+def _area_weights(fine: int, coarse: int, ratio: float) -> sparse.csr_array:
+    """(coarse, fine): share of a coarse cell's length that a fine cell covers; `ratio` fine cells to a coarse one."""
+    span = math.ceil(ratio) + 1
+    starts = np.arange(coarse) * ratio
+    first = np.floor(starts + 1e-9).astype(np.int64)
+    columns = first[:, None] + np.arange(span)  # (coarse, span)
+    overlap = np.minimum(columns + 1, starts[:, None] + ratio) - np.maximum(columns, starts[:, None])
+    overlap = np.where(columns < fine, np.clip(overlap, 0.0, None), 0.0)
+    rows = np.repeat(np.arange(coarse), span)
+    weights = (overlap / overlap.sum(axis=1, keepdims=True)).ravel()
+    return sparse.csr_array((weights, (rows, np.minimum(columns, fine - 1).ravel())), shape=(coarse, fine))
