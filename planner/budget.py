@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from model.robot import Battery
 
@@ -39,4 +42,27 @@ def judge(energy_j: float, battery: Battery) -> Verdict:
         charge_at_start=battery.charge,
         charge_at_end=min(max(at_end, 0.0), 1.0),
         reserve=battery.reserve,
+    )
+
+
+def judge_along(pieces_j: ArrayLike, battery: Battery) -> Verdict:
+    """The verdict for a task driven piece by piece. pieces_j : (n,) energy [J] of each, in order.
+
+    The same as `judge` of the sum where no piece is negative. Where regeneration returns energy, what a full battery
+    cannot take is lost, and the battery must last at its lowest point: margin and shortfall are counted there.
+    """
+    pieces = np.asarray(pieces_j, dtype=np.float64)
+    verdict = judge(float(pieces.sum()), battery)
+    if not (pieces < 0.0).any():
+        return verdict
+    room = (1.0 - battery.reserve) * battery.capacity_wh * 3600.0
+    free = battery.available_j - np.append(0.0, np.cumsum(pieces))
+    left = free - np.maximum.accumulate(np.maximum(free - room, 0.0))
+    lowest = float(left.min())
+    return replace(
+        verdict,
+        feasible=lowest >= 0.0,
+        margin_j=max(lowest, 0.0),
+        shortfall_j=max(-lowest, 0.0),
+        charge_at_end=min(max(battery.reserve + float(left[-1]) / (battery.capacity_wh * 3600.0), 0.0), 1.0),
     )

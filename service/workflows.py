@@ -1,0 +1,235 @@
+"""Joins a predictor to a lattice, and a lattice to a question: what HTTP, jobs and the command line all call."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
+from model.errors import InputError, ModelError, TooLargeError
+from model.frames import GridFrame, heading_bins
+from model.robot import Battery, Robot
+from model.terrain.heightmap import Heightmap
+from planner.budget import Verdict, judge_along
+from planner.edges import energy_per_m_at
+from planner.lattice import Blocked, CostLattice
+from planner.lattice_build import DEFAULT_HEADINGS, build_lattice
+from planner.plan import PLANNERS, RoutePlanner
+from planner.route import Route, price_route
+
+DEFAULT_MODEL = "default"
+HEADING_LIMITS = (4, 360)
+_MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_STRIP_ROWS = 256
+
+
+def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Predictor:
+    """The predictor called `model`: "physics", "default", or a trained one.
+
+    With `models_dir` a trained model is an id inside that folder and nothing else (what a stranger may ask for);
+    without, it is the path of a model's folder. Raises ModelError.
+    """
+    if models_dir is None or model in MODEL_NAMES:
+        return load_predictor(model)
+    trained = sorted(p.name for p in models_dir.iterdir() if p.is_dir()) if models_dir.is_dir() else []
+    if not _MODEL_ID.fullmatch(str(model)) or str(model) not in trained:
+        known = [*MODEL_NAMES, *trained]
+        raise ModelError(
+            f"there is no model {str(model)[:100]!r}: known are {', '.join(known)}", model=str(model)[:100], known=known
+        )
+    return load_predictor(models_dir / str(model))
+
+
+def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> GridFrame:
+    """The frame a cost lattice over `frame` would have, without building it.
+
+    Raises HeightmapError where the spacing does not fit the map, InputError on a bad number of headings, TooLargeError
+    above `max_values` (rows * cols * headings).
+    """
+    low, high = HEADING_LIMITS
+    if not low <= headings <= high:
+        raise InputError(f"headings must lie in {low}..{high}, got {headings}", headings=headings, limit=[low, high])
+    grid = frame.respaced(spacing_m)
+    values = grid.rows * grid.cols * headings
+    if max_values is not None and values > max_values:
+        raise TooLargeError(
+            f"{grid.rows} x {grid.cols} cells at {headings} headings are {values:,} values, the limit is "
+            f"{max_values:,}: choose a larger spacing than {spacing_m:g} m, or fewer headings",
+            values=values, limit=max_values,
+        )  # fmt: skip
+    return grid
+
+
+def make_cost_lattice(
+    heightmap: Heightmap,
+    robot: Robot,
+    *,
+    model: str | Path = DEFAULT_MODEL,
+    spacing_m: float = 1.0,
+    headings: int = DEFAULT_HEADINGS,
+    models_dir: Path | None = None,
+    max_values: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> CostLattice:
+    """The cost lattice of a heightmap for a robot, by the model of that name (see `find_predictor`).
+
+    spacing_m : side of a cell [m]; headings : number of bins; progress : called with 0..1. Raises ModelError,
+    HeightmapError, InputError, TooLargeError.
+    """
+    check_lattice(heightmap.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
+    predictor = find_predictor(model, models_dir=models_dir)
+    return build_lattice(heightmap, robot, predictor, spacing_m=spacing_m, headings=headings, progress=progress)
+
+
+def summarise(lattice: CostLattice) -> dict[str, Any]:
+    """JSON-able figures of a lattice, strip by strip so that a big one is not copied.
+
+    energy_per_m : min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None where there is none;
+    blocked : share of all pairs under each reason, `free` included.
+    """
+    low, high, total, counts = np.inf, -np.inf, 0.0, np.zeros(len(Blocked), dtype=np.int64)
+    for row0 in range(0, lattice.frame.rows, _STRIP_ROWS):
+        rows = slice(row0, min(row0 + _STRIP_ROWS, lattice.frame.rows))
+        strip = replace(
+            lattice,
+            frame=lattice.frame.window(rows.start, rows.stop),
+            traction_per_m=lattice.traction_per_m[rows],
+            elevation_m=lattice.elevation_m[rows],
+            gradient=lattice.gradient[rows],
+            blocked=lattice.blocked[rows],
+        )
+        codes = strip.blocked_by_heading()
+        counts += np.bincount(codes.ravel(), minlength=len(Blocked))
+        prices = strip.energy_per_m[codes == Blocked.FREE]
+        if prices.size:
+            low, high = min(low, float(prices.min())), max(high, float(prices.max()))
+            total += float(prices.sum(dtype=np.float64))
+    free = int(counts[Blocked.FREE])
+    return {
+        "energy_per_m": {"min": low, "mean": total / free, "max": high} if free else None,
+        "blocked": {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked},
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class PointCosts:
+    """What driving costs at one place. energy_per_m : (K,) [J/m], NaN where blocked; reasons : (K,) labels or None."""
+
+    headings_rad: np.ndarray
+    energy_per_m: np.ndarray
+    reasons: list[str | None]
+    elevation_m: float
+
+
+def costs_at(lattice: CostLattice, x: float, y: float) -> PointCosts:
+    """Energy per metre over all headings at a world point, and the reason where it may not be driven.
+
+    The energy is the interpolated one that paths are priced with. It leans on up to four cells: the reason is that of
+    the nearest of them that is blocked. Raises PointError outside the map.
+    """
+    row, col = lattice.frame.cell_of(x, y)
+    headings = heading_bins(lattice.headings)
+    energy = energy_per_m_at(lattice, x, y, headings)
+    at_row, at_col = (float(v) for v in lattice.frame.rowcol(x, y))
+    near = [
+        (r, c)
+        for r in range(max(int(np.floor(at_row)), 0), min(int(np.floor(at_row)) + 2, lattice.frame.rows))
+        for c in range(max(int(np.floor(at_col)), 0), min(int(np.floor(at_col)) + 2, lattice.frame.cols))
+    ]
+    near.sort(key=lambda cell: (cell[0] - at_row) ** 2 + (cell[1] - at_col) ** 2)
+    codes = np.stack([_cell_codes(lattice, r, c) for r, c in near])  # (cells, K)
+    reasons: list[str | None] = []
+    for k in range(lattice.headings):
+        if np.isfinite(energy[k]):
+            reasons.append(None)
+        else:
+            blocked = codes[:, k][codes[:, k] != Blocked.FREE]
+            reasons.append(Blocked(int(blocked[0])).label if blocked.size else Blocked.UNKNOWN.label)
+    return PointCosts(headings, energy, reasons, float(lattice.elevation_m[row, col]))
+
+
+def _cell_codes(lattice: CostLattice, row: int, col: int) -> np.ndarray:
+    cell = replace(
+        lattice,
+        frame=lattice.frame.window(row, row + 1, col, col + 1),
+        traction_per_m=lattice.traction_per_m[row : row + 1, col : col + 1],
+        elevation_m=lattice.elevation_m[row : row + 1, col : col + 1],
+        gradient=lattice.gradient[row : row + 1, col : col + 1],
+        blocked=lattice.blocked[row : row + 1, col : col + 1],
+    )
+    return cell.blocked_by_heading()[0, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """Whether a battery lasts for a task, and the routes it was judged by. route_back : None unless a round trip."""
+
+    verdict: Verdict
+    route_out: Route
+    route_back: Route | None = None
+
+
+def assess(
+    planner: RoutePlanner | CostLattice,
+    *,
+    battery: Battery,
+    path: ArrayLike | None = None,
+    start: Sequence[float] | None = None,
+    goal: Sequence[float] | None = None,
+    round_trip: bool = False,
+) -> Assessment:
+    """The verdict for driving a given `path` ((n, 2) world points [m]), or the best route from start to goal.
+
+    round_trip : and back; a given path in the opposite direction, each leg at its reversed heading; start and goal by
+    the best route back, which on a slope need not be the same. Raises InputError unless exactly one of `path` and
+    `start` with `goal` is given; PointError, BlockedError, NoRouteError.
+    """
+    if (path is None) == (start is None and goal is None) or (start is None) != (goal is None):
+        raise InputError("give either `path`, or `start` and `goal`")
+    back = None
+    if path is not None:
+        lattice = planner.lattice if isinstance(planner, RoutePlanner) else planner
+        points = np.asarray(path, dtype=np.float64)
+        out = price_route(lattice, points)
+        if round_trip:
+            back = price_route(lattice, points[::-1])
+    else:
+        assert start is not None and goal is not None
+        router = planner if isinstance(planner, RoutePlanner) else RoutePlanner(planner)
+        there, home = (float(start[0]), float(start[1])), (float(goal[0]), float(goal[1]))
+        out = router.plan(there, home).route
+        if round_trip:
+            back = router.plan(home, there).route
+    pieces = [route.profile.energy_j for route in (out, back) if route is not None]
+    return Assessment(judge_along(np.concatenate(pieces), battery), out, back)
+
+
+def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:
+    """Seconds spent on loading every compiled kernel (compiling it where no cache has it) and the named models.
+
+    Runs the whole way once on a tiny map: lattice, every planner with and without turning, verdicts.
+    """
+    began = time.perf_counter()
+    rows = np.arange(12.0)
+    heights = 0.2 * np.sin(rows)[:, None] + 0.1 * rows[None, :]
+    heights[0, 11] = np.nan
+    heightmap = Heightmap(heights.astype(np.float32), GridFrame(0.0, 12.0, 1.0, 12, 12))
+    heightmap.sample([5.0], [5.0])
+    for robot in (Robot(), Robot(regeneration=0.3, turn_j_per_rad=1.0)):
+        lattice = make_cost_lattice(heightmap, robot, model="physics")
+        summarise(lattice)
+        costs_at(lattice, 6.3, 6.4)
+        router = RoutePlanner(lattice)
+        for planner in PLANNERS:
+            router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05)
+        assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
+    for model in models:
+        make_cost_lattice(heightmap, Robot(), model=model, models_dir=models_dir)
+    return time.perf_counter() - began
