@@ -1,0 +1,323 @@
+"""Cut runs into 1 m segments as the paper does: p and q exactly 1 m apart in the horizontal plane (Wei & Isler, V).
+
+A run is first divided into pieces: at gaps in its stamps or its usable positions, at position breaks, and where the
+robot stands. Positions are smoothed within a piece (local straight lines in time). In each piece segments follow one
+another without overlap. What is left out is counted in `Segments.left_out`:
+
+gaps, stops : divisions of a run for that reason. bent : segments driven much longer than their straight length.
+slow : segments that took much longer than the run's usual pace. remainders : ends of pieces shorter than a segment.
+not_positive : segments whose measured energy is not above zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from model.errors import InputError, RunsError
+from model.frames import heading_of, wrap_angle
+from model.loop.runs import Run
+
+FloatArray = NDArray[np.float64]
+
+ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
+"""Columns [deg] whose mean over a segment is the mean direction."""
+
+_LONGEST_GAP_S = 0.75
+_SMOOTHING_S = 0.3
+_STAND_S = 1.0
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Measured segments, (n,) each.
+
+    x, y : the centre [m]. heading_rad : of p -> q. energy_j : drawn from the battery [J], or charge [A s] if `charge`.
+    duration_s. driven_m : horizontal length of the track. heading_change_rad : of the track from p to q, > 0 to the
+    right. t0 : stamp at p. run : index into `runs`. extras : mean of each further numeric column (NaN where blank);
+    texts : text columns at the middle. left_out : reason -> count.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heading_rad: FloatArray
+    energy_j: FloatArray
+    duration_s: FloatArray
+    driven_m: FloatArray
+    heading_change_rad: FloatArray
+    t0: FloatArray
+    run: NDArray[np.int64]
+    runs: tuple[str, ...]
+    length_m: float = 1.0
+    charge: bool = False
+    extras: dict[str, FloatArray] = field(default_factory=dict)
+    texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
+    left_out: dict[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            values = getattr(self, item.name)
+            if isinstance(values, np.ndarray):
+                values.setflags(write=False)
+
+    def __len__(self) -> int:
+        return int(self.x.size)
+
+    def take(self, which: ArrayLike) -> Segments:
+        """The segments of a mask or of indices; `runs` and `left_out` stay."""
+        index = np.asarray(which)
+        per_segment = {f.name: getattr(self, f.name) for f in fields(self)}
+        changed: dict[str, Any] = {k: v[index] for k, v in per_segment.items() if isinstance(v, np.ndarray)}
+        changed["extras"] = {key: values[index] for key, values in self.extras.items()}
+        changed["texts"] = {key: values[index] for key, values in self.texts.items()}
+        return replace(self, **changed)
+
+
+def cut_segments(
+    run: Run,
+    *,
+    length_m: float = 1.0,
+    charge: bool = False,
+    max_driven_ratio: float = 1.2,
+    max_duration_ratio: float = 3.0,
+) -> Segments:
+    """Cut one run. charge : integrate the current alone [A s], for logs without voltage.
+
+    Raises RunsError where the voltage is missing and `charge` is not asked for.
+    """
+    if not (math.isfinite(length_m) and length_m > 0):
+        raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=str(length_m))
+    if run.voltage_v is None and not charge:
+        raise RunsError(f"run {run.name}: no voltage was recorded; ask for charge [A s] instead", run=run.name)
+    left_out: dict[str, int] = {}
+    good = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
+    t, x, y = run.t[good], run.x[good], run.y[good]
+    gap = np.concatenate([[True], (np.diff(t) > _LONGEST_GAP_S) | run.breaks[good][1:]])
+    _count(left_out, "gaps", int(gap.sum()) - 1)
+    x, y, vx, vy = _smooth(t, x, y, np.cumsum(gap), _SMOOTHING_S)
+    speed = np.hypot(vx, vy)
+    moving = speed > 0.0
+    usual = float(np.median(speed[speed > 0.25 * np.quantile(speed, 0.9)])) if moving.any() else 0.0
+    piece, stops = _pieces(t, speed, gap, 0.15 * usual, _STAND_S)
+    _count(left_out, "stops", stops)
+
+    ends, remainders = _cut(x, y, piece, length_m)  # (n, 2) fractional positions of p and q
+    _count(left_out, "remainders", remainders)
+    station = np.arange(t.size, dtype=np.float64)
+
+    def at(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.interp(ends[:, 0], station, values), np.interp(ends[:, 1], station, values)
+
+    (px, qx), (py, qy), (pt, qt) = at(x), at(y), at(t)
+    ps, qs = at(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))]))
+    turned = _turned(vx, vy, ends)
+    power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
+    energy = _integral(run.t, power, qt) - _integral(run.t, power, pt)
+    columns = {
+        "x": (px + qx) / 2, "y": (py + qy) / 2, "heading_rad": heading_of(qx - px, qy - py), "energy_j": energy,
+        "duration_s": qt - pt, "driven_m": qs - ps, "heading_change_rad": turned, "t0": pt,
+    }  # fmt: skip
+    bent = (qs - ps) > max_driven_ratio * length_m
+    slow = ~bent & ((qt - pt) * usual > max_duration_ratio * length_m)
+    dead = ~bent & ~slow & ~(energy > 0)
+    for key, mask in (("bent", bent), ("slow", slow), ("not_positive", dead)):
+        _count(left_out, key, int(mask.sum()))
+    keep = ~(bent | slow | dead)
+    first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
+    middle = np.clip(np.searchsorted(run.t, (pt + qt) / 2), 0, len(run) - 1)
+    return Segments(
+        **{key: np.ascontiguousarray(values[keep]) for key, values in columns.items()},
+        run=np.zeros(int(keep.sum()), dtype=np.int64),
+        runs=(run.name,),
+        length_m=length_m,
+        charge=charge,
+        extras={key: _mean(values, first, last, key in ANGLE_COLUMNS)[keep] for key, values in run.extras.items()},
+        texts={key: values[middle][keep] for key, values in run.texts.items()},
+        left_out=left_out,
+    )
+
+
+def concatenate(parts: Sequence[Segments]) -> Segments:
+    """Several runs' segments in one value; a column that some part lacks is NaN (or empty text) there.
+
+    Raises InputError for parts that mix energy with charge, or lengths.
+    """
+    if not parts:
+        raise InputError("there are no segments to put together")
+    if len({(p.charge, p.length_m) for p in parts}) > 1:
+        raise InputError("segments of energy and of charge, or of different lengths, cannot be put together")
+    offsets = np.cumsum([0] + [len(p.runs) for p in parts])
+    names = sorted({key for p in parts for key in p.extras})
+    words = sorted({key for p in parts for key in p.texts})
+    plain = ("x", "y", "heading_rad", "energy_j", "duration_s", "driven_m", "heading_change_rad", "t0")
+    left_out: dict[str, int] = {}
+    for part in parts:
+        for key, count in part.left_out.items():
+            _count(left_out, key, count)
+    return Segments(
+        **{key: np.concatenate([getattr(p, key) for p in parts]) for key in plain},
+        run=np.concatenate([p.run + o for p, o in zip(parts, offsets, strict=False)]),
+        runs=tuple(name for p in parts for name in p.runs),
+        length_m=parts[0].length_m,
+        charge=parts[0].charge,
+        extras={k: np.concatenate([p.extras.get(k, np.full(len(p), np.nan)) for p in parts]) for k in names},
+        texts={k: np.concatenate([p.texts.get(k, np.full(len(p), "")) for p in parts]) for k in words},
+        left_out=left_out,
+    )
+
+
+def split_runs(segments: Segments, held_out: Iterable[int]) -> tuple[Segments, Segments]:
+    """(the rest, the held-out ones) by whole runs; held_out : indices into `segments.runs`."""
+    chosen = sorted(set(held_out))
+    wrong = [k for k in chosen if not 0 <= k < len(segments.runs)]
+    if wrong:
+        raise InputError(f"there is no run {wrong[0]}; there are {len(segments.runs)}", run=wrong[0])
+    apart = np.isin(segments.run, chosen)
+    return segments.take(~apart), segments.take(apart)
+
+
+def _count(counts: dict[str, int], key: str, count: int) -> None:
+    if count:
+        counts[key] = counts.get(key, 0) + count
+
+
+def _integral(t: FloatArray, power: FloatArray, at: FloatArray) -> FloatArray:
+    """Integral of piecewise linear `power` from t[0] to `at`, exactly."""
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
+    k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+    there = np.interp(at, t, power)
+    return total[k] + 0.5 * (power[k] + there) * (at - t[k])
+
+
+def _mean(values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64], angle: bool) -> FloatArray:
+    """Mean of the known samples in rows [first, last); NaN where there is none. Angles [deg] as directions, 0..360."""
+    if angle:
+        radians = np.radians(values)
+        sine, cosine = _mean(np.sin(radians), first, last, False), _mean(np.cos(radians), first, last, False)
+        return np.degrees(heading_of(sine, cosine))
+    known = np.isfinite(values)
+    centre = float(values[known].mean()) if known.any() else 0.0
+    sums = np.concatenate([[0.0], np.cumsum(np.where(known, values - centre, 0.0))])
+    counts = np.concatenate([[0], np.cumsum(known)])
+    n = counts[last] - counts[first]
+    return np.where(n > 0, centre + (sums[last] - sums[first]) / np.maximum(n, 1), np.nan)
+
+
+def _turned(vx: FloatArray, vy: FloatArray, ends: FloatArray) -> FloatArray:
+    """Heading change along the track between fractional positions, followed through every sample; > 0 to the right."""
+    heading = heading_of(vx, vy)
+    total = np.concatenate([[0.0], np.cumsum(wrap_angle(np.diff(heading)))])
+    station = np.arange(vx.size, dtype=np.float64)
+    return np.interp(ends[:, 1], station, total) - np.interp(ends[:, 0], station, total)
+
+
+@njit(cache=True)
+def _smooth(
+    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], sigma_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Local straight lines in time with Gaussian weights, never across pieces: position and velocity, (n,) each."""
+    n = t.size
+    sx, sy, vx, vy = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
+    for k in range(n):
+        w0 = w1 = w2 = x0 = x1 = y0 = y1 = 0.0
+        for side in (-1, 1):
+            j = k if side == 1 else k - 1
+            while 0 <= j < n and piece[j] == piece[k] and abs(t[j] - t[k]) <= 3.0 * sigma_s:
+                dt = t[j] - t[k]
+                w = math.exp(-0.5 * (dt / sigma_s) ** 2)
+                w0 += w
+                w1 += w * dt
+                w2 += w * dt * dt
+                x0 += w * (x[j] - x[k])
+                x1 += w * dt * (x[j] - x[k])
+                y0 += w * (y[j] - y[k])
+                y1 += w * dt * (y[j] - y[k])
+                j += side
+        det = w0 * w2 - w1 * w1
+        if det > 1e-12:
+            sx[k] = x[k] + (w2 * x0 - w1 * x1) / det
+            sy[k] = y[k] + (w2 * y0 - w1 * y1) / det
+            vx[k] = (w0 * x1 - w1 * x0) / det
+            vy[k] = (w0 * y1 - w1 * y0) / det
+        else:
+            sx[k], sy[k] = x[k], y[k]
+    return sx, sy, vx, vy
+
+
+@njit(cache=True)
+def _pieces(
+    t: FloatArray, speed: FloatArray, gap: NDArray[np.bool_], standing_mps: float, standing_s: float
+) -> tuple[NDArray[np.int64], int]:
+    """Number of the piece each sample belongs to (0 while standing for `standing_s` or more), and how many stands."""
+    n = t.size
+    piece = np.zeros(n, dtype=np.int64)
+    now = 0
+    stops = 0
+    fresh = True
+    k = 0
+    while k < n:
+        fresh = fresh or gap[k]
+        if speed[k] < standing_mps:
+            j = k
+            while j + 1 < n and speed[j + 1] < standing_mps and not gap[j + 1]:
+                j += 1
+            if t[j] - t[k] >= standing_s:
+                stops += 1
+                fresh = True
+                k = j + 1
+                continue
+        if fresh:
+            now += 1
+            fresh = False
+        piece[k] = now
+        k += 1
+    return piece, stops
+
+
+@njit(cache=True)
+def _cut(x: FloatArray, y: FloatArray, piece: NDArray[np.int64], length: float) -> tuple[FloatArray, int]:
+    """Fractional positions (n, 2) of p and q, `length` apart in a straight line, and the number of remainders."""
+    n = x.size
+    ends = np.empty((n + 1, 2))
+    count = 0
+    remainders = 0
+    k = 0
+    while k < n:
+        if piece[k] == 0:
+            k += 1
+            continue
+        here = piece[k]
+        start = float(k)
+        px, py = x[k], y[k]
+        j = k + 1
+        while j < n and piece[j] == here:
+            if math.hypot(x[j] - px, y[j] - py) < length:
+                j += 1
+                continue
+            ax, ay = x[j - 1] - px, y[j - 1] - py
+            f0 = start - (j - 1) if start > j - 1 else 0.0
+            dx, dy = x[j] - x[j - 1], y[j] - y[j - 1]
+            a = dx * dx + dy * dy  # |a + f d| = length, the later root
+            b = ax * dx + ay * dy
+            c = ax * ax + ay * ay - length * length
+            f = min(max((-b + math.sqrt(max(b * b - a * c, 0.0))) / a, f0), 1.0)
+            end = j - 1 + f
+            ends[count, 0] = start
+            ends[count, 1] = end
+            count += 1
+            if count == ends.shape[0]:
+                grown = np.empty((2 * count, 2))
+                grown[:count] = ends
+                ends = grown
+            start = end
+            px, py = x[j - 1] + f * dx, y[j - 1] + f * dy
+        if start < j - 1:
+            remainders += 1
+        k = j
+    return ends[:count].copy(), remainders
