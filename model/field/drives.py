@@ -54,7 +54,8 @@ def drive_along(
 
     corner_m rounds corners (0 keeps the path exact). With a generator the driver wanders sideways (rms `wander_m`,
     smooth over `wander_length_m`) and the speed varies by `speed_spread`; without one the drive is perfect. Turns
-    tighter than about 0.7 m of radius are driven slower, at a constant rate of turning. Raises PointError for fewer than two distinct points.
+    tighter than about 0.7 m of radius are driven slower, at a constant rate of turning. Raises PointError for fewer
+    than two distinct points.
     """
     nodes = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     legs = np.hypot(*np.diff(nodes, axis=0).T) if len(nodes) > 1 else np.empty(0)

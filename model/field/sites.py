@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from model.errors import InputError, NotFoundError
+from model.errors import NotFoundError
 from model.field.robot_dynamics import Ground
 from model.frames import GridFrame
 from model.terrain.heightmap import Heightmap
-
-FloatArray = NDArray[np.float64]
+from model.terrain.landforms import bumps, fractal
+from model.terrain.survey import degrade
+from model.terrain.synthesis import TerrainRecipe, make_terrain
 
 TRUE_RESOLUTION_M = 0.05
 """Cell of the true terrain [m]."""
+
+_PARK = TerrainRecipe(max_slope_deg=5.0, roughness_rms_m=0.015, roughness_longest_m=5.0, roughness_exponent=4.0)
 
 _SOIL_M = 0.25  # cell of the maps of rolling loss
 _MARGIN_M = 1.6  # drives keep this far from the edge, so that no wheel leaves the terrain
@@ -58,14 +61,12 @@ class Site:
 class Relief:
     """Shape of a terrain.
 
-    hills_m : shortest wavelength of the hills [m], scaled so that their slopes stay within max_slope_deg. swell_m,
-    rough_m : rms height [m] of the relief of 1.2 to 5 m and of 0.25 to 1.2 m. tussocks_per_m2, tussock_m : number and
-    mean height of humps 0.2 to 0.7 m wide. unevenness : spread (log) of roughness and tussocks from place to place.
+    hills : the large shape. rough_m : rms height [m] of waves of 0.1 to 1.2 m. tussocks_per_m2, tussock_m : number and
+    mean height of humps about 0.15 m in radius. unevenness : spread (log) of roughness and tussocks from place to
+    place, over 5 to 25 m; real ground is never equally rough everywhere.
     """
 
-    max_slope_deg: float = 4.0
-    hills_m: float = 8.0
-    swell_m: float = 0.015
+    hills: TerrainRecipe = _PARK
     rough_m: float = 0.010
     tussocks_per_m2: float = 2.0
     tussock_m: float = 0.07
@@ -73,8 +74,8 @@ class Relief:
 
 
 _GRASS = Relief()
-_GRASS_B = Relief(hills_m=6.0, tussocks_per_m2=1.6, tussock_m=0.06, rough_m=0.012, unevenness=1.1)
-_DIRT = Relief(swell_m=0.025, rough_m=0.018, tussocks_per_m2=0.4, tussock_m=0.06, unevenness=0.8)
+_GRASS_B = Relief(replace(_PARK, relief_shortest_m=6.0), 0.012, 1.6, 0.06, 1.1)
+_DIRT = Relief(replace(_PARK, roughness_rms_m=0.025), 0.018, 0.4, 0.06, 0.8)
 _NAMED: Mapping[str, tuple[Relief, str, float]] = {
     "grass_a": (_GRASS, "grass", 0.1),
     "grass_b": (_GRASS_B, "grass_b", 0.1),
@@ -102,10 +103,21 @@ def random_site(
     """A site for pre-training: ground, relief, roughness and survey (0.05 to 1 m) are drawn."""
     slope = max_slope_deg * float(rng.uniform(0.1, 1.0))
     rough = math.exp(0.6 * rng.standard_normal())
-    relief = Relief(
+    tilt = slope * float(rng.uniform(0.0, 0.6))
+    hills = TerrainRecipe(
         max_slope_deg=slope,
-        hills_m=float(rng.uniform(4.0, 12.0)),
-        swell_m=0.018 * rough * math.exp(0.5 * rng.standard_normal()),
+        tilt_deg=tilt,
+        tilt_heading_deg=float(rng.uniform(0.0, 360.0)),
+        relief_shortest_m=float(rng.uniform(4.0, 12.0)),
+        roughness_rms_m=0.018 * rough * math.exp(0.5 * rng.standard_normal()),
+        roughness_longest_m=float(rng.uniform(3.0, 6.0)),
+        roughness_exponent=float(rng.uniform(3.5, 4.5)),
+        furrow_depth_m=float(rng.uniform(0.02, 0.10)) if rng.random() < 0.1 else 0.0,
+        furrow_heading_deg=float(rng.uniform(0.0, 180.0)),
+        track_count=int(rng.integers(1, 5)) if rng.random() < 0.15 else 0,
+    )
+    relief = Relief(
+        hills,
         rough_m=0.008 * rough * math.exp(0.4 * rng.standard_normal()),
         tussocks_per_m2=float(rng.uniform(0.0, 2.5)),
         tussock_m=float(rng.uniform(0.02, 0.08)),
@@ -115,7 +127,10 @@ def random_site(
     if survey_m is None:
         survey_m = float(rng.choice([0.05, 0.1, 0.1, 0.2, 0.25, 0.5, 1.0]))
     frame = GridFrame(0.0, size_m, TRUE_RESOLUTION_M, _cells(size_m), _cells(size_m))
-    return make_site("random", relief, ground, frame, rng, survey_m=survey_m)
+    return make_site(
+        "random", relief, ground, frame, rng, survey_m=survey_m,
+        noise_m=float(rng.uniform(0.001, 0.012)), smoothing_m=float(rng.uniform(0.02, 0.15)),
+    )  # fmt: skip
 
 
 def random_ground(rng: np.random.Generator) -> Ground:
@@ -133,18 +148,25 @@ def random_ground(rng: np.random.Generator) -> Ground:
 
 
 def make_site(
-    name: str, relief: Relief, ground: Ground, frame: GridFrame, rng: np.random.Generator, *, survey_m: float
+    name: str,
+    relief: Relief,
+    ground: Ground,
+    frame: GridFrame,
+    rng: np.random.Generator,
+    *,
+    survey_m: float,
+    noise_m: float = 0.004,
+    smoothing_m: float = 0.06,
 ) -> Site:
-    """Build the terrain, its survey (cells of `survey_m`) and the maps of rolling loss."""
-    if survey_m < frame.resolution_m:
-        raise InputError(
-            f"a survey of {survey_m} m is finer than the truth ({frame.resolution_m} m)", survey_m=survey_m
-        )
-    heights = _relief(relief, frame, rng)
-    survey = _survey(heights, frame, survey_m, rng)
-    fine = heights + ground.tussock_m * _band(frame.shape, frame.resolution_m, 0.1, 0.35, rng)
-    terrain = Heightmap(fine.astype(np.float32), frame, f"simulated {name}")
-    explained, factor = _soil(heights, ground, frame, rng)
+    """Build the terrain, the maps of rolling loss, and a survey of `survey_m` cells with this noise and blur.
+
+    Raises HeightmapError for a survey finer than the terrain.
+    """
+    seen = Heightmap(_relief(relief, frame, rng), frame, f"simulated {name}")
+    survey = degrade(seen, resolution_m=survey_m, noise_m=noise_m, smoothing_m=smoothing_m, rng=rng)
+    finer = fractal(frame, rng, exponent=2.0, rms_m=1.0, longest_m=0.35)
+    terrain = replace(seen, heights=seen.heights + np.float32(ground.tussock_m) * finer)
+    explained, factor = _soil(seen.heights, ground, frame, rng)
     return Site(name, terrain, survey, ground, factor, explained)
 
 
@@ -152,55 +174,18 @@ def _cells(metres: float) -> int:
     return round(metres / TRUE_RESOLUTION_M)
 
 
-def _band(
-    shape: tuple[int, int], resolution_m: float, shortest_m: float, longest_m: float, rng: np.random.Generator
-) -> FloatArray:
-    """Gaussian relief of unit rms with wavelengths between the two, spectrum falling as amplitude ~ wavelength."""
-    noise = np.fft.rfft2(rng.standard_normal(shape))
-    fy = np.fft.fftfreq(shape[0], resolution_m)[:, None]
-    fx = np.fft.rfftfreq(shape[1], resolution_m)[None, :]
-    f = np.hypot(fy, fx)
-    inside = (f > 1.0 / longest_m) & (f < 1.0 / shortest_m)
-    if not inside.any():
-        return np.zeros(shape)
-    gain = np.where(inside, 1.0 / np.maximum(f, 1e-9) ** 2, 0.0)
-    out = np.fft.irfft2(noise * gain, s=shape)
-    return np.asarray(out / out.std())
-
-
-def _relief(relief: Relief, frame: GridFrame, rng: np.random.Generator) -> FloatArray:
-    shape, res = frame.shape, frame.resolution_m
-    hills = _band(shape, res, relief.hills_m, 60.0, rng)
-    steepest = float(np.quantile(np.hypot(*np.gradient(hills, res)), 0.999))
-    hills *= math.tan(math.radians(relief.max_slope_deg)) / max(steepest, 1e-12)
-    uneven = np.exp(relief.unevenness * _band(shape, res, 5.0, 25.0, rng) - 0.5 * relief.unevenness**2)
-    swell = relief.swell_m * _band(shape, res, 1.2, 5.0, rng)
-    rough = relief.rough_m * _band(shape, res, 0.25, 1.2, rng)
-    humps = np.zeros(shape)
-    for radius_m in (0.10, 0.16, 0.25):
-        here = rng.random(shape) < np.minimum(relief.tussocks_per_m2 / 3.0 * uneven * res * res, 1.0)
-        peak = np.where(here, relief.tussock_m * rng.gamma(3.0, 1.0 / 3.0, shape), 0.0)
-        sigma = radius_m / res
-        humps += gaussian_filter(peak, sigma, mode="constant") * (2.0 * math.pi * sigma * sigma)
-    tallest = 3.0 * max(relief.tussock_m, 1e-9)
-    return np.asarray(300.0 + hills + swell + rough * np.minimum(uneven, 3.0) + tallest * np.tanh(humps / tallest))
-
-
-def _survey(heights: FloatArray, frame: GridFrame, survey_m: float, rng: np.random.Generator) -> Heightmap:
-    """What a survey gives: smoothed over its own cell (at least 8 cm), resampled, with a centimetre of smooth noise."""
-    sigma = max(0.5 * survey_m, 0.08) / frame.resolution_m
-    smooth = gaussian_filter(heights, sigma, mode="nearest")
-    coarse = frame.respaced(survey_m)
-    x, y = coarse.centres()
-    row, col = frame.rowcol(*np.meshgrid(x, y))
-    seen = map_coordinates(smooth, [row, col], order=1, mode="nearest")
-    error = gaussian_filter(rng.standard_normal(coarse.shape), 1.0)
-    seen = seen + 0.006 * error / error.std()
-    return Heightmap(seen.astype(np.float32), coarse, "simulated survey")
+def _relief(relief: Relief, frame: GridFrame, rng: np.random.Generator) -> NDArray[np.float32]:
+    hills = make_terrain(relief.hills, frame, rng).heights
+    where = fractal(frame, rng, exponent=3.0, rms_m=relief.unevenness, longest_m=25.0, shortest_m=5.0)
+    uneven = np.minimum(np.exp(where - 0.5 * relief.unevenness**2), 3.0)
+    detail = fractal(frame, rng, exponent=2.5, rms_m=relief.rough_m, longest_m=1.2, shortest_m=0.15)
+    humps = bumps(frame, rng, per_m2=relief.tussocks_per_m2, height_m=relief.tussock_m, radius_m=0.15)
+    tallest = max(3.0 * relief.tussock_m, 1e-6)
+    return np.asarray(hills + uneven * detail + tallest * np.tanh(uneven * humps / tallest), dtype=np.float32)
 
 
 def _soil(
-    heights: FloatArray, ground: Ground, frame: GridFrame, rng: np.random.Generator
+    heights: NDArray[np.float32], ground: Ground, frame: GridFrame, rng: np.random.Generator
 ) -> tuple[Heightmap, Heightmap]:
     """Maps of rolling loss: (explained by hollows, with the patches that nothing explains)."""
     coarse = frame.respaced(_SOIL_M)
