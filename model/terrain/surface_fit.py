@@ -195,7 +195,7 @@ class _Spline:
         )
 
 
-def _basis(u: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+def _basis(u: NDArray[np.floating]) -> tuple[NDArray[np.int64], FloatArray]:
     """First of the four uniform cubic B-splines at u [knots], (n,), and their values, (n, 4)."""
     first = np.floor(u).astype(np.int64)
     t = u - first

@@ -138,19 +138,19 @@ def sample_terrain(seed: int = 7) -> Heightmap:
     frame = GridFrame(west_m=0.0, north_m=200.0, resolution_m=0.5, rows=400, cols=400)
     rng = np.random.default_rng(seed)
     rolling = TerrainRecipe(
-        max_slope_deg=4.0, relief_longest_m=90.0, relief_shortest_m=20.0, roughness_rms_m=0.01, bumps_per_m2=0.05
+        max_slope_deg=8.0, relief_longest_m=90.0, relief_shortest_m=15.0, roughness_rms_m=0.01, bumps_per_m2=0.05
     )
     heights = make_terrain(rolling, frame, rng).heights + np.float32(120.0)
     for x, y, height_m, radius_m in _SAMPLE_HILLS:
         heights += hill(frame, x=x, y=y, height_m=height_m, radius_m=radius_m)
     xs, ys = frame.centres()
-    pond = ((xs - 96.0) / 9.0)[None, :] ** 2 + ((ys - 36.0) / 6.0)[:, None] ** 2 < 1.0
+    pond = ((xs - 40.0) / 8.0)[None, :] ** 2 + ((ys - 84.0) / 6.0)[:, None] ** 2 < 1.0
     heights[pond] = np.nan
     return Heightmap(heights, frame, source=f"sample terrain, seed {seed}")
 
 
 _SAMPLE_HILLS = (  # x, y, height, radius [m]
-    (100.0, 100.0, 13.0, 22.0),
+    (100.0, 100.0, 18.0, 29.0),
     (45.0, 165.0, 9.0, 28.0),
     (160.0, 175.0, 7.0, 25.0),
     (170.0, 25.0, 8.0, 26.0),
