@@ -21,7 +21,7 @@ TAU = 2.0 * math.pi
 
 def heading_bins(count: int) -> NDArray[np.float64]:
     """Headings [rad] of `count` equal bins, bin 0 to the north. Shape (count,)."""
-    return np.arange(count) * (TAU / count)
+    return np.arange(count, dtype=np.float64) * (TAU / count)
 
 
 def heading_vector(heading_rad: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

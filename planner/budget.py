@@ -30,7 +30,7 @@ class Verdict:
 
 
 def judge(energy_j: float, battery: Battery) -> Verdict:
-    """The verdict for a task of `energy_j` [J]; energy may be negative where regeneration fills the battery up to full."""
+    """The verdict for a task of `energy_j` [J]; negative where regeneration fills the battery."""
     margin = battery.available_j - energy_j
     at_end = battery.charge - energy_j / (battery.capacity_wh * 3600.0)
     return Verdict(

@@ -14,7 +14,7 @@ Points = NDArray[np.float64]
 
 
 def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
-    """What the kernels need beside the arrays: spacing [m], hotel [J/m], regeneration, grade and cross-slope tangents."""
+    """What kernels need beside the arrays: spacing [m], hotel [J/m], regeneration, grade and cross-slope tangents."""
     robot = lattice.robot
     return np.array([lattice.frame.resolution_m, robot.hotel_per_m, robot.regeneration, *lattice.max_tangents])
 
@@ -38,7 +38,12 @@ def world_points(lattice: CostLattice, xy: ArrayLike) -> Points:
 
 def leg_prices(lattice: CostLattice, points: Points) -> NDArray[np.float64]:
     """(n - 1,) energy [J] of the legs of a (row, col) polyline, turns apart; NaN where a leg may not be driven."""
-    legs = np.ascontiguousarray(np.hstack([points[:-1], points[1:]]), dtype=np.float64)
+    return leg_prices_between(lattice, points[:-1], points[1:])
+
+
+def leg_prices_between(lattice: CostLattice, starts: Points, ends: Points) -> NDArray[np.float64]:
+    """(n,) energy [J] of the straight legs from `starts` to `ends`, both (n, 2) (row, col); NaN where not allowed."""
+    legs = np.ascontiguousarray(np.hstack([starts, ends]), dtype=np.float64)
     return leg_energies(*price_arrays(lattice), legs)
 
 

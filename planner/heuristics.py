@@ -42,6 +42,6 @@ def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
 
 
 def dijkstra_bounds(table: MoveTable) -> NDArray[np.float64]:
-    """(1, 2) the pair (0, b) that turns A* into Dijkstra: b = 0, or the smallest height potential where one is needed."""
+    """(1, 2) the pair (0, b) that turns A* into Dijkstra: b = 0, or the least height potential that is needed."""
     usable = energy_bounds(table)
     return np.array([[0.0, usable[:, 1].min()]])

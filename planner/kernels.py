@@ -173,9 +173,7 @@ def leg_energies(traction, gradient, blocked, terms, legs):
     """`leg_energy` of many legs. legs : (n, 4) float64 of row0, col0, row1, col1. Returns (n,) float64 [J]."""
     out = np.empty(legs.shape[0])
     for k in prange(legs.shape[0]):
-        out[k] = leg_energy(
-            traction, gradient, blocked, terms, legs[k, 0], legs[k, 1], legs[k, 2], legs[k, 3]
-        )
+        out[k] = leg_energy(traction, gradient, blocked, terms, legs[k, 0], legs[k, 1], legs[k, 2], legs[k, 3])
     return out
 
 

@@ -44,7 +44,9 @@ def load_lattice(path: str | Path) -> CostLattice:
     """Read a folder written by `save_lattice`. Raises InputError when it is not one."""
     path = Path(path)
     if not (path / "zarr.json").is_file():
-        raise InputError(f"{path} is not a cost lattice: a folder written by `joulemap costmap` is needed", path=str(path))
+        raise InputError(
+            f"{path} is not a cost lattice, which is a folder written by `joulemap costmap`", path=str(path)
+        )
     group = zarr.open_group(path, mode="r")
     meta: dict[str, Any] = dict(group.attrs)
     if meta.get("format") != FORMAT:

@@ -69,8 +69,8 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * lattice.frame.resolution_m
     rates = _height_rates(lattice)
     energy, bounds = _price_moves(
-        at_moves.reshape(*lattice.frame.shape, -1), allowed, lattice.elevation_m, offsets, length_m, price_terms(lattice),
-        cells, share, piece_share, piece_cell, piece_blend, rates,
+        at_moves.reshape(*lattice.frame.shape, -1), allowed, lattice.elevation_m, offsets, length_m,
+        price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
     )  # fmt: skip
     change = np.abs(np.angle(np.exp(1j * (headings[None, :] - headings[:, None]))))
     turn = lattice.robot.turn_j_per_rad * change

@@ -52,7 +52,7 @@ class Route:
 
 
 def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None = None) -> Route:
-    """The Route along world points (n >= 1, 2 or 3). Raises PointError or, where a leg may not be driven, BlockedError."""
+    """The Route along world points (n >= 1, 2 or 3). Raises PointError; BlockedError on a forbidden leg."""
     points = world_points(lattice, xy)
     for k, (x, y) in enumerate(np.asarray(xy, dtype=np.float64)[:, :2]):
         lattice.frame.cell_of(float(x), float(y), name=f"point {k} of the path")
@@ -85,9 +85,7 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
 
 def elevation_at(lattice: CostLattice, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bilinear elevation [m] at (n, 2) fractional (row, col)."""
-    return sample_bilinear(
-        lattice.elevation_m, np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-    )
+    return sample_bilinear(lattice.elevation_m, np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1]))
 
 
 def geojson(route: Route, **properties: object) -> dict[str, object]:
@@ -124,7 +122,4 @@ def _profile(lattice: CostLattice, points: NDArray[np.float64]) -> Profile:
         moving = (driven[1:] > 0) & (driven[:-1] > 0)
         energy[1:] += lattice.robot.turn_j_per_rad * np.where(moving, change, 0.0)
     x, y = lattice.frame.xy(fine[1:, 0], fine[1:, 1])
-    return Profile(
-        np.cumsum(driven), x, y, elevation_at(lattice, fine[1:]), heading, energy, np.cumsum(energy)
-    )
-
+    return Profile(np.cumsum(driven), x, y, elevation_at(lattice, fine[1:]), heading, energy, np.cumsum(energy))

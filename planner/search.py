@@ -10,9 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from model.errors import BlockedError, InputError, NoRouteError
-from planner.edges import Points, price_arrays
+from planner.edges import Points, leg_prices_between
 from planner.heuristics import dijkstra_bounds, energy_bounds
-from planner.kernels import leg_energies, turn_angle
+from planner.kernels import turn_angle
 from planner.lattice import Blocked, CostLattice
 from planner.moves import MoveTable
 
@@ -71,8 +71,8 @@ def _connections(lattice: CostLattice, point: Points, *, outward: bool) -> tuple
     cells = np.array([(r, c) for r in near_rows for c in near_cols], dtype=np.int64)
     centres = cells.astype(np.float64)
     here = np.broadcast_to(point, centres.shape)
-    legs = np.hstack([here, centres] if outward else [centres, here])
-    return cells, leg_energies(*price_arrays(lattice), np.ascontiguousarray(legs))
+    starts, ends = (here, centres) if outward else (centres, here)
+    return cells, leg_prices_between(lattice, starts, ends)
 
 
 def grid_search(
@@ -103,13 +103,14 @@ def grid_search(
     if goal is None:
         return GridSearch(field, None, math.nan, expanded)
     if math.dist(start, goal) <= 1.0:  # both lean on the same cells: the way over a centre may be a detour
-        direct = leg_energies(*price_arrays(lattice), np.concatenate([start, goal])[None, :])[0]
+        direct = leg_prices_between(lattice, start[None], goal[None])[0]
         if direct <= total or (last == _NONE and np.isfinite(direct)):
             return GridSearch(field, np.vstack([start, goal]), float(direct), expanded)
     if last == _NONE:
+        robot = lattice.robot
         raise NoRouteError(
-            f"no route: {expanded:,} places were reached from the start, the goal is not among them within the robot's "
-            f"limits (grade {lattice.robot.max_grade_deg:g} deg, cross slope {lattice.robot.max_cross_slope_deg:g} deg)",
+            f"no route: the start reaches {expanded:,} places, the goal is not among them within the limits "
+            f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
             reached=expanded,
         )
     nodes = _trace(pred, table.offsets, last, layers, lattice.frame.cols)
@@ -224,9 +225,7 @@ def _search(
     size = 0
     for s in range(seeds.size):
         row, col = seeds[s] // cols, seeds[s] % cols
-        ahead = _bound(
-            bounds, row, col, elevation[row, col], target_row, target_col, target_z, target_rest, spacing
-        )
+        ahead = _bound(bounds, row, col, elevation[row, col], target_row, target_col, target_z, target_rest, spacing)
         for layer in range(layers):
             state = seeds[s] * layers + layer
             energy[state] = seed_cost[s, layer]

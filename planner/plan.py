@@ -1,0 +1,125 @@
+"""One question, one answer: the energy-optimal route between two points, and the shortest one beside it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from model.errors import InputError
+from planner.edges import Points, path_price
+from planner.lattice import CostLattice
+from planner.moves import MoveTable, move_table
+from planner.refine import refine_path
+from planner.route import Route, price_route
+from planner.search import PLANNERS as GRID_PLANNERS
+from planner.search import grid_search, standing_point
+
+SAMPLING_PLANNERS = ("rrtstar", "informed_rrtstar", "bitstar")
+PLANNERS = (*GRID_PLANNERS, *SAMPLING_PLANNERS)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The answer to one question.
+
+    route : least energy found; shortest : least length within the same limits, priced the same way; details : JSON-able
+    record of how it was found (seconds, expanded, grid_energy_j, ...).
+    """
+
+    route: Route
+    shortest: Route
+    planner: str
+    details: dict[str, Any]
+
+    @property
+    def saving_j(self) -> float:
+        """Energy [J] that the route saves against the shortest path; never negative."""
+        return self.shortest.energy_j - self.route.energy_j
+
+
+def distance_lattice(lattice: CostLattice) -> CostLattice:
+    """The same ground and limits at a price of 1 per metre in every direction: its cheapest path is the shortest."""
+    robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
+    flat = np.where(np.isnan(lattice.traction_per_m), lattice.traction_per_m, np.float32(0.0))
+    return replace(lattice, robot=robot, traction_per_m=flat)
+
+
+class RoutePlanner:
+    """Plans on one lattice; keeps what repeated questions share (the priced moves)."""
+
+    def __init__(self, lattice: CostLattice) -> None:
+        self.lattice = lattice
+        self._distances = distance_lattice(lattice)
+        self._tables: dict[tuple[bool, int], MoveTable] = {}
+
+    def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
+        key = (distance, neighbours)
+        if key not in self._tables:
+            self._tables[key] = move_table(self._distances if distance else self.lattice, neighbours=neighbours)
+        return self._tables[key]
+
+    def plan(
+        self,
+        start_xy: tuple[float, float],
+        goal_xy: tuple[float, float],
+        *,
+        planner: str = "astar",
+        neighbours: int = 16,
+        refine: bool = True,
+        time_limit_s: float = 5.0,
+        seed: int = 0,
+    ) -> Plan:
+        """The energy-optimal and the shortest route from start to goal (world x, y [m]).
+
+        planner : one of `PLANNERS`; neighbours : 8, 16 or 32 (grid planners); refine : any-angle improvement of the
+        path found; time_limit_s, seed : for the sampling planners. Raises PointError, BlockedError, NoRouteError.
+        """
+        if planner not in PLANNERS:
+            raise InputError(f"planner must be one of {', '.join(PLANNERS)}, got {planner!r}", planner=planner)
+        lattice = self.lattice
+        notes: list[str] = []
+        ends = []
+        for name, xy in (("start", start_xy), ("goal", goal_xy)):
+            point, moved = standing_point(lattice, float(xy[0]), float(xy[1]), name=name)
+            ends.append(point)
+            if moved:
+                x, y = lattice.frame.xy(*point)
+                notes.append(
+                    f"{name} leans on blocked ground and was moved to the centre of its cell, ({x:.2f}, {y:.2f})"
+                )
+        start, goal = ends
+        began = time.perf_counter()
+        shortest, _ = self._grid_route(start, goal, neighbours, refine, "astar", distance=True)
+        details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine}
+        if planner in GRID_PLANNERS:
+            points, found = self._grid_route(start, goal, neighbours, refine, planner, distance=False)
+        else:
+            from planner.sampling import sample_route  # OMPL is loaded only where it is asked for
+
+            points, found = sample_route(lattice, start, goal, planner=planner, time_limit_s=time_limit_s, seed=seed)
+            points = refine_path(lattice, points) if refine else points
+            if lattice.robot.turn_j_per_rad > 0.0:
+                notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
+        details |= found
+        if refine:  # a local improvement may start better from the shortest path
+            other = refine_path(lattice, shortest)
+            if path_price(lattice, other) < path_price(lattice, points):
+                points = other
+        details["seconds"] = time.perf_counter() - began
+        return Plan(self._route(points, notes), self._route(shortest, notes), planner, details)
+
+    def _grid_route(
+        self, start: Points, goal: Points, neighbours: int, refine: bool, planner: str, *, distance: bool
+    ) -> tuple[Points, dict[str, Any]]:
+        lattice = self._distances if distance else self.lattice
+        found = grid_search(lattice, self._table(neighbours, distance=distance), start, goal, planner=planner)
+        assert found.points is not None
+        points = refine_path(lattice, found.points) if refine else found.points
+        return points, {"expanded": found.expanded, "grid_energy_j": found.energy_to_goal_j}
+
+    def _route(self, points: Points, notes: list[str]) -> Route:
+        x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])
+        return price_route(self.lattice, np.column_stack([x, y]), notes=notes)

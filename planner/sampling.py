@@ -1,0 +1,190 @@
+"""OMPL's RRT*, Informed RRT* and BIT* on the lattice's own prices: directional, limits included, compiled.
+
+Costs are handed to OMPL in units of the lattice's cheapest cell length, so that a straight line is a lower bound of
+every cost: BIT* may then sample inside the ellipse of its best solution. A turn cost is not part of the objective,
+because OMPL adds up motions and a turn belongs to two of them; the route that comes back is priced with its turns.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from model.errors import InputError, NoRouteError
+from model.frames import heading_bins
+from planner.edges import Points, interpolation_matrix, path_price, price_arrays
+from planner.kernels import leg_energy
+from planner.lattice import CostLattice
+
+MAX_TIME_LIMIT_S = 120.0
+_HEADINGS_PER_BIN = 8
+
+
+def price_floor_per_m(lattice: CostLattice) -> float:
+    """A proven lower bound of the price per metre [J/m], over all places and all continuous headings.
+
+    Traction is bilinear between cells, so its least value is at a cell; in heading it is a trigonometric polynomial of
+    order at most K / 2, which between samples 2 pi / (8 K) apart falls at most (pi / 8)^2 / 8 = 1.93 % of its largest
+    magnitude below them (Bernstein's inequality for the second derivative).
+    """
+    bins = lattice.headings
+    matrix = interpolation_matrix(heading_bins(_HEADINGS_PER_BIN * bins), bins).astype(np.float32).T
+    cells = lattice.traction_per_m.reshape(-1, bins)
+    lowest, largest = math.inf, 0.0
+    for chunk in range(0, len(cells), 65_536):
+        part = cells[chunk : chunk + 65_536]
+        part = part[np.isfinite(part).all(axis=1)] @ matrix
+        if part.size:
+            lowest = min(lowest, float(part.min()))
+            largest = max(largest, float(np.abs(part).max()))
+    floor = lowest - (math.pi / _HEADINGS_PER_BIN) ** 2 / 8.0 * largest
+    return float(lattice.robot.price_per_m(floor))
+
+
+class _Pricer:
+    """Leg prices in OMPL's units, and the bound that goes with them."""
+
+    def __init__(self, lattice: CostLattice, start: Points, goal: Points) -> None:
+        self._arrays = price_arrays(lattice)
+        floor = price_floor_per_m(lattice) * lattice.frame.resolution_m  # [J per cell length]
+        self.unit_j = floor if floor > 1e-6 else 1.0
+        self.bound = 1.0 if floor > 1e-6 else 0.0
+        self.start = (float(start[0]), float(start[1]))
+        self.goal = (float(goal[0]), float(goal[1]))
+        self.legs = 0
+
+    def cost(self, a: Any, b: Any) -> float:
+        """Cost of the leg between two OMPL states, inf when it may not be driven."""
+        self.legs += 1
+        energy = leg_energy(*self._arrays, a[0], a[1], b[0], b[1])
+        return energy / self.unit_j if energy == energy else math.inf
+
+    def least(self, a: Any, b: Any) -> float:
+        """Lower bound of the cost from one state to another."""
+        return self.bound * math.hypot(b[0] - a[0], b[1] - a[1])
+
+
+class _TreeObjective(ob.OptimizationObjective):
+    """For RRT* and Informed RRT*, which must be told that costs are not symmetric.
+
+    The binding cannot set a cost-to-go. Both planners ask for heuristics from the start only, to judge a whole solution
+    through a state, so from the start the bound goes on to the goal.
+    """
+
+    def __init__(self, space_information: Any, pricer: _Pricer) -> None:
+        super().__init__(space_information)
+        self._pricer = pricer
+
+    def isSymmetric(self) -> bool:
+        return False
+
+    def stateCost(self, state):
+        return ob.Cost(0.0)
+
+    def motionCost(self, a, b):
+        return ob.Cost(self._pricer.cost(a, b))
+
+    def motionCostHeuristic(self, a, b):
+        onward = self._pricer.least(b, self._pricer.goal) if (a[0], a[1]) == self._pricer.start else 0.0
+        return ob.Cost(self._pricer.least(a, b) + onward)
+
+
+class _EllipseObjective(ob.PathLengthOptimizationObjective):
+    """For BIT*, which never assumes symmetry: derived from path length, so that it samples inside the ellipse."""
+
+    def __init__(self, space_information: Any, pricer: _Pricer) -> None:
+        super().__init__(space_information)
+        self._pricer = pricer
+
+    def motionCost(self, a, b):
+        return ob.Cost(self._pricer.cost(a, b))
+
+    def motionCostHeuristic(self, a, b):
+        return ob.Cost(self._pricer.least(a, b))
+
+    def motionCostBestEstimate(self, a, b):
+        return ob.Cost(self._pricer.least(a, b))
+
+
+class _Limits(ob.MotionValidator):
+    def __init__(self, space_information: Any, pricer: _Pricer) -> None:
+        super().__init__(space_information)
+        self._pricer = pricer
+
+    def checkMotion(self, a: Any, b: Any, *last_valid: Any) -> bool:
+        return math.isfinite(self._pricer.cost(a, b))
+
+
+_ALGORITHMS = {
+    "rrtstar": (og.RRTstar, _TreeObjective),
+    "informed_rrtstar": (og.InformedRRTstar, _TreeObjective),
+    "bitstar": (og.BITstar, _EllipseObjective),
+}
+
+
+def sample_route(
+    lattice: CostLattice, start: Points, goal: Points, *, planner: str, time_limit_s: float = 5.0, seed: int = 0
+) -> tuple[Points, dict[str, Any]]:
+    """A (n, 2) (row, col) polyline from start to goal found within the time limit, and how it was found.
+
+    start, goal : (2,) fractional (row, col). planner : rrtstar, informed_rrtstar or bitstar. Raises NoRouteError when
+    nothing was found in time (which proves nothing), InputError on a bad setting.
+    """
+    if planner not in _ALGORITHMS:
+        raise InputError(f"planner must be one of {', '.join(_ALGORITHMS)}, got {planner!r}", planner=planner)
+    if not 0.0 < time_limit_s <= MAX_TIME_LIMIT_S:
+        raise InputError(
+            f"time_limit_s must lie in (0, {MAX_TIME_LIMIT_S:g}], got {time_limit_s}", time_limit_s=str(time_limit_s)
+        )
+    ou.setLogLevel(ou.LogLevel.LOG_NONE)
+    ou.RNG.setSeed(seed + 1)  # OMPL takes no zero
+    space = ob.RealVectorStateSpace(2)
+    bounds = ob.RealVectorBounds(2)
+    for axis, count in enumerate(lattice.frame.shape):
+        bounds.setLow(axis, -0.5)
+        bounds.setHigh(axis, count - 0.5)
+    space.setBounds(bounds)
+    info = ob.SpaceInformation(space)
+    pricer = _Pricer(lattice, start, goal)
+    blocked = lattice.blocked
+    last_row, last_col = blocked.shape[0] - 1, blocked.shape[1] - 1
+    info.setStateValidityChecker(
+        lambda s: bool(blocked[min(max(round(s[0]), 0), last_row), min(max(round(s[1]), 0), last_col)] == 0)
+    )
+    info.setMotionValidator(_Limits(info, pricer))
+    info.setup()
+    make_planner, make_objective = _ALGORITHMS[planner]
+    problem = ob.ProblemDefinition(info)
+    problem.setStartAndGoalStates(_state(space, start), _state(space, goal), 1e-6)
+    problem.setOptimizationObjective(make_objective(info, pricer))
+    solver = make_planner(info)
+    solver.setProblemDefinition(problem)
+    solver.setup()
+    began = time.perf_counter()
+    solver.solve(ob.timedPlannerTerminationCondition(float(time_limit_s)))
+    seconds = time.perf_counter() - began
+    if not problem.hasExactSolution():
+        raise NoRouteError(
+            f"{planner} found no route within {time_limit_s:g} s; allow more time, or use astar, which is complete",
+            planner=planner, time_limit_s=time_limit_s,
+        )  # fmt: skip
+    points = np.array([(s[0], s[1]) for s in problem.getSolutionPath().getStates()], dtype=np.float64)
+    points[0], points[-1] = start, goal
+    return points, {
+        "sampling_seconds": seconds,
+        "legs_priced": pricer.legs,
+        "seed": seed,
+        "sampled_energy_j": path_price(lattice, points),
+    }
+
+
+def _state(space: Any, point: Points) -> Any:
+    state = space.allocState()
+    state[0], state[1] = float(point[0]), float(point[1])
+    return state
