@@ -7,9 +7,10 @@ Rules, in this order (the key in `Run.repairs` in brackets; a key is there only 
 3. Of the stamps the longest strictly increasing sequence is kept; a row with the stamp of a kept one is dropped as
    repeated [duplicate_stamps], any other as out of order [backward_stamps]. More than a fifth out of order is an error.
 4. Fixes with a gps_error above the larger of 0.1 m and four times its median are not used [bad_fixes]; a gps_error of
-   exactly 0 means "not reported". Neither are blank fixes [blank_fixes] and, of what is left, stretches of up to 5 s
-   that the robot can only have reached by a jump [position_jumps]. A jump to where the log then stays is kept as a
-   break [position_breaks]: no segment spans it.
+   exactly 0 means "not reported". Neither are blank fixes [blank_fixes]; a fix that is written again in the rows after
+   it because the receiver is slower than the log, for up to 1.5 s [held_fixes]; and, of what is left, stretches of up
+   to 5 s that the robot can only have reached by a jump [position_jumps]. A jump to where the log then stays is kept
+   as a break [position_breaks]: no segment spans it.
 5. Voltage and current further from the median of the eleven samples around than six times their spread and a quarter
    (voltage) or once (current) of the run's median are spikes [voltage_spikes, current_spikes]; they and blanks
    [blank_voltage, blank_current] are replaced by straight lines in time.
@@ -47,6 +48,7 @@ NUMERIC_COLUMNS = frozenset(
 _LEAST_ROWS = 5
 _LONGEST_JUMP_S = 5.0
 _LEAST_GPS_LIMIT_M = 0.10
+_LONGEST_HOLD_S = 1.5
 
 
 @dataclass(frozen=True)
@@ -261,6 +263,10 @@ def _usable_fixes(
         _count(repairs, "bad_fixes", int(bad.sum()))
         good &= ~bad
     index = np.flatnonzero(good)
+    held = _held(t[index], x[index], y[index], _LONGEST_HOLD_S)
+    _count(repairs, "held_fixes", int(held.sum()))
+    good[index[held]] = False
+    index = index[~held]
     breaks = np.zeros(t.size, dtype=bool)
     if index.size > _LEAST_ROWS:
         reach = _reach(t[index], x[index], y[index])
@@ -275,11 +281,31 @@ def _usable_fixes(
 def _reach(t: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, float]:
     """(speed [m/s], slack [m]): nobody gets further than speed * dt + slack between two fixes of this run."""
     step = np.hypot(np.diff(x), np.diff(y))
-    lag = max(round(1.0 / max(float(np.median(np.diff(t))), 1e-3)), 1)
+    fresh = step > 0
+    if not fresh.any():
+        return 1.0, 0.15
+    step, interval = step[fresh], float(np.median(np.diff(t)[fresh]))
+    lag = max(round(1.0 / max(interval, 1e-3)), 1)
     far = np.hypot(x[lag:] - x[:-lag], y[lag:] - y[:-lag]) / np.maximum(t[lag:] - t[:-lag], 1e-3)
     speed = 2.0 * float(np.quantile(far, 0.9)) if far.size else 1.0
     slack = 0.15 + 8.0 * 1.4826 * float(np.median(np.abs(step - np.median(step))))
     return speed, slack
+
+
+@njit(cache=True)
+def _held(t: FloatArray, x: FloatArray, y: FloatArray, longest_s: float) -> BoolArray:
+    """True for a fix that repeats the one before exactly, in stretches of up to `longest_s`; longer ones stand."""
+    n = t.size
+    held = np.zeros(n, dtype=np.bool_)
+    k = 0
+    while k < n:
+        j = k + 1
+        while j < n and x[j] == x[k] and y[j] == y[k]:
+            j += 1
+        if t[j - 1] - t[k] <= longest_s:
+            held[k + 1 : j] = True
+        k = j
+    return held
 
 
 @njit(cache=True)

@@ -29,8 +29,8 @@ FloatArray = NDArray[np.float64]
 ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
 """Columns [deg] whose mean over a segment is the mean direction."""
 
-_LONGEST_GAP_S = 0.75
-_SMOOTHING_S = 0.3
+_LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
+_SMOOTHING_S = 0.3  # or one interval
 _STAND_S = 1.0
 
 
@@ -98,9 +98,12 @@ def cut_segments(
     left_out: dict[str, int] = {}
     good = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
     t, x, y = run.t[good], run.x[good], run.y[good]
-    gap = np.concatenate([[True], (np.diff(t) > _LONGEST_GAP_S) | run.breaks[good][1:]])
+    fresh = np.diff(t)[(np.diff(x) != 0) | (np.diff(y) != 0)]
+    interval = float(np.median(fresh)) if fresh.size else 0.0
+    longest_gap = max(_LONGEST_GAP_S, 2.5 * interval)
+    gap = np.concatenate([[True], (np.diff(t) > longest_gap) | run.breaks[good][1:]])
     _count(left_out, "gaps", int(gap.sum()) - 1)
-    x, y, vx, vy = _smooth(t, x, y, np.cumsum(gap), _SMOOTHING_S)
+    x, y, vx, vy = _smooth(t, x, y, np.cumsum(gap), max(_SMOOTHING_S, interval))
     speed = np.hypot(vx, vy)
     moving = speed > 0.0
     usual = float(np.median(speed[speed > 0.25 * np.quantile(speed, 0.9)])) if moving.any() else 0.0
