@@ -1,0 +1,103 @@
+"""What a model has learned, as ranges, and the words for a map or robot outside of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from model.errors import ModelError
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+ROBOT_KEYS = ("mass_kg", "width_m", "length_m", "wheel_radius_m", "speed_mps", "rolling_resistance")
+"""What a network is told of a robot in the robot file's own words; the hotel load over the weight comes on top."""
+
+_TOLERANCE = 0.005  # of a limit: a value on the edge is inside
+_SHARE_TOLD = 0.001  # of the map that must be too steep before it is worth a word
+_SAMPLE_CELLS = 4_000_000  # a larger map's slopes are judged on every n-th row and column
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Ranges (low, high) of what a model was trained on.
+
+    robot : by the keys of `ROBOT_KEYS` and "hotel_over_weight" (idle energy per metre over m g). resolution_m : of the
+    heightmaps. max_slope_deg : steepest ground.
+    """
+
+    robot: dict[str, tuple[float, float]]
+    resolution_m: tuple[float, float]
+    max_slope_deg: float
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Domain:
+        """Raises ModelError where a range is missing."""
+        try:
+            robot = {str(k): (float(v[0]), float(v[1])) for k, v in values["robot"].items()}
+            low, high = values["resolution_m"]
+            return cls(robot, (float(low), float(high)), float(values["max_slope_deg"]))
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise ModelError(f"the model does not say what it learned from: {error!r}") from error
+
+    def joined(self, other: Domain) -> Domain:
+        """The ranges that cover both: what a fine-tuned model knows."""
+        robot = dict(self.robot)
+        for key, (low, high) in other.robot.items():
+            mine = robot.get(key, (low, high))
+            robot[key] = min(mine[0], low), max(mine[1], high)
+        resolution = (
+            min(self.resolution_m[0], other.resolution_m[0]),
+            max(self.resolution_m[1], other.resolution_m[1]),
+        )
+        return Domain(robot, resolution, max(self.max_slope_deg, other.max_slope_deg))
+
+    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
+        """One sentence for every value outside: the value, and the limits."""
+        found = []
+        values = {key: getattr(robot, key) for key in ROBOT_KEYS}
+        values["hotel_over_weight"] = robot.hotel_per_m / robot.weight_n
+        for key, (low, high) in self.robot.items():
+            value = values[key]
+            if not low * (1.0 - _TOLERANCE) <= value <= high * (1.0 + _TOLERANCE):
+                label = "idle power / (speed x weight)" if key == "hotel_over_weight" else key
+                found.append(f"{label} = {value:.3g} is outside the {low:.3g}..{high:.3g} the network learned")
+        low, high = self.resolution_m
+        if not low * (1.0 - _TOLERANCE) <= heightmap.resolution_m <= high * (1.0 + _TOLERANCE):
+            found.append(
+                f"the heightmap's resolution of {heightmap.resolution_m:g} m/pixel is outside the {low:g}..{high:g} "
+                "the network learned"
+            )
+        share = steep_share(heightmap, self.max_slope_deg)
+        if share > _SHARE_TOLD:
+            found.append(
+                f"{100.0 * share:.2g} % of the map is steeper than the {self.max_slope_deg:.3g} degrees "
+                "the network learned"
+            )
+        return found
+
+
+def steep_share(heightmap: Heightmap, limit_deg: float) -> float:
+    """Share of the known ground steeper than a slope [deg], judged over about a metre; 0 where nothing is known.
+
+    Slopes are central differences over the metre (or the cell, where that is longer).
+    """
+    heights = heightmap.heights
+    half = max(1, round(0.5 / heightmap.resolution_m))
+    if min(heights.shape) < 2 * half + 1:
+        return 0.0
+    thin = max(1, math.isqrt(heights.size // _SAMPLE_CELLS))
+    run = 2 * half * heightmap.resolution_m
+    middle = slice(half, -half)
+    east = (heights[middle, 2 * half :][::thin, ::thin] - heights[middle, : -2 * half][::thin, ::thin]) / run
+    north = (heights[: -2 * half, middle][::thin, ::thin] - heights[2 * half :, middle][::thin, ::thin]) / run
+    slope = np.hypot(east, north)
+    known = np.isfinite(slope)
+    if not known.any():
+        return 0.0
+    return float((slope[known] > math.tan(math.radians(limit_deg))).mean())

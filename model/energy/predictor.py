@@ -1,0 +1,67 @@
+"""What a model is to the rest of joulemap, and how one is found by name or folder."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.energy.physics import PhysicsPredictor
+from model.errors import ModelError
+from model.frames import GridFrame
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+MODEL_NAMES = ("physics", "default")
+"""Models known by name; anything else is a trained model's folder."""
+
+
+class Predictor(Protocol):
+    """Traction demand [J per horizontal metre] of a place and a heading; `Robot.price_per_m` makes energy of it.
+
+    Both ways to ask answer the same for the same place and heading, to float32 rounding.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    def provenance(self) -> dict[str, Any]:
+        """JSON-able: name, kind, version, config."""
+
+    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
+        """In words, with value and limit, every way in which this map or robot lies outside what was learned."""
+
+    def traction_per_m(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """(rows, cols, headings) [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
+
+    def segment_traction(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> NDArray[np.float64]:
+        """(n,) [J/m] of 1 m segments centred at (x, y) [m]; NaN where the map is unknown."""
+
+
+def load_predictor(spec: str | Path) -> Predictor:
+    """The predictor called "physics" or "default" (the shipped network), or the one in a trained model's folder.
+
+    Raises ModelError, with the known names, when there is no such model or its files do not fit together.
+    """
+    if spec == "physics":
+        return PhysicsPredictor()
+    # torch is slow to import, and physics must answer without it
+    from model.energy.artifact import load_artifact
+
+    if spec == "default":
+        with resources.as_file(resources.files("model") / "weights") as folder:
+            return load_artifact(folder, name="default")
+    folder = Path(spec)
+    if not folder.is_dir():
+        raise ModelError(
+            f"there is no model {str(spec)!r}: known are {', '.join(MODEL_NAMES)}, or the folder of a trained model",
+            model=str(spec), known=list(MODEL_NAMES),
+        )  # fmt: skip
+    return load_artifact(folder)

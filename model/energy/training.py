@@ -1,0 +1,333 @@
+"""Fit a network to measured segments: seeded, stopped on whole held-out runs, resumable, and judged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+
+from model.energy.compact import CompactNet, heading_basis
+from model.energy.examples import ARCHITECTURES, Examples
+from model.energy.predictor import Predictor
+from model.energy.resnet import ResNetEnergy
+from model.errors import InputError, ModelError
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+Network = CompactNet | ResNetEnergy
+
+_LEAK = 0.02
+"""Slope of the price below zero traction in training, so that a segment wrongly held for braking can be corrected."""
+_LEAST_SHARE = 0.2
+"""Errors are relative to the energy, but at least to this share of hotel + m g mu (regeneration can make it zero)."""
+_HUBER = 0.05
+"""Relative error below which the loss is quadratic."""
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """How to train. epochs : at most; patience : epochs without a better held-out error before stopping; batch :
+    segments; learning_rate : at the start of a cosine; weight_decay : of AdamW; augment : exact rotations by 90
+    degrees and mirror images (compact), mirror images (resnet18); freeze_backbone : train the resnet18 head alone;
+    held_out_share : of the runs, where none are named."""
+
+    epochs: int = 60
+    patience: int = 12
+    batch: int = 256
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-4
+    augment: bool = True
+    freeze_backbone: bool = False
+    held_out_share: float = 0.15
+
+
+@dataclass
+class TrainingResult:
+    """net : with the best weights. held_out_error : its mean relative error on the held-out runs. history : one entry
+    per epoch (train_loss, held_out_error). held_out_runs : ids. seed, epochs : as used."""
+
+    net: Network
+    held_out_error: float
+    held_out_runs: list[int]
+    seed: int
+    history: list[dict[str, float]] = field(default_factory=list)
+
+    @property
+    def epochs(self) -> int:
+        return len(self.history)
+
+
+def train_network(
+    examples: Examples,
+    *,
+    architecture: str = "compact",
+    seed: int = 0,
+    start_from: Network | None = None,
+    held_out_runs: Sequence[int] | None = None,
+    options: TrainingOptions | None = None,
+    checkpoint: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> TrainingResult:
+    """Train on every run but the held-out ones, stop when those no longer improve, return the best weights.
+
+    start_from : a network to fine-tune (left as it is; its ranges of robots grow by those of the examples). checkpoint :
+    a file written after every epoch and continued from where it exists; the same seed and data then give the weights of
+    an undisturbed training. Raises ModelError for an unknown architecture or a checkpoint of another training,
+    InputError where nothing is left to train on.
+    """
+    options = options or TrainingOptions()
+    if architecture not in ARCHITECTURES:
+        raise ModelError(f"no architecture {architecture!r}: known are {', '.join(ARCHITECTURES)}", name=architecture)
+    held = sorted(held_out_runs) if held_out_runs is not None else choose_held_out(examples, options, seed)
+    aside = np.isin(examples.run, held)
+    if aside.all() or not aside.any():
+        raise InputError(
+            f"{len(examples)} segments in {len(np.unique(examples.run))} runs leave nothing to "
+            f"{'train on' if aside.all() else 'judge by'}: at least two runs are needed",
+            runs=len(np.unique(examples.run)),
+        )
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        net = _prepared(examples, architecture, start_from)
+        trainer = _Trainer(net, examples, np.flatnonzero(~aside), np.flatnonzero(aside), options, seed)
+        trainer.run(Path(checkpoint) if checkpoint is not None else None, progress)
+    return TrainingResult(net, trainer.best_error, held, seed, trainer.history)
+
+
+def choose_held_out(examples: Examples, options: TrainingOptions, seed: int) -> list[int]:
+    """A seeded choice of whole runs, at least one, about `held_out_share` of them."""
+    runs = np.unique(examples.run)
+    count = min(max(1, round(options.held_out_share * runs.size)), max(runs.size - 1, 1))
+    return sorted(int(r) for r in np.random.default_rng(seed).choice(runs, count, replace=False))
+
+
+def predicted_energy(net: Network, examples: Examples, *, batch: int = 2048) -> NDArray[np.float64]:
+    """Energy [J] of every example, (n,): traction through the battery's price."""
+    net.eval()
+    data = _Tensors(examples)
+    out = np.empty(len(examples))
+    with torch.inference_mode():
+        for k in range(0, len(examples), batch):
+            part = torch.arange(k, min(k + batch, len(examples)))
+            out[k : k + batch] = data.energy(net, part, leak=0.0)[0].numpy()
+    return out
+
+
+def evaluate_segments(
+    predictor: Predictor,
+    heightmap: Heightmap,
+    robot: Robot,
+    x: ArrayLike,
+    y: ArrayLike,
+    heading_rad: ArrayLike,
+    energy_j: ArrayLike,
+    *,
+    run: ArrayLike = 0,
+) -> dict[str, Any]:
+    """How well a predictor says what measured 1 m segments, centred at (x, y), cost. Arrays of (n,).
+
+    Returns the numbers of `errors` and `unknown`, the segments whose ground the heightmap does not know.
+    """
+    arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run)
+    xs, ys, heading, energy = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in arrays[:4])
+    predicted = robot.price_per_m(predictor.segment_traction(heightmap, robot, xs, ys, heading))
+    known = np.isfinite(predicted)
+    return errors(predicted[known], energy[known], arrays[4].ravel()[known]) | {"unknown": int((~known).sum())}
+
+
+def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[str, Any]:
+    """Errors of predicted against measured energies [J] of n segments.
+
+    segments; mean_relative_error and median_relative_error of |e_hat - e| / e (the paper's eq. 3); rmse_j; bias_j, the
+    mean of measured - predicted; route_relative_error, |sum e_hat - sum e| / sum e of every whole run (mean over runs),
+    and route_relative_errors of each. Raises InputError without a segment.
+    """
+    predicted, energy = np.asarray(predicted_j, dtype=np.float64), np.asarray(energy_j, dtype=np.float64)
+    if energy.size == 0:
+        raise InputError("there is no segment to judge by")
+    relative = np.abs(predicted - energy) / np.maximum(np.abs(energy), 1e-9)
+    residual = energy - predicted
+    by_run = {}
+    for one in np.unique(run):
+        mine = np.asarray(run) == one
+        by_run[str(one)] = float(abs(residual[mine].sum()) / max(abs(energy[mine].sum()), 1e-9))
+    return {
+        "segments": int(energy.size),
+        "mean_relative_error": float(relative.mean()),
+        "median_relative_error": float(np.median(relative)),
+        "rmse_j": float(np.sqrt(np.mean(residual**2))),
+        "bias_j": float(residual.mean()),
+        "route_relative_error": float(np.mean(list(by_run.values()))),
+        "route_relative_errors": by_run,
+    }
+
+
+def _prepared(examples: Examples, architecture: str, start_from: Network | None) -> Network:
+    """A fresh network, or a copy of the given one, that knows the ranges of these examples."""
+    low, high = examples.features.min(axis=0), examples.features.max(axis=0)
+    if architecture == "compact":
+        if start_from is None:
+            net: Network = CompactNet()
+            net.set_feature_ranges(low, high)
+        elif isinstance(start_from, CompactNet):
+            net = CompactNet(start_from.config)  # the ranges stay: moving them would change what every robot means
+            net.load_state_dict(start_from.state_dict())
+        else:
+            raise ModelError("a compact network cannot be fine-tuned from a resnet18")
+        return net.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+    if start_from is not None and not isinstance(start_from, ResNetEnergy):
+        raise ModelError("a resnet18 cannot be fine-tuned from a compact network")
+    fresh = ResNetEnergy()
+    if start_from is not None:
+        fresh.load_state_dict(start_from.state_dict())
+    if float(fresh.target_scale) == 0.0:  # not trained yet: the head starts at the data's mean and spread
+        scaled = examples.energy_j / examples.voltage_v
+        fresh.target_mean.fill_(float(scaled.mean()))
+        fresh.target_scale.fill_(max(float(scaled.std()), 1e-6))
+    return fresh
+
+
+class _Tensors:
+    """Examples as tensors, and the energy a network gives them."""
+
+    def __init__(self, examples: Examples) -> None:
+        self.inputs = torch.from_numpy(examples.inputs)
+        self.features = torch.from_numpy(examples.features)
+        self.heading = torch.from_numpy(examples.heading_rad)
+        self.grade = torch.from_numpy(examples.tan_grade)
+        self.weight = torch.from_numpy(examples.weight_n)
+        self.rolling = torch.from_numpy(examples.rolling_resistance)
+        self.hotel = torch.from_numpy(examples.hotel_per_m)
+        self.regeneration = torch.from_numpy(examples.regeneration)
+        self.voltage = torch.from_numpy(examples.voltage_v)
+        self.measured = torch.from_numpy(examples.energy_j)
+
+    def energy(
+        self, net: Network, part: Tensor, *, leak: float, quarter_turns: int = 0, mirror: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """(predicted energy, scale of the relative error) of the segments `part`, (B,) each, in joules.
+
+        The ground is turned clockwise by quarter turns after being mirrored east to west; headings go with it.
+        """
+        inputs = self.inputs[part]
+        measured = self.measured[part]
+        if mirror:
+            inputs = inputs.flip(2)
+        if isinstance(net, ResNetEnergy):
+            return net(inputs) * self.voltage[part], measured.abs().clamp_min(1e-6)
+        heading = -self.heading[part] if mirror else self.heading[part]
+        if quarter_turns:
+            inputs = torch.rot90(inputs, -quarter_turns, (1, 2))
+            heading = heading + quarter_turns * (math.pi / 2)
+        basis = torch.from_numpy(heading_basis(heading.numpy(), net.config.order))
+        traction = self.weight[part] * net(inputs, self.features[part], basis, self.grade[part], self.rolling[part])
+        hotel = self.hotel[part]
+        down = torch.clamp_max(traction, 0.0) * torch.clamp_min(self.regeneration[part], leak)
+        least = _LEAST_SHARE * (hotel + self.weight[part] * self.rolling[part])
+        return hotel + torch.relu(traction) + down, torch.maximum(measured.abs(), least)
+
+
+class _Trainer:
+    """One training: the state that a checkpoint keeps, epoch by epoch."""
+
+    def __init__(
+        self, net: Network, examples: Examples, train: NDArray[np.int64], held: NDArray[np.int64],
+        options: TrainingOptions, seed: int,
+    ) -> None:  # fmt: skip
+        self.net, self.options, self.seed = net, options, seed
+        self.identity = f"{examples.data_hash} seed {seed} {options} {len(train)}"
+        self.data = _Tensors(examples)
+        self.train, self.held = torch.from_numpy(train), torch.from_numpy(held)
+        if isinstance(net, ResNetEnergy) and options.freeze_backbone:
+            net.backbone.requires_grad_(False)
+        trained = [p for p in net.parameters() if p.requires_grad]
+        self.optimizer = torch.optim.AdamW(trained, lr=options.learning_rate, weight_decay=options.weight_decay)
+        self.best: dict[str, Tensor] = {k: v.clone() for k, v in net.state_dict().items()}
+        self.best_error = self._held_out_error()
+        self.best_epoch = 0
+        self.history: list[dict[str, float]] = []
+
+    def run(self, checkpoint: Path | None, progress: Callable[[float], None] | None) -> None:
+        if checkpoint is not None and checkpoint.exists():
+            self._resume(checkpoint)
+        while len(self.history) < self.options.epochs and len(self.history) - self.best_epoch < self.options.patience:
+            loss = self._epoch(len(self.history))
+            error = self._held_out_error()
+            self.history.append({"train_loss": loss, "held_out_error": error})
+            if error < self.best_error:
+                self.best = {k: v.clone() for k, v in self.net.state_dict().items()}
+                self.best_error, self.best_epoch = error, len(self.history)
+            if checkpoint is not None:
+                self._save(checkpoint)
+            if progress is not None:
+                progress(len(self.history) / self.options.epochs)
+        self.net.load_state_dict(self.best)
+        self.net.requires_grad_(True)
+        self.net.eval()
+        if progress is not None:
+            progress(1.0)
+
+    def _epoch(self, epoch: int) -> float:
+        """One pass over the training segments; its randomness depends on seed and epoch alone."""
+        options = self.options
+        rng = np.random.default_rng([self.seed, epoch])
+        torch.manual_seed(int(rng.integers(2**31)))
+        order = self.train[torch.from_numpy(rng.permutation(len(self.train)))]
+        batches = order.split(options.batch)
+        self.net.train()
+        if isinstance(self.net, ResNetEnergy) and options.freeze_backbone:
+            self.net.backbone.eval()
+        total = 0.0
+        for k, part in enumerate(batches):
+            done = (epoch + k / len(batches)) / options.epochs
+            warm = min(1.0, (epoch * len(batches) + k + 1) / 200.0)
+            for group in self.optimizer.param_groups:
+                group["lr"] = options.learning_rate * warm * (0.02 + 0.49 * (1.0 + math.cos(math.pi * done)))
+            turns = int(rng.integers(4)) if options.augment else 0
+            mirror = bool(rng.integers(2)) if options.augment else False
+            energy, scale = self.data.energy(self.net, part, leak=_LEAK, quarter_turns=turns, mirror=mirror)
+            loss = self._loss(energy, part, scale)
+            self.optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(self.net.parameters(), 1.0)
+            self.optimizer.step()
+            total += float(loss.detach()) * len(part)
+        return total / len(self.train)
+
+    def _loss(self, energy: Tensor, part: Tensor, scale: Tensor) -> Tensor:
+        error = (energy - self.data.measured[part]) / scale
+        return nn.functional.smooth_l1_loss(error, torch.zeros_like(error), beta=_HUBER)
+
+    def _held_out_error(self) -> float:
+        self.net.eval()
+        total = 0.0
+        with torch.inference_mode():
+            for part in self.held.split(2048):
+                energy, scale = self.data.energy(self.net, part, leak=0.0)
+                total += float(((energy - self.data.measured[part]).abs() / scale).sum())
+        return total / len(self.held)
+
+    def _save(self, checkpoint: Path) -> None:
+        state = {
+            "identity": self.identity, "net": self.net.state_dict(), "optimizer": self.optimizer.state_dict(),
+            "best": self.best, "best_error": self.best_error, "best_epoch": self.best_epoch, "history": self.history,
+        }  # fmt: skip
+        partial = checkpoint.with_name(f".{checkpoint.name}.partial")
+        torch.save(state, partial)
+        partial.replace(checkpoint)
+
+    def _resume(self, checkpoint: Path) -> None:
+        state = torch.load(checkpoint, weights_only=True)
+        if state["identity"] != self.identity:
+            raise ModelError(f"{checkpoint} belongs to another training (other data, seed or options)")
+        self.net.load_state_dict(state["net"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.best, self.best_error, self.best_epoch = state["best"], state["best_error"], state["best_epoch"]
+        self.history = state["history"]
