@@ -1,0 +1,68 @@
+"""The robot and battery values."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from model.errors import InputError, RobotError
+from model.robot import GRAVITY_MPS2, Battery, Robot
+
+
+def test_price_is_hotel_plus_traction_with_brakes_and_regeneration() -> None:
+    robot = Robot(idle_power_w=10.0, speed_mps=0.5, regeneration=0.25)
+    np.testing.assert_allclose(robot.price_per_m([100.0, 0.0, -40.0]), [120.0, 20.0, 10.0])
+    assert Robot(regeneration=0.0, idle_power_w=0.0).price_per_m(-40.0) == 0.0
+
+
+def test_default_is_the_papers_robot() -> None:
+    robot = Robot()  # 28.8 V nominal, 0.5 m/s: Wei & Isler 2022, IV-A
+    assert (robot.nominal_voltage_v, robot.speed_mps) == (28.8, 0.5)
+    assert robot.weight_n == pytest.approx(robot.mass_kg * GRAVITY_MPS2)
+
+
+def test_toml_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text('name = "mule"\nmass_kg = 80\nspeed_mps = 1.0\n', encoding="utf-8")
+    robot = Robot.from_toml(path)
+    assert (robot.name, robot.mass_kg, robot.width_m) == ("mule", 80.0, Robot().width_m)
+    assert Robot.from_mapping(robot.as_dict()) == robot
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"mass_kg": 0.0}, "mass_kg"),
+        ({"mass_kg": -3}, "mass_kg"),
+        ({"speed_mps": math.nan}, "speed_mps"),
+        ({"speed_mps": "fast"}, "speed_mps"),
+        ({"regeneration": 1.0}, "regeneration"),
+        ({"max_grade_deg": 90.0}, "max_grade_deg"),
+        ({"battery_wh": True}, "battery_wh"),
+        ({"name": ""}, "name"),
+        ({"weight": 3.0}, "weight"),
+    ],
+)
+def test_impossible_robots_are_refused_by_name(values: dict, words: str) -> None:
+    with pytest.raises(RobotError, match=words):
+        Robot.from_mapping(values)
+
+
+@pytest.mark.parametrize("text", ["mass_kg = ", "[robot]\nmass_kg = 3\n"])
+def test_broken_files_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(RobotError):
+        Robot.from_toml(path)
+    with pytest.raises(RobotError, match=r"missing\.toml"):
+        Robot.from_toml(tmp_path / "missing.toml")
+
+
+def test_battery_has_what_lies_above_its_reserve() -> None:
+    assert Battery(100.0, charge=0.5, reserve=0.2).available_j == pytest.approx(0.3 * 100.0 * 3600.0)
+    assert Battery(100.0, charge=0.1, reserve=0.2).available_j < 0.0
+    assert Robot(battery_wh=280.0).battery.available_j == pytest.approx(280.0 * 3600.0)
+    for bad in ({"capacity_wh": 0.0}, {"capacity_wh": 1.0, "charge": 1.1}, {"capacity_wh": 1.0, "reserve": math.nan}):
+        with pytest.raises(InputError, match="battery"):
+            Battery(**bad)
