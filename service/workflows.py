@@ -201,7 +201,8 @@ def assess(
         if round_trip:
             back = price_route(lattice, points[::-1])
     else:
-        assert start is not None and goal is not None
+        assert start is not None
+        assert goal is not None
         router = planner if isinstance(planner, RoutePlanner) else RoutePlanner(planner)
         there, home = (float(start[0]), float(start[1])), (float(goal[0]), float(goal[1]))
         out = router.plan(there, home).route

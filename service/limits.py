@@ -1,0 +1,99 @@
+"""ASGI middleware that every request passes first: it gets an id, and a body beyond the limit is cut off with 413."""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from model.errors import TooLargeError
+from service.problems import MEDIA_TYPE, problem_of
+
+_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+
+
+class RequestLimits:
+    """Request ids and body limits.
+
+    upload_bytes : limit for multipart and raw uploads (POST under `upload_paths`); other_bytes : for everything else.
+    A declared Content-Length above it is refused before a byte of the body is read; an undeclared body is counted
+    while it streams.
+    """
+
+    def __init__(self, app: ASGIApp, *, upload_bytes: int, other_bytes: int, upload_paths: tuple[str, ...]) -> None:
+        self._app = app
+        self._upload_bytes = upload_bytes
+        self._other_bytes = other_bytes
+        self._upload_paths = upload_paths
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = dict(scope["headers"])
+        given = headers.get(b"x-request-id", b"").decode("latin-1")
+        request_id = given if _ID.fullmatch(given) else secrets.token_hex(8)
+        scope.setdefault("state", {})["request_id"] = request_id
+        limit = self._limit(scope, headers)
+        declared = headers.get(b"content-length", b"")
+        answer = _Answer(send, request_id)
+        if declared.isdigit() and int(declared[:20]) > limit:
+            await answer.refuse(TooLargeError(_words(limit), declared_bytes=int(declared[:20]), limit_bytes=limit))
+            return
+        received = 0
+
+        async def counted() -> Message:
+            nonlocal received
+            message = await receive()
+            if message["type"] == "http.request":
+                received += len(message.get("body", b""))
+                if received > limit:
+                    answer.overrun = TooLargeError(_words(limit), received_bytes=received, limit_bytes=limit)
+                    raise answer.overrun
+            return message
+
+        await self._app(scope, counted, answer.send)
+
+    def _limit(self, scope: Scope, headers: dict[bytes, bytes]) -> int:
+        upload = scope["method"] == "POST" and scope["path"] in self._upload_paths
+        is_json = headers.get(b"content-type", b"").split(b";")[0].strip().lower() == b"application/json"
+        return self._upload_bytes if upload and not is_json else self._other_bytes
+
+
+def _words(limit: int) -> str:
+    return f"the request's body is larger than the limit of {limit / 1e6:g} MB"
+
+
+class _Answer:
+    """The way out: adds the request id, and replaces whatever is answered to an overrun body by a 413."""
+
+    def __init__(self, send: Send, request_id: str) -> None:
+        self._send = send
+        self._request_id = request_id.encode("latin-1")
+        self._replaced = False
+        self.overrun: TooLargeError | None = None
+
+    async def send(self, message: Message) -> None:
+        if self._replaced:
+            return
+        if message["type"] == "http.response.start":
+            if self.overrun is not None:
+                await self.refuse(self.overrun)
+                return
+            headers = [h for h in message.get("headers", []) if h[0].lower() != b"x-request-id"]
+            message = {**message, "headers": [*headers, (b"x-request-id", self._request_id)]}
+        await self._send(message)
+
+    async def refuse(self, error: TooLargeError) -> None:
+        self._replaced = True
+        body = json.dumps(problem_of(error, self._request_id.decode())).encode()
+        headers = [
+            (b"content-type", MEDIA_TYPE.encode()),
+            (b"content-length", str(len(body)).encode()),
+            (b"connection", b"close"),
+            (b"x-request-id", self._request_id),
+        ]
+        await self._send({"type": "http.response.start", "status": 413, "headers": headers})
+        await self._send({"type": "http.response.body", "body": body})

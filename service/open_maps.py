@@ -1,0 +1,45 @@
+"""The few cost maps that are held in memory for questions, each with its route planner and a lock."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from planner.lattice import CostLattice
+from planner.plan import RoutePlanner
+
+
+class _Entry:
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.planner: RoutePlanner | None = None
+
+
+class OpenMaps:
+    """Least recently used cost maps are let go beyond `size`. Questions to one map wait for each other."""
+
+    def __init__(self, load: Callable[[str], CostLattice], *, size: int) -> None:
+        self._load = load
+        self._size = size
+        self._lock = threading.Lock()
+        self._entries: OrderedDict[str, _Entry] = OrderedDict()
+
+    @contextmanager
+    def use(self, costmap_id: str) -> Iterator[RoutePlanner]:
+        """The planner of a cost map, for this thread alone while the context lasts."""
+        with self._lock:
+            entry = self._entries.setdefault(costmap_id, _Entry())
+            self._entries.move_to_end(costmap_id)
+            while len(self._entries) > self._size:
+                self._entries.popitem(last=False)
+        with entry.lock:
+            if entry.planner is None:
+                entry.planner = RoutePlanner(self._load(costmap_id))
+            yield entry.planner
+
+    def forget(self, costmap_id: str) -> None:
+        """Let go of a deleted cost map."""
+        with self._lock:
+            self._entries.pop(costmap_id, None)

@@ -1,0 +1,165 @@
+"""The one table from errors to HTTP statuses and exit codes, and the RFC 9457 bodies that carry them."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any, NamedTuple
+
+import numpy as np
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from model.errors import (
+    BusyError,
+    ConflictError,
+    InfeasibleError,
+    InputError,
+    JoulemapError,
+    NotFoundError,
+    TooLargeError,
+)
+
+MEDIA_TYPE = "application/problem+json"
+INTERNAL_EXIT_CODE = 1
+_LOG = logging.getLogger("joulemap.service")
+_MAX_TEXT = 500
+_MAX_ERRORS = 20
+
+
+class Row(NamedTuple):
+    """How one branch of the error tree is answered."""
+
+    status: int
+    exit_code: int
+    title: str
+
+
+TABLE: dict[type[JoulemapError], Row] = {
+    InputError: Row(422, 3, "The input cannot be used"),
+    InfeasibleError: Row(422, 4, "The question has no answer"),
+    NotFoundError: Row(404, 5, "There is no such thing"),
+    ConflictError: Row(409, 6, "The request contradicts what is stored"),
+    TooLargeError: Row(413, 7, "Too large"),
+    BusyError: Row(503, 8, "Come back later"),
+}
+"""Branches of the tree; a leaf is answered as its nearest branch. Exit code 2 is left to wrong usage of a command."""
+
+
+def row_of(error: type[JoulemapError]) -> Row | None:
+    """The row of an error class, that of its nearest ancestor in the table; None where there is none."""
+    return next((TABLE[cls] for cls in error.__mro__ if cls in TABLE), None)
+
+
+def exit_code(error: BaseException) -> int:
+    """What a command ends with: the table's code, 1 for anything that is our own bug."""
+    row = row_of(type(error)) if isinstance(error, JoulemapError) else None
+    return row.exit_code if row is not None else INTERNAL_EXIT_CODE
+
+
+def jsonable(value: Any, *, depth: int = 6) -> Any:
+    """`value` as plain JSON: non-finite numbers as text, NumPy as Python, long texts cut, the unknown as its repr."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, str):
+        text = value.encode("utf-8", "replace").decode("utf-8")
+        return text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
+    if depth > 0 and isinstance(value, Mapping):
+        return {str(key): jsonable(item, depth=depth - 1) for key, item in value.items()}
+    if depth > 0 and isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (bytes, bytearray)):
+        items = [jsonable(item, depth=depth - 1) for item in list(value)[:_MAX_ERRORS]]
+        return [*items, f"... {len(value)} in all"] if len(value) > _MAX_ERRORS else items
+    return repr(value)[:_MAX_TEXT]
+
+
+def problem(
+    status: int, code: str, title: str, detail: str, request_id: str | None, context: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """An RFC 9457 body: type, title, status, detail, and as extensions code, request_id and context."""
+    return {
+        "type": f"urn:joulemap:problem:{code}",
+        "title": title,
+        "status": status,
+        "detail": jsonable(detail),
+        "code": code,
+        "request_id": request_id,
+        "context": jsonable(dict(context or {})),
+    }
+
+
+def problem_of(error: BaseException, request_id: str | None = None) -> dict[str, Any]:
+    """The body for an exception; anything outside the tree is our bug, of which only the request id is told."""
+    row = row_of(type(error)) if isinstance(error, JoulemapError) else None
+    if row is None or not isinstance(error, JoulemapError):
+        detail = "something went wrong inside the service; its log has the details under this request id"
+        return problem(500, "internal_error", "Internal error", detail, request_id)
+    return problem(row.status, error.code, row.title, error.message, request_id, error.context)
+
+
+def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> JSONResponse:
+    """A problem as an HTTP response, with Retry-After where the context says so."""
+    extra = dict(headers or {})
+    retry = body["context"].get("retry_after_s")
+    if retry is not None:
+        extra["Retry-After"] = str(max(1, math.ceil(retry)))
+    if body["request_id"]:
+        extra["X-Request-ID"] = body["request_id"]
+    return JSONResponse(dict(body), status_code=body["status"], headers=extra, media_type=MEDIA_TYPE)
+
+
+def request_id(request: Request) -> str | None:
+    """The id that `service.limits` gave the request."""
+    return request.scope.get("state", {}).get("request_id")
+
+
+def install(app: FastAPI) -> None:
+    """Answer every error of `app` with a problem."""
+
+    @app.exception_handler(JoulemapError)
+    async def tree(request: Request, error: JoulemapError) -> JSONResponse:
+        body = problem_of(error, request_id(request))
+        if body["status"] >= 500 and not isinstance(error, BusyError):
+            _LOG.error("request %s failed", request_id(request), exc_info=error)
+        return response(body)
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+        found = [_field_error(e) for e in error.errors()[:_MAX_ERRORS]]
+        detail = "; ".join(f"{e['field']}: {e['message']}" for e in found[:5])
+        return response(
+            problem(422, "invalid_request", "The request is not valid", detail, request_id(request), {"errors": found})
+        )
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> JSONResponse:
+        title = HTTPStatus(error.status_code).phrase
+        code = re.sub(r"[^a-z]+", "_", title.lower())
+        detail = f"{request.method} {request.url.path[:200]}: {error.detail}"
+        return response(problem(error.status_code, code, title, detail, request_id(request)), error.headers)
+
+    @app.exception_handler(Exception)
+    async def bug(request: Request, error: Exception) -> JSONResponse:
+        _LOG.error("request %s failed", request_id(request), exc_info=error)
+        return response(problem_of(error, request_id(request)))
+
+
+def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
+    """One finding of pydantic in our words: which field, what is wrong, and the value that was sent."""
+    place = [str(part) for part in error["loc"] if part not in ("body", "query", "path", "header")]
+    field = ".".join(place) or str(error["loc"][0] if error["loc"] else "body")
+    message = str(error["msg"]).removeprefix("Value error, ")
+    found = {"field": jsonable(field), "message": jsonable(message)}
+    if error["type"] != "missing" and "input" in error:
+        found["value"] = jsonable(error["input"], depth=2)
+        if isinstance(error["input"], (int, float, str)) and not isinstance(error["input"], bool):
+            found["message"] = f"{found['message']}, got {str(jsonable(error['input']))[:60]}"
+    return found

@@ -1,0 +1,37 @@
+"""What an operator can set, from the environment (JOULEMAP_...), read when a service is made and never at import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from service.workflows import DEFAULT_MODEL
+
+
+class Settings(BaseSettings):
+    """Every field is read from JOULEMAP_<FIELD> where it is not given."""
+
+    model_config = SettingsConfigDict(env_prefix="JOULEMAP_", extra="ignore")
+
+    data_dir: Path = Field(default=Path("data"), description="folder of everything that is kept")
+    database_url: str | None = Field(default=None, description="SQLAlchemy URL; default: SQLite in the data directory")
+    models_dir: Path | None = Field(default=None, description="folder of trained models; default: `models` in data_dir")
+    host: str = Field(default="127.0.0.1", description="address to listen on")
+    port: int = Field(default=8000, ge=0, le=65535, description="port to listen on")
+    max_upload_mb: float = Field(default=512.0, gt=0, description="largest heightmap file [MB = 1e6 bytes]")
+    max_json_mb: float = Field(default=16.0, gt=0, description="largest other request body [MB]")
+    max_cells: int = Field(default=100_000_000, gt=0, description="most cells a heightmap may have")
+    max_lattice_values: int = Field(default=100_000_000, gt=0, description="most rows * cols * headings of a cost map")
+    queue_size: int = Field(default=32, gt=0, description="most cost maps that wait or are computed at a time")
+    open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
+    warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
+
+    @property
+    def resolved_database_url(self) -> str:
+        return self.database_url or f"sqlite:///{self.data_dir.resolve() / 'joulemap.db'}"
+
+    @property
+    def resolved_models_dir(self) -> Path:
+        return self.models_dir or self.data_dir / "models"

@@ -1,0 +1,143 @@
+"""One running service: its store, its worker, its open cost maps, and whether its kernels are warm."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import anyio
+from fastapi import Request
+
+from model.errors import BusyError, ConflictError
+from model.robot import Robot
+from model.terrain.readers import read_heightmap
+from service.jobs import CostmapJobs
+from service.open_maps import OpenMaps
+from service.settings import Settings
+from service.store import DONE, FAILED, CostmapRow, HeightmapRow, Store
+from service.workflows import make_cost_lattice, summarise, warm_up
+
+_LOG = logging.getLogger("joulemap.service")
+_WARM_WAIT_S = 120.0
+_INGEST_AT_ONCE = 2
+
+
+class Service:
+    """Everything a request needs beyond itself; made with the app, started and stopped with it."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.version = version("joulemap")
+        self.store = Store(settings.data_dir, settings.resolved_database_url)
+        self.jobs = CostmapJobs(self.store, self._build, queue_size=settings.queue_size)
+        self.maps = OpenMaps(self.store.load_lattice, size=settings.open_costmaps)
+        self.ingest_limit = anyio.CapacityLimiter(_INGEST_AT_ONCE)  # each may hold a whole heightmap
+        self.warm_seconds: float | None = None
+        self._warm = threading.Event()
+
+    def start(self) -> None:
+        """Open the store, warm up in a thread, and go on with unfinished cost maps."""
+        self.store.open()
+        threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
+        self.jobs.resume()
+
+    def stop(self) -> None:
+        self.jobs.stop()
+        self.store.close()
+
+    def check_ready(self) -> float:
+        """Seconds that warming up took. Raises BusyError before it is over, or when it failed."""
+        if self.warm_seconds is None:
+            words = "warming up failed: see the log" if self._warm.is_set() else "kernels are being compiled or loaded"
+            raise BusyError(f"not ready: {words}", retry_after_s=2)
+        return self.warm_seconds
+
+    def await_kernels(self) -> None:
+        """Return when the kernels are warm. Raises BusyError when that takes too long."""
+        if not self._warm.wait(_WARM_WAIT_S):
+            raise BusyError("the service is still compiling its kernels", retry_after_s=10)
+
+    def keep_heightmap(self, path: Path, *, name: str, **options: Any) -> HeightmapRow:
+        """Read an uploaded file, check it, keep it. `options` as `read_heightmap`'s."""
+        heightmap = read_heightmap(path, filename=name, max_cells=self.settings.max_cells, **options)
+        known = heightmap.heights[heightmap.heights == heightmap.heights]
+        frame = heightmap.frame
+        stats = {
+            "rows": frame.rows,
+            "cols": frame.cols,
+            "resolution_m": frame.resolution_m,
+            "crs": frame.crs,
+            "bounds": list(frame.bounds),
+            "known_share": heightmap.known_share,
+            "height_min_m": float(known.min()),
+            "height_max_m": float(known.max()),
+            "hash": heightmap.data_hash,
+        }
+        return self.store.add_heightmap(heightmap, name=name, stats=stats)
+
+    def done_costmap(self, costmap_id: str) -> CostmapRow:
+        """The row of a cost map that can be asked. Raises NotFoundError, ConflictError while there is no lattice."""
+        row = self.store.costmap(costmap_id)
+        if row.status == FAILED:
+            detail = (row.problem or {}).get("detail", "no reason is known")
+            raise ConflictError(
+                f"cost map {row.id} could not be made: {detail}", status=row.status, problem=row.problem
+            )
+        if row.status != DONE:
+            raise ConflictError(
+                f"cost map {row.id} is {row.status} ({row.progress:.0%}): ask again when it is done",
+                status=row.status, progress=row.progress, retry_after_s=2,
+            )  # fmt: skip
+        return row
+
+    def _build(self, costmap_id: str, progress: Callable[[float], None]) -> None:
+        self.await_kernels()
+        row = self.store.costmap(costmap_id)
+        lattice = make_cost_lattice(
+            self.store.load_heightmap(row.heightmap_id),
+            Robot.from_mapping(row.request["robot"]),
+            model=row.request["model"],
+            spacing_m=row.request["spacing_m"],
+            headings=row.request["headings"],
+            models_dir=self.settings.resolved_models_dir,
+            max_values=self.settings.max_lattice_values,
+            progress=progress,
+        )
+        frame = lattice.frame
+        summary = {
+            "frame": {
+                "rows": frame.rows,
+                "cols": frame.cols,
+                "spacing_m": frame.resolution_m,
+                "bounds": list(frame.bounds),
+                "crs": frame.crs,
+            },
+            "provenance": lattice.provenance,
+            **summarise(lattice),
+        }
+        self.store.save_lattice(costmap_id, lattice, summary)
+
+    def _warm_up(self) -> None:
+        try:
+            settings = self.settings
+            self.warm_seconds = warm_up(models=settings.warm_models, models_dir=settings.resolved_models_dir)
+            _LOG.info("kernels are warm after %.1f s", self.warm_seconds)
+        finally:
+            self._warm.set()
+
+
+def get_service(request: Request) -> Service:
+    """The service of the app that answers `request` (a FastAPI dependency)."""
+    service: Service = request.app.state.service
+    return service
+
+
+def with_kernels(request: Request) -> Service:
+    """The same, once its kernels are warm (a dependency for handlers that compute)."""
+    service = get_service(request)
+    service.await_kernels()
+    return service
