@@ -9,8 +9,8 @@ Rules, in this order (the key in `Run.repairs` in brackets; a key is there only 
 4. Fixes with a gps_error above the larger of 0.1 m and four times its median are not used [bad_fixes]; a gps_error of
    exactly 0 means "not reported". Neither are blank fixes [blank_fixes]; a fix that is written again in the rows after
    it because the receiver is slower than the log, for up to 1.5 s [held_fixes]; and, of what is left, stretches of up
-   to 5 s that the robot can only have reached by a jump [position_jumps]. A jump to where the log then stays is kept
-   as a break [position_breaks]: no segment spans it.
+   to 5 s (2.5 s at an end) that the robot can only have reached by a jump [position_jumps]. A jump to where the log
+   then stays is kept as a break [position_breaks]: no segment spans it.
 5. Voltage and current further from the median of the eleven samples around than six times their spread and a quarter
    (voltage) or once (current) of the run's median are spikes [voltage_spikes, current_spikes]; they and blanks
    [blank_voltage, blank_current] are replaced by straight lines in time.
@@ -312,33 +312,44 @@ def _held(t: FloatArray, x: FloatArray, y: FloatArray, longest_s: float) -> Bool
 def _follow(
     t: FloatArray, x: FloatArray, y: FloatArray, speed: float, slack: float, longest_s: float
 ) -> NDArray[np.int64]:
-    """Per fix: 0 kept, 1 part of a short stretch reached by a jump, 2 first after a break. All (n,)."""
+    """Per fix: 0 kept, 1 part of a stretch reached by a jump, 2 first after a break. All (n,).
+
+    The track is divided wherever a step is impossible. Of all chains of stretches the one that keeps the most seconds
+    wins, where going on from one stretch to another that it cannot reach costs half of `longest_s`.
+    """
     n = t.size
     verdict = np.zeros(n, dtype=np.int64)
-    ends = np.empty(n + 1, dtype=np.int64)
-    pieces = 0
+    starts = np.empty(n + 1, dtype=np.int64)
+    starts[0] = 0
+    pieces = 1
     for k in range(1, n):
         if math.hypot(x[k] - x[k - 1], y[k] - y[k - 1]) > speed * (t[k] - t[k - 1]) + slack:
-            ends[pieces] = k
+            starts[pieces] = k
             pieces += 1
-    ends[pieces] = n
-    last = -1
-    start = 0
-    for p in range(pieces + 1):
-        end = ends[p]
-        short = t[end - 1] - t[start] <= longest_s
-        if last < 0:
-            joined = not (short and pieces > 0)
-        else:
-            far = math.hypot(x[start] - x[last], y[start] - y[last])
-            joined = far <= speed * (t[start] - t[last]) + slack
-        if joined or not short:
-            if not joined:
-                verdict[start] = 2
-            last = end - 1
-        else:
-            verdict[start:end] = 1
-        start = end
+    starts[pieces] = n
+    usual = (t[n - 1] - t[0]) / max(n - 1, 1)
+    value = np.zeros(pieces)
+    before = np.full(pieces, -1, dtype=np.int64)
+    jumped = np.zeros(pieces, dtype=np.bool_)
+    for p in range(pieces):
+        here = starts[p]
+        best = 0.0
+        for q in range(max(p - 300, 0), p):
+            end = starts[q + 1] - 1
+            apart = math.hypot(x[here] - x[end], y[here] - y[end]) > speed * (t[here] - t[end]) + slack
+            worth = value[q] - (0.5 * longest_s if apart else 0.0)
+            if worth > best:
+                best = worth
+                before[p] = q
+                jumped[p] = apart
+        value[p] = best + t[starts[p + 1] - 1] - t[here] + usual
+    verdict[:] = 1
+    p = int(np.argmax(value))
+    while p >= 0:
+        verdict[starts[p] : starts[p + 1]] = 0
+        if jumped[p]:
+            verdict[starts[p]] = 2
+        p = before[p]
     return verdict
 
 

@@ -227,11 +227,12 @@ def _smooth(
     """Local straight lines in time with Gaussian weights, never across pieces: position and velocity, (n,) each."""
     n = t.size
     sx, sy, vx, vy = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
+    reach = 3.0 * sigma_s + 1e-6  # rounding must not take one side's last sample
     for k in range(n):
         w0 = w1 = w2 = x0 = x1 = y0 = y1 = 0.0
         for side in (-1, 1):
             j = k if side == 1 else k - 1
-            while 0 <= j < n and piece[j] == piece[k] and abs(t[j] - t[k]) <= 3.0 * sigma_s:
+            while 0 <= j < n and piece[j] == piece[k] and abs(t[j] - t[k]) <= reach:
                 dt = t[j] - t[k]
                 w = math.exp(-0.5 * (dt / sigma_s) ** 2)
                 w0 += w

@@ -1,0 +1,199 @@
+"""Reading runs: every stated rule on a log made by hand, and what cannot be read is refused with its place."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from model.errors import RunsError
+from model.loop.runs import _longest_increasing, parse_run, read_run
+
+
+def log(n=60, **columns):
+    """A clean log of a robot that drives north at 0.5 m/s, 10 Hz, with columns replaced or added; as rows of texts."""
+    base = {
+        "t": [f"{0.1 * k:.2f}" for k in range(n)],
+        "x": ["10.000"] * n,
+        "y": [f"{0.05 * k:.3f}" for k in range(n)],
+        "voltage": ["28.0"] * n,
+        "current": ["2.0"] * n,
+    }
+    base.update(columns)
+    return {key: list(values) for key, values in base.items() if values is not None}
+
+
+def text(columns):
+    return "\n".join([",".join(columns), *(",".join(row) for row in zip(*columns.values(), strict=True))])
+
+
+def parse(columns, **options):
+    return parse_run(text(columns), name="run.csv", **options)
+
+
+def test_a_clean_run_needs_no_repair(tmp_path):
+    columns = log(terrain=["grass"] * 60, wind_speed=[""] * 60, lidar=["7"] * 60)
+    (tmp_path / "run.csv").write_text("\ufeff" + text(columns) + "\n")  # a byte order mark, as spreadsheets write
+    run = read_run(tmp_path / "run.csv")
+    assert run.repairs == {}
+    assert len(run) == 60
+    np.testing.assert_allclose(run.y, 0.05 * np.arange(60))
+    assert run.extras["lidar"][3] == 7.0
+    assert np.isnan(run.extras["wind_speed"]).all()
+    assert run.texts["terrain"][0] == "grass"
+
+
+def test_repeated_and_backward_stamps_are_dropped():
+    columns = log()
+    for values in columns.values():
+        values.insert(10, values[9])  # a row written twice
+        values.insert(31, values[20])  # a row that comes late
+    columns["t"][31] = "1.95"
+    run = parse(columns)
+    assert run.repairs == {"duplicate_stamps": 1, "backward_stamps": 1}
+    assert (np.diff(run.t) > 0).all()
+    assert len(run) == 60
+
+
+def test_one_stamp_far_ahead_does_not_cost_the_rest_of_the_run():
+    columns = log()
+    columns["t"][20] = "99.0"
+    run = parse(columns)
+    assert run.repairs == {"backward_stamps": 1}
+    assert len(run) == 59
+
+
+def test_a_clock_set_back_is_refused_with_its_row():
+    columns = log()
+    columns["t"][30:] = [f"{0.1 * k:.2f}" for k in range(30)]
+    columns["t"][30:] = [str(float(v) + 0.05) for v in columns["t"][30:]]
+    with pytest.raises(RunsError, match="row 32: the clock was set back"):
+        parse(columns)
+
+
+def test_rows_without_time_and_a_line_that_breaks_off():
+    columns = log()
+    columns["t"][5] = ""
+    run = parse_run(text(columns) + "\n6.0,10.0", name="r")
+    assert run.repairs == {"truncated_rows": 1, "rows_without_time": 1}
+
+
+def test_float_fixes_are_not_used_and_zero_means_not_reported():
+    error = ["0.012"] * 60
+    error[20:24] = ["0.40"] * 4
+    error[40] = "0"
+    run = parse(log(gps_error=error))
+    assert run.repairs == {"bad_fixes": 4}
+    assert np.isnan(run.x[20:24]).all()
+    assert np.isfinite(run.x).sum() == 56
+
+
+def test_a_receiver_of_metres_is_not_refused_altogether():
+    run = parse(log(gps_error=["1.8"] * 60))
+    assert run.repairs == {}
+
+
+def test_a_jump_and_back_is_masked_and_a_jump_for_good_breaks_the_track():
+    columns = log(n=200)
+    columns["x"][50:53] = ["18.0"] * 3
+    assert parse(columns).repairs == {"position_jumps": 3}
+    for k in range(100, 200):
+        columns["x"][k] = "25.0"
+    run = parse(columns)
+    assert run.repairs == {"position_jumps": 3, "position_breaks": 1}
+    assert np.flatnonzero(run.breaks).tolist() == [100]
+    assert np.isfinite(run.x).sum() == 197
+
+
+def test_a_slow_receiver_writes_its_fix_again():
+    columns = log(n=100)
+    columns["y"] = [f"{0.5 * (k // 10):.3f}" for k in range(100)]  # 1 Hz fixes in a 10 Hz log
+    run = parse(columns)
+    assert run.repairs == {"held_fixes": 90}
+    np.testing.assert_allclose(run.y[np.isfinite(run.y)], 0.5 * np.arange(10))
+
+
+def test_spikes_and_blanks_are_bridged():
+    columns = log()
+    columns["voltage"][10] = "280.0"
+    columns["voltage"][20] = ""
+    columns["current"][30] = "20.0"
+    columns["current"][40] = "nan"
+    run = parse(columns)
+    assert run.repairs == {"voltage_spikes": 1, "blank_voltage": 1, "current_spikes": 1, "blank_current": 1}
+    np.testing.assert_allclose(run.voltage_v, 28.0)
+    np.testing.assert_allclose(run.current_a, 2.0)
+
+
+def test_a_climb_is_no_spike():
+    amps = 2.0 + 6.0 * np.exp(-0.5 * ((np.arange(60) - 30) / 4.0) ** 2)
+    run = parse(log(current=[f"{a:.3f}" for a in amps]))
+    np.testing.assert_allclose(run.current_a, amps, atol=1e-3)
+    assert run.repairs == {}
+
+
+def test_motor_currents_are_summed_by_magnitude():
+    run = parse(log(current=None, voltage=None, current_left=["1.5"] * 60, current_right=["-2.5"] * 60))
+    np.testing.assert_allclose(run.current_a, 4.0)
+    assert run.voltage_v is None
+    assert "current_left" not in run.extras
+
+
+def test_discharge_counted_negative_is_turned_round():
+    run = parse(log(current=["-2.0"] * 60))
+    np.testing.assert_allclose(run.current_a, 2.0)
+    assert run.repairs == {"current_sign_flipped": 1}
+
+
+def test_latitude_and_longitude_need_the_maps_crs():
+    # UTM zone 15 north has its central meridian at 93 W (x = 500 km) and scale 0.9996 there; a degree of the
+    # meridian arc around latitude 45 is 111.13 km (WGS 84)
+    lat = [f"{45.0 + 5e-7 * k:.8f}" for k in range(60)]
+    columns = log(x=None, y=None, lat=lat, lon=["-93.0"] * 60)
+    run = parse(columns, crs="EPSG:32615")
+    np.testing.assert_allclose(run.x, 500000.0, atol=1e-3)
+    assert run.y[-1] - run.y[0] == pytest.approx(59 * 5e-7 * 111132 * 0.9996, rel=1e-3)
+    with pytest.raises(RunsError, match="heightmap's CRS"):
+        parse(columns)
+    with pytest.raises(RunsError, match="EPSG:99999"):
+        parse(columns, crs="EPSG:99999")
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (log(t=None), "no column 't'"),
+        (log(x=None), "neither 'x' and 'y' nor 'lat' and 'lon'"),
+        (log(current=None), "neither a column 'current' nor any 'current_"),
+        (log(current=["2.0"] * 7 + ["two"] + ["2.0"] * 52), "column 'current', row 9: 'two' is not a number"),
+        (log(current=[""] * 60), "60 of 60 cells are blank"),
+        (log(n=3), "3 rows are too few"),
+        (log(x=[""] * 60), "no usable position"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_its_place(columns, message):
+    with pytest.raises(RunsError, match=message):
+        parse(columns)
+
+
+def test_broken_tables_are_refused(tmp_path):
+    lines = text(log()).splitlines()
+    lines[3] += ",9"
+    with pytest.raises(RunsError, match="row 4: 6 cells where the header has 5"):
+        parse_run("\n".join(lines), name="r")
+    with pytest.raises(RunsError, match="appears twice"):
+        parse_run("t,x,x\n1,2,3", name="r")
+    with pytest.raises(RunsError, match="empty"):
+        parse_run("", name="r")
+    with pytest.raises(RunsError, match=r"nothing\.csv"):
+        read_run(tmp_path / "nothing.csv")
+
+
+@given(st.lists(st.integers(0, 12), min_size=1, max_size=30))
+def test_longest_increasing_against_the_slow_way(stamps):
+    best = [1] * len(stamps)
+    for k in range(len(stamps)):
+        best[k] = 1 + max((best[j] for j in range(k) if stamps[j] < stamps[k]), default=0)
+    kept = _longest_increasing(np.array(stamps, dtype=float))
+    assert len(kept) == max(best)
+    assert (np.diff(kept) > 0).all()
+    assert (np.diff(np.array(stamps)[kept]) > 0).all()
