@@ -1,0 +1,61 @@
+"""The command `joulemap`: every command's name and place. The commands themselves are in `service.commands`."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from service.commands import maps, models, services
+from service.commands.console import PlainErrors
+
+app = typer.Typer(
+    name="joulemap",
+    cls=PlainErrors,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=(
+        "A first minute: `joulemap demo --exit`. "
+        "On your own map: `joulemap costmap dem.tif --robot robot.toml --out dem.zarr`, then "
+        "`joulemap path dem.zarr --start X,Y --goal X,Y`. "
+        "Exit codes: 0 answered, 2 wrong usage, 3 unusable input, 4 no answer (blocked, no route), 5 not there, "
+        "6 conflict, 7 too large, 8 busy, 1 anything else."
+    ),
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"joulemap {version('joulemap')}")
+        raise typer.Exit
+
+
+@app.callback()
+def joulemap(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Energy planner for ground robots: a heightmap in, a directional cost map, an energy-optimal path and a battery
+    verdict out."""
+
+
+for _panel, _commands in (
+    ("Plan", (maps.costmap, maps.path, maps.feasibility)),
+    ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
+    ("Learn", (models.simulate, models.train, models.evaluate)),
+):
+    for _command in _commands:
+        app.command(rich_help_panel=_panel)(_command)
+
+
+def main() -> None:
+    """Entry point of the distribution."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,246 @@
+"""`joulemap simulate`, `train` and `evaluate`: measured runs, models made from them, and how well they predict."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.commands.console import Answer, JsonFile, progress_bar, write_file
+
+if TYPE_CHECKING:
+    from model.robot import Robot
+
+
+class SiteName(StrEnum):
+    """The simulated sites."""
+
+    GRASS_A = "grass_a"
+    GRASS_B = "grass_b"
+    DIRT = "dirt"
+    RANDOM = "random"
+
+
+class DriveName(StrEnum):
+    """How a simulated site is driven."""
+
+    LAWNMOWER = "lawnmower"
+    WAYPOINTS = "waypoints"
+
+
+def simulate(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for dem.tif, robot.toml and run_NN.csv.")],
+    site: Annotated[
+        SiteName, typer.Option(help="Two grass sites, a dirt site, or one drawn by the seed.")
+    ] = SiteName.GRASS_A,
+    drive: Annotated[
+        DriveName, typer.Option(help="Parallel lines, or from one random point to the next.")
+    ] = DriveName.LAWNMOWER,
+    runs: Annotated[int, typer.Option(min=1, max=99, help="Number of runs.")] = 4,
+    robot: Annotated[
+        Path | None,
+        typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in 4WD rover]"),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 0,
+    json_file: JsonFile = None,
+) -> None:
+    """Simulate **measured runs**: a robot driven over a site, its battery, and a logger at 10 Hz with all its faults.
+
+    The robot's true mass, friction and losses are drawn around what its file declares, as they are in life.
+
+    Example: `joulemap simulate --out field --site dirt --drive waypoints --runs 6`
+    """
+    import numpy as np
+
+    from model.field.drives import drive_along, lawnmower, random_waypoints
+    from model.field.logger import simulate_run
+    from model.field.robot_dynamics import FieldRobot
+    from model.field.sites import named_site, random_site
+    from model.robot import Robot
+    from model.terrain.writers import write_geotiff
+
+    answer = Answer(json_file)
+    rng = np.random.default_rng([seed, 1])
+    place = random_site(np.random.default_rng(seed)) if site is SiteName.RANDOM else named_site(site.value, seed=seed)
+    declared = Robot.from_toml(robot) if robot is not None else Robot()
+    truth = FieldRobot.drawn(declared, rng)
+    out.mkdir(parents=True, exist_ok=True)
+    write_geotiff(out / "dem.tif", place.survey)
+    write_file(out / "robot.toml", _toml(declared).encode())
+    files, metres = [], 0.0
+    west, south, east, north = place.drivable
+    with progress_bar("Driving") as report:
+        for number in range(1, runs + 1):
+            if drive is DriveName.LAWNMOWER:  # each run its own strip of the site, as a day in the field is shared out
+                strip = west + (east - west) * (number - 1) / runs, south, west + (east - west) * number / runs, north
+                points = lawnmower(strip, spacing_m=2.0)
+            else:
+                points = random_waypoints(place.drivable, 20, rng)
+            driven = drive_along(points, speed_mps=declared.speed_mps, rng=rng)
+            log = simulate_run(place, truth, driven, rng=rng, start_s=3600.0 * number)
+            files.append(str(log.write_csv(out / f"run_{number:02d}.csv")))
+            metres += driven.length_m
+            report(number / runs)
+    answer.say(f"[bold]Simulated[/] {runs} runs over {site.value}, {metres:.0f} m in all, written to {out}")
+    answer.document(
+        {
+            "heightmap": str(out / "dem.tif"),
+            "robot": str(out / "robot.toml"),
+            "runs": files,
+            "length_m": metres,
+            "seed": seed,
+        }
+    )
+
+
+def _toml(robot: Robot) -> str:
+    """A robot file. JSON's texts and numbers are TOML's too."""
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in robot.as_dict().items())
+
+
+Heightmap = Annotated[Path | None, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")]
+Runs = Annotated[
+    list[str] | None,
+    typer.Option("--runs", metavar="GLOB", help="Runs (CSV): a file, a folder or a quoted pattern; may be repeated."),
+]
+RobotFile = Annotated[
+    Path | None, typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in rover]")
+]
+
+
+class Architecture(StrEnum):
+    """The networks that can be trained."""
+
+    COMPACT = "compact"
+    RESNET18 = "resnet18"
+
+
+def train(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
+    heightmap: Heightmap = None,
+    runs: Runs = None,
+    robot: RobotFile = None,
+    architecture: Annotated[
+        Architecture, typer.Option(help="`compact` is fast and dense; `resnet18` is the paper's network.")
+    ] = Architecture.COMPACT,
+    start_from: Annotated[
+        str | None,
+        typer.Option(metavar="M", help="Model to fine-tune: `default` or a folder. [default: none, train afresh]"),
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="ResNet18 backbone with torchvision's names (ImageNet's file).")
+    ] = None,
+    patch_size: Annotated[int, typer.Option(min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper.")] = 64,
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over the data, at most.")] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
+    json_file: JsonFile = None,
+) -> None:
+    """Train a **model**: without `--runs` the shipped one anew, with them one for your robot on your ground.
+
+    Examples:
+
+    `joulemap train --out weights` (simulates the shipped network's data and trains on it)
+
+    `joulemap train --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --start-from default --out mine`
+    """
+    answer = Answer(json_file)
+    if heightmap is None and not runs:
+        from service.pretraining import train_default
+
+        with progress_bar("Training the shipped network") as report:
+            trained = train_default(out, seed=seed, progress=report)
+        answer.say(f"[bold]Trained[/] {out}: held-out error {trained['held_out']['mean_relative_error']:.1%}")
+        answer.document({"out": str(out), **trained})
+        return
+    if heightmap is None or not runs:
+        raise typer.BadParameter("--heightmap and --runs go together")
+    from dataclasses import asdict
+
+    from model.robot import Robot
+    from model.terrain.readers import read_heightmap
+    from service.learning import train_on_runs
+
+    with progress_bar("Training") as report:
+        model = train_on_runs(
+            read_heightmap(heightmap),
+            Robot.from_toml(robot) if robot is not None else Robot(),
+            find_runs(runs),
+            out=out,
+            architecture=architecture.value,
+            start_from=_folder_of(start_from),
+            backbone=weights,
+            patch_size=patch_size,
+            epochs=epochs,
+            seed=seed,
+            progress=report,
+        )
+    answer.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
+    answer.table(
+        {
+            "learned from": f"{model.segments} segments of {len(model.runs)} runs",
+            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}",
+        }
+    )
+    answer.document({"out": str(out), **asdict(model)})
+
+
+def evaluate(
+    heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")],
+    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs (CSV), as for `train`.")],
+    model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
+    robot: RobotFile = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Tell how well a **model predicts measured runs**, per 1 m segment and over whole runs.
+
+    Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv'`
+    """
+    from model.robot import Robot
+    from model.terrain.readers import read_heightmap
+    from service.learning import evaluate_on_runs
+    from service.workflows import find_predictor
+
+    answer = Answer(json_file)
+    rover = Robot.from_toml(robot) if robot is not None else Robot()
+    found = evaluate_on_runs(find_predictor(model), read_heightmap(heightmap), rover, find_runs(runs))
+    answer.say(f"[bold]Model {found['model']}[/] on {len(found['route_relative_errors'])} runs: {_errors_words(found)}")
+    answer.table(
+        {
+            "segments": f"{found['segments']} ({found['unknown']} more on unknown ground)",
+            "median error": f"{found['median_relative_error']:.1%} of a segment's energy",
+            "whole runs": f"{found['route_relative_error']:.1%} of a run's energy",
+            "bias": f"{found['bias_j']:+.2f} J per segment (measured - predicted)",
+        }
+    )
+    answer.warn(found["warnings"])
+    answer.document(found)
+
+
+def find_runs(patterns: list[str]) -> list[Path]:
+    """The files that patterns name, sorted within each; a folder means every CSV in it. Raises RunsError for none."""
+    from glob import glob
+
+    from model.errors import RunsError
+
+    files = []
+    for pattern in patterns:
+        inside = f"{pattern}/*.csv" if Path(pattern).is_dir() else pattern
+        found = sorted(Path(name) for name in glob(inside))
+        if not found:
+            raise RunsError(f"no run is called {pattern}", pattern=pattern)
+        files += found
+    return list(dict.fromkeys(files))
+
+
+def _folder_of(name: str | None) -> Path | None:
+    """A model's folder; the shipped one's for "default"."""
+    import model
+
+    return Path(model.__path__[0]) / "weights" if name == "default" else Path(name) if name is not None else None
+
+
+def _errors_words(found: dict[str, Any]) -> str:
+    return f"mean error {found['mean_relative_error']:.1%} per 1 m segment"

@@ -1,0 +1,91 @@
+"""`joulemap serve`, `demo`, `warmup` and `openapi`: the HTTP service and what goes with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+
+
+def serve(
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on; 0.0.0.0 for every one. [default: 127.0.0.1]")
+    ] = None,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen on. [default: 8000]")] = None,
+    data_dir: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of everything that is kept. [default: data]")
+    ] = None,
+) -> None:
+    """Start the **HTTP service** (Ctrl-C stops it). Its description is /openapi.json, its readiness /readyz.
+
+    Everything else is set by the environment, `JOULEMAP_...` (see the README).
+
+    Example: `joulemap serve --host 0.0.0.0 --port 8080 --data-dir /var/lib/joulemap`
+    """
+    import uvicorn
+
+    from service.app import create_app
+    from service.settings import Settings
+
+    given: dict[str, Any] = {"host": host, "port": port, "data_dir": data_dir}
+    settings = Settings(**{key: value for key, value in given.items() if value is not None})
+    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
+
+
+def demo(
+    exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service and end by itself.")] = False,
+    heightmap: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Another heightmap than the sample (any format that says its cell size)."),
+    ] = None,
+    start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m].")] = None,
+    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m].")] = None,
+    model: Annotated[str, typer.Option(metavar="M", help="`default` or `physics`.")] = "default",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; a free one is taken where it is in use.")] = 8000,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the picture and the service's data.")] = Path(
+        "demo"
+    ),
+    json_file: JsonFile = None,
+) -> None:
+    """See it **work in a minute**: a service, a heightmap sent to it, a cost map, a path, a verdict and a picture.
+
+    The service is left running (Ctrl-C stops it) unless `--exit` is given.
+
+    Examples: `joulemap demo --exit`, `joulemap demo --heightmap dem.tif --start 12,40 --goal 180,95`
+    """
+    from service.demo import run_demo
+
+    answer = Answer(json_file)
+    run_demo(answer, heightmap=heightmap, start=start, goal=goal, model=model, port=port, out=out, keep=not exit_after)
+
+
+def warmup(json_file: JsonFile = None) -> None:
+    """Compile every kernel **once and keep it**, so that no request waits for a compiler (part of the installation)."""
+    from service.workflows import warm_up
+
+    answer = Answer(json_file)
+    with progress_bar("Compiling") as _:
+        seconds = warm_up()
+    answer.say(f"ready: kernels and the default model loaded in {seconds:.1f} s")
+    answer.document({"seconds": seconds})
+
+
+def openapi(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="Where to write it; - is standard output.", allow_dash=True)
+    ] = Path("openapi/openapi.json"),
+) -> None:
+    """Write the service's **OpenAPI document**."""
+    import json
+
+    from service.app import openapi_document
+
+    text = json.dumps(openapi_document(), indent=2, ensure_ascii=False) + "\n"
+    if str(out) == "-":
+        typer.echo(text, nl=False)
+    else:
+        write_file(out, text.encode())
+        typer.echo(f"written: {out}")

@@ -1,0 +1,37 @@
+"""Answers in plain words: what a route costs and what it saves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def energy_words(energy_j: float) -> str:
+    """Joules as a person reads them, watt-hours beside once they matter."""
+    if abs(energy_j) < 1000.0:
+        return f"{energy_j:.0f} J"
+    return f"{energy_j / 1000.0:.2f} kJ ({energy_j / 3600.0:.2f} Wh)"
+
+
+def duration_words(seconds: float) -> str:
+    """Seconds as minutes and seconds, or hours and minutes."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def route_words(route: Mapping[str, Any]) -> str:
+    """A route's length, energy and time. route : energy_j, length_m, and duration_s where it is known."""
+    words = f"{route['length_m']:.1f} m, {energy_words(route['energy_j'])}"
+    return f"{words}, {duration_words(route['duration_s'])}" if route.get("duration_s") is not None else words
+
+
+def saving_words(route: Mapping[str, Any], shortest: Mapping[str, Any]) -> str:
+    """What the energy-optimal route gains over the shortest, and by how much it is longer."""
+    saved = shortest["energy_j"] - route["energy_j"]
+    longer = route["length_m"] - shortest["length_m"]
+    if saved < 0.0005 * abs(shortest["energy_j"]):
+        return "nothing: the shortest way is also the cheapest"
+    share = f" ({saved / shortest['energy_j']:.1%})" if shortest["energy_j"] > 0 else ""
+    detour = f", {longer:.1f} m longer" if longer >= 0.05 else ""
+    return f"{energy_words(saved)} less than the shortest{share}{detour}"

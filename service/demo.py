@@ -1,0 +1,263 @@
+"""`joulemap demo`: start the service, ask it everything over HTTP, say the answers in plain words, draw the picture."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import signal
+import socket
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from scipy import ndimage
+
+from model.errors import HeightmapError, InputError, JoulemapError
+from model.terrain.heightmap import Heightmap
+from model.terrain.readers import read_heightmap
+from model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START, sample_terrain
+from model.terrain.writers import write_geotiff
+from planner.lattice import Blocked, CostLattice
+from planner.lattice_io import load_lattice
+from planner.plan import Plan
+from planner.route import price_route
+from service.commands.console import Answer, write_file
+from service.commands.words import energy_words, route_words, saving_words
+from service.pictures import route_picture
+
+READY_WITHIN_S = 180.0
+COSTMAP_WITHIN_S = 300
+CHARGE, RESERVE = 0.5, 0.2  # the battery that the demo asks about: half full, a fifth kept back
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What is sent: the bytes of a file, its name, the same as a value, and where to drive (None: to be chosen)."""
+
+    name: str
+    content: bytes
+    heightmap: Heightmap
+    start: Point | None
+    goal: Point | None
+
+
+def run_demo(
+    answer: Answer,
+    *,
+    heightmap: Path | None,
+    start: Point | None,
+    goal: Point | None,
+    model: str,
+    port: int,
+    out: Path,
+    keep: bool,
+) -> None:
+    """Run the demo; with `keep`, return when the user stops the service. Raises JoulemapError with the service's words."""
+    if (start is None) != (goal is None):
+        raise InputError("give both --start and --goal, or neither")
+    ground = _ground(heightmap, start, goal)
+    picture = out / "joulemap-demo.png"
+    with _service(port, out) as (process, url):
+        answer.say(f"[bold]joulemap[/] is running at {url}")
+        with httpx.Client(base_url=url, timeout=COSTMAP_WITHIN_S + 60.0) as client:
+            told = _ask(answer, client, ground, model, out)
+        write_file(picture, route_picture(ground.heightmap, told.plan, title=f"{ground.name}: cheapest and shortest"))
+        answer.say(f"\n[bold]Picture[/]    {escape(str(picture))}")
+        answer.warn(told.document["costmap"]["warnings"])
+        answer.document({"url": url, "picture": str(picture), **told.document})
+        if keep:
+            answer.say(f"\nThe service goes on at {url} until you press Ctrl-C.")
+            with contextlib.suppress(KeyboardInterrupt):
+                process.wait()
+
+
+@dataclass(frozen=True)
+class _Told:
+    plan: Plan
+    document: dict[str, Any]
+
+
+def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: Path) -> _Told:
+    """Heightmap, cost map, path and verdict over HTTP, each said in words as it comes."""
+    sent = _json(client.post("/v1/heightmaps", params={"name": ground.name}, content=ground.content))
+    width, height = sent["cols"] * sent["resolution_m"], sent["rows"] * sent["resolution_m"]
+    unknown = f", {1.0 - sent['known_share']:.1%} of it unknown" if sent["known_share"] < 1.0 else ""
+    answer.say(
+        f"\n[bold]Heightmap[/]  {escape(sent['name'])}: {width:g} x {height:g} m in cells of {sent['resolution_m']:g} m, "
+        f"{sent['height_min_m']:.1f} to {sent['height_max_m']:.1f} m high{unknown}"
+    )
+
+    began = time.perf_counter()
+    wish = {"heightmap_id": sent["id"], "model": model}
+    costmap = _json(client.post("/v1/costmaps", json=wish, headers={"Prefer": f"wait={COSTMAP_WITHIN_S}"}))
+    if costmap["status"] != "done":
+        raise JoulemapError(f"the cost map is not done after {COSTMAP_WITHIN_S} s, but {costmap['status']}")
+    seconds = time.perf_counter() - began
+    frame, price, blocked = costmap["frame"], costmap["energy_per_m"], costmap["blocked"]
+    reasons = [f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0]
+    answer.say(
+        f"[bold]Cost map[/]   {frame['cols']} x {frame['rows']} cells x {costmap['headings']} headings in {seconds:.1f} s"
+        f" by model {model}; driving costs {price['min']:.0f} to {price['max']:.0f} J/m, {price['mean']:.0f} on average"
+        f"\n           ({', '.join(reasons)})"
+        if price
+        else "[bold]Cost map[/]   nothing of this ground can be driven"
+    )
+
+    lattice = _download(client, costmap["id"], out / "costmap.zarr")
+    start, goal = ground.start, ground.goal
+    if start is None or goal is None:
+        start, goal = free_corners(lattice)
+    ends = {"start": list(start), "goal": list(goal)}
+    path = _json(client.post(f"/v1/costmaps/{costmap['id']}/paths", json=ends))
+    answer.say(
+        f"[bold]Path[/]       from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g})\n"
+        f"           cheapest  {route_words(path)}\n"
+        f"           shortest  {route_words(path['shortest'])}\n"
+        f"           [bold]saved     {saving_words(path, path['shortest'])}[/]"
+    )
+
+    battery = {"charge": CHARGE, "reserve": RESERVE}
+    task = {**ends, "round_trip": True, "battery": battery}
+    verdict = _json(client.post(f"/v1/costmaps/{costmap['id']}/feasibility", json=task))
+    capacity_wh = lattice.robot.battery_wh
+    mark = "[bold green]yes[/]" if verdict["feasible"] else "[bold red]no[/]"
+    left = (
+        f"{verdict['charge_at_end']:.1%} charge left at the end, {energy_words(verdict['margin_j'])} above the reserve"
+        if verdict["feasible"]
+        else f"{energy_words(verdict['shortfall_j'])} are missing"
+    )
+    answer.say(
+        f"[bold]Battery[/]    there and back on a {capacity_wh:g} Wh battery at {CHARGE:.0%}, keeping {RESERVE:.0%}? {mark}\n"
+        f"           {energy_words(verdict['energy_j'])} over {verdict['length_m']:.0f} m; {left}"
+    )
+
+    def priced(points: list[list[float]]) -> Any:
+        return price_route(lattice, np.array(points, dtype=np.float64)[:, :2])
+
+    plan = Plan(priced(path["path"]), priced(path["shortest"]["path"]), path["planner"], path["details"])
+    document = {"heightmap": sent, "costmap": costmap, "path": path, "feasibility": verdict, **ends}
+    return _Told(plan, document)
+
+
+def free_corners(lattice: CostLattice) -> tuple[Point, Point]:
+    """Two places near opposite corners, south-west and north-east, that a route surely joins.
+
+    They lie in the largest piece of ground whose cells may be driven in every heading. Raises HeightmapError where
+    there is no such ground.
+    """
+    free = (lattice.blocked_by_heading() == Blocked.FREE).all(axis=2)
+    pieces, count = ndimage.label(free)
+    if count == 0:
+        raise HeightmapError("no cell of this map can be driven in every direction: give --start and --goal")
+    cells = np.argwhere(pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:]))
+    east, south = cells[:, 1], cells[:, 0]
+    ends = cells[np.argmin(east - south)], cells[np.argmax(east - south)]
+    (x0, y0), (x1, y1) = (lattice.frame.xy(*cell) for cell in ends)
+    return (float(x0), float(y0)), (float(x1), float(y1))
+
+
+def _ground(file: Path | None, start: Point | None, goal: Point | None) -> Ground:
+    if file is not None:
+        known = read_heightmap(file)
+        return Ground(file.name, file.read_bytes(), known, start, goal)
+    sample = sample_terrain()
+    content = write_geotiff(None, sample)
+    assert content is not None
+    return Ground("joulemap sample", content, sample, start or SAMPLE_START, goal or SAMPLE_GOAL)
+
+
+@contextlib.contextmanager
+def _service(port: int, out: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A service of our own on `port` or, where that is taken, a free one; ready when given, ended afterwards."""
+    out.mkdir(parents=True, exist_ok=True)
+    port = _free_port(port)
+    url = f"http://127.0.0.1:{port}"
+    log = out / "service.log"
+    command = [
+        sys.executable,
+        "-m",
+        "service.cli",
+        "serve",
+        "--port",
+        str(port),
+        "--data-dir",
+        str(out / f"data-{port}"),
+    ]
+    before = signal.signal(
+        signal.SIGTERM, lambda *_: sys.exit(143)
+    )  # so that `finally` runs and no service is left over
+    try:
+        with log.open("wb") as sink:
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=sink, stderr=sink, start_new_session=True
+            )
+        try:
+            _await_ready(process, url, log)
+            yield process, url
+        finally:
+            process.terminate()
+            try:
+                process.wait(20.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _await_ready(process: subprocess.Popen[bytes], url: str, log: Path) -> None:
+    deadline = time.monotonic() + READY_WITHIN_S
+    words = "Starting the service (the first time, its kernels are compiled)"
+    with Console(stderr=True).status(words), httpx.Client(base_url=url, timeout=5.0) as client:
+        while time.monotonic() < deadline:
+            if process.poll() is not None:
+                tail = " | ".join(log.read_text(errors="replace").splitlines()[-3:])
+                raise JoulemapError(f"the service ended with {process.returncode}: {tail} (more in {log})")
+            with contextlib.suppress(httpx.TransportError):
+                if client.get("/readyz").status_code == 200:
+                    return
+            time.sleep(0.2)
+    raise JoulemapError(f"the service is not ready after {READY_WITHIN_S:.0f} s: see {log}")
+
+
+def _free_port(wanted: int) -> int:
+    """`wanted`, or one that the system picks where that is 0 or taken."""
+    for port in (wanted, 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise JoulemapError("this machine has no free port")
+
+
+def _download(client: httpx.Client, costmap_id: str, folder: Path) -> CostLattice:
+    """The cost map as zarr, unpacked into `folder`."""
+    answer = client.get(f"/v1/costmaps/{costmap_id}/data", params={"format": "zarr"})
+    if answer.is_error:
+        _json(answer)
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as packed:
+        packed.extractall(folder)
+    return load_lattice(folder)
+
+
+def _json(response: httpx.Response) -> dict[str, Any]:
+    """The body of a good answer. Raises InputError or JoulemapError with the words of a problem."""
+    body: dict[str, Any] = response.json()
+    if response.is_error:
+        kind = InputError if response.status_code < 500 else JoulemapError
+        raise kind(f"the service answered {response.status_code}: {body.get('detail', body)}")
+    return body

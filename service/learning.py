@@ -1,0 +1,139 @@
+"""From measured runs to a model, and from a model to how well it predicts them: what `train` and `evaluate` call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.energy.artifact import Artifact, read_artifact, save_artifact
+from model.energy.examples import RESNET_SIZE, cut_examples
+from model.energy.predictor import Predictor
+from model.energy.resnet import ResNetEnergy, load_backbone
+from model.energy.training import (
+    Network,
+    TrainingOptions,
+    errors,
+    evaluate_segments,
+    predicted_energy,
+    train_network,
+)
+from model.errors import InputError, RunsError
+from model.loop.runs import Run, read_run
+from model.loop.segments import Segments, concatenate, cut_segments
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+MAX_TURN_RAD = 0.25
+"""Segments that turn by more are not learned from: turning is priced apart (`turn_j_per_rad`)."""
+FRESH_RATE, TUNING_RATE, RESNET_RATE = 1e-3, 3e-4, 1e-4  # learning rates; the last is the paper's (section V-A)
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """What a training left. held_out : errors on whole runs that were not trained on; repairs : rule -> count."""
+
+    version: str
+    segments: int
+    runs: list[str]
+    held_out_runs: list[str]
+    held_out: dict[str, Any]
+    epochs: int
+
+
+def read_segments(files: Sequence[Path], robot: Robot, *, crs: str | None) -> tuple[list[Run], Segments]:
+    """Every run, and their 1 m segments in joules.
+
+    Of a run without voltage the energy is its charge times the robot's nominal voltage. Raises RunsError.
+    """
+    if not files:
+        raise RunsError("there is no run to read: no file has such a name")
+    runs = [read_run(file, crs=crs) for file in files]
+    parts = []
+    for run in runs:
+        charge = run.voltage_v is None
+        cut = cut_segments(run, charge=charge)
+        parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if charge else cut)
+    return runs, concatenate(parts)
+
+
+def train_on_runs(
+    heightmap: Heightmap,
+    robot: Robot,
+    files: Sequence[Path],
+    *,
+    out: Path,
+    architecture: str = "compact",
+    start_from: Path | None = None,
+    backbone: Path | None = None,
+    patch_size: int = RESNET_SIZE,
+    epochs: int = 60,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> TrainedModel:
+    """Train on measured runs over a heightmap and write the model's folder `out`.
+
+    start_from : a model's folder to fine-tune; backbone : a ResNet18 file with torchvision's names (resnet18 only);
+    patch_size : rows and columns of a resnet18 patch (256 in the paper). A share of the runs, whole, is held out; the
+    best weights on those are kept. Raises InputError, ModelError, RunsError.
+    """
+    if backbone is not None and (architecture != "resnet18" or start_from is not None):
+        raise InputError("weights for a backbone go with the resnet18 architecture, and not with a model to start from")
+    _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
+    straight = segments.take(np.abs(segments.heading_change_rad) < MAX_TURN_RAD)
+    examples = cut_examples(
+        heightmap, robot, straight.x, straight.y, straight.heading_rad, straight.energy_j,
+        run=straight.run, architecture=architecture, size=patch_size,
+    )  # fmt: skip
+    parent = read_artifact(start_from) if start_from is not None else None
+    start: Network | None = parent.net if parent is not None else None
+    if backbone is not None:
+        start = ResNetEnergy()
+        start.backbone = load_backbone(backbone)
+    fresh_rate = TUNING_RATE if parent is not None else FRESH_RATE
+    options = TrainingOptions(epochs=epochs, learning_rate=RESNET_RATE if architecture == "resnet18" else fresh_rate)
+    result = train_network(
+        examples, architecture=architecture, seed=seed, start_from=start, options=options, progress=progress
+    )
+    held = examples.select(np.isin(examples.run, result.held_out_runs))
+    held_out = errors(predicted_energy(result.net, held), held.energy_j, held.run)
+    names = [segments.runs[k] for k in result.held_out_runs]
+    training = {
+        "data": "measured runs",
+        "data_hash": examples.data_hash,
+        "heightmap": heightmap.data_hash,
+        "robot": robot.as_dict(),
+        "runs": list(segments.runs),
+        "held_out_runs": names,
+        "held_out": held_out,
+        "seed": seed,
+        "epochs": result.epochs,
+        "started_from": str(start_from or backbone or ""),
+    }
+    size = {"size": patch_size} if architecture == "resnet18" else {}
+    version = save_artifact(out, Artifact(result.net, examples.domain(), training=training, **size))
+    return TrainedModel(version, len(examples), list(segments.runs), names, held_out, result.epochs)
+
+
+def evaluate_on_runs(predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path]) -> dict[str, Any]:
+    """Errors of a predictor on measured runs over a heightmap, JSON-able.
+
+    The numbers of `model.energy.training.errors`, with runs named; `unknown`: segments on unknown ground; `repairs`
+    and `left_out`: what was mended in the logs, and what was not made a segment, by rule. Raises RunsError, InputError.
+    """
+    runs, segments = read_segments(files, robot, crs=heightmap.frame.crs)
+    found = evaluate_segments(
+        predictor, heightmap, robot, segments.x, segments.y, segments.heading_rad, segments.energy_j, run=segments.run
+    )
+    by_run = {segments.runs[int(k)]: value for k, value in found.pop("route_relative_errors").items()}
+    return {
+        "model": predictor.name,
+        **found,
+        "route_relative_errors": by_run,
+        "repairs": {run.name: run.repairs for run in runs if run.repairs},
+        "left_out": segments.left_out,
+        "warnings": predictor.warnings(heightmap, robot),
+    }
