@@ -15,7 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from model.errors import InputError
-from model.field.robot_dynamics import FieldRobot, Motion
+from model.field.robot_dynamics import Motion
+from model.field.robots import FieldRobot
 
 FloatArray = NDArray[np.float64]
 

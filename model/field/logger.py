@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from model.field.drives import Drive
 from model.field.electrics import Pack, motor_temperature_c, terminals
-from model.field.robot_dynamics import FieldRobot
+from model.field.robots import FieldRobot
 from model.field.simulation import Trace, simulate_trace
 from model.field.sites import Site
 from model.frames import TAU

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from model.errors import InputError
 from model.field.drives import Drive
 from model.field.electrics import wheel_power_w
-from model.field.robot_dynamics import FieldRobot, Motion, move
+from model.field.robot_dynamics import Motion, move
+from model.field.robots import FieldRobot
 from model.field.sites import Site
 from model.frames import heading_of
 from model.terrain.heightmap import Heightmap

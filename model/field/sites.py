@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from model.errors import NotFoundError
-from model.field.robot_dynamics import Ground
+from model.field.robots import Ground
 from model.frames import GridFrame
 from model.terrain.heightmap import Heightmap
 from model.terrain.landforms import bumps, fractal

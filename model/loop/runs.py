@@ -6,7 +6,7 @@ Rules, in this order (the key in `Run.repairs` in brackets; a key is there only 
 2. Rows without a time are dropped [rows_without_time].
 3. Of the stamps the longest strictly increasing sequence is kept; a row with the stamp of a kept one is dropped as
    repeated [duplicate_stamps], any other as out of order [backward_stamps]. More than a fifth out of order is an error.
-4. Fixes with a gps_error above the larger of 0.1 m and four times its median are not used [bad_fixes]; a gps_error of
+4. Fixes with a gps_error above the larger of 5 cm and four times its median are not used [bad_fixes]; a gps_error of
    exactly 0 means "not reported". Neither are blank fixes [blank_fixes]; a fix that is written again in the rows after
    it because the receiver is slower than the log, for up to 1.5 s [held_fixes]; and, of what is left, stretches of up
    to 5 s (2.5 s at an end) that the robot can only have reached by a jump [position_jumps]. A jump to where the log
@@ -21,8 +21,6 @@ Dropped rows and long blanks leave gaps, which `segments` does not bridge.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,21 +31,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from model.errors import RunsError
+from model.loop.table import LEAST_ROWS, count_repair, read_table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-NUMERIC_COLUMNS = frozenset(
-    {
-        "t", "x", "y", "z", "lat", "lon", "voltage", "current", "speed", "heading", "roll", "pitch", "temperature",
-        "wind_speed", "wind_from", "payload", "motor_temperature", "gps_error",
-    }
-)  # fmt: skip
-"""Columns that must hold numbers; any other column is text as soon as one cell is not a number."""
-
-_LEAST_ROWS = 5
 _LONGEST_JUMP_S = 5.0
-_LEAST_GPS_LIMIT_M = 0.10
+_LEAST_GPS_LIMIT_M = 0.05
 _LONGEST_HOLD_S = 1.5
 
 
@@ -93,7 +83,7 @@ def read_run(path: str | Path, *, crs: str | None = None) -> Run:
 def parse_run(text: str, *, name: str, crs: str | None = None) -> Run:
     """`read_run` of a text already read."""
     repairs: dict[str, int] = {}
-    numbers, texts = _columns(text, name, repairs)
+    numbers, texts = read_table(text, name, repairs)
     if "t" not in numbers:
         raise RunsError(f"run {name}: there is no column 't' (seconds)", run=name, column="t")
     rows = _ordered_rows(numbers["t"], name, repairs)
@@ -110,71 +100,16 @@ def parse_run(text: str, *, name: str, crs: str | None = None) -> Run:
     return Run(name, t, x, y, current, voltage, numbers, texts, breaks, repairs)
 
 
-def _count(repairs: dict[str, int], key: str, count: int) -> None:
-    if count:
-        repairs[key] = repairs.get(key, 0) + int(count)
-
-
-def _columns(
-    text: str, name: str, repairs: dict[str, int]
-) -> tuple[dict[str, FloatArray], dict[str, NDArray[np.str_]]]:
-    """Cells by column: numbers (NaN is blank or 'nan') and texts."""
-    lines = [cells for cells in csv.reader(io.StringIO(text)) if cells]
-    if not lines:
-        raise RunsError(f"run {name}: the file is empty", run=name)
-    header = [cell.strip() for cell in lines[0]]
-    twice = sorted({c for c in header if header.count(c) > 1})
-    if twice:
-        raise RunsError(f"run {name}: column {twice[0]!r} appears twice", run=name, column=twice[0])
-    body = lines[1:]
-    if body and len(body[-1]) < len(header):
-        body.pop()
-        _count(repairs, "truncated_rows", 1)
-    for k, cells in enumerate(body):
-        if len(cells) != len(header):
-            raise RunsError(
-                f"run {name}, row {k + 2}: {len(cells)} cells where the header has {len(header)} columns",
-                run=name,
-                row=k + 2,
-            )
-    if len(body) < _LEAST_ROWS:
-        raise RunsError(f"run {name}: {len(body)} rows are too few, at least {_LEAST_ROWS} are needed", run=name)
-    numbers: dict[str, FloatArray] = {}
-    texts: dict[str, NDArray[np.str_]] = {}
-    for column, entries in zip(header, zip(*body, strict=True), strict=True):
-        try:
-            values = np.array([float(c) if c else math.nan for c in entries])
-            numbers[column] = np.where(np.isfinite(values), values, np.nan)
-        except ValueError:
-            if column in NUMERIC_COLUMNS or column.startswith("current_"):
-                row, cell = _first_text(entries)
-                raise RunsError(
-                    f"run {name}, column {column!r}, row {row}: {cell!r} is not a number",
-                    run=name, column=column, row=row, value=cell,
-                ) from None  # fmt: skip
-            texts[column] = np.array(entries)
-    return numbers, texts
-
-
-def _first_text(cells: tuple[str, ...]) -> tuple[int, str]:
-    for k, cell in enumerate(cells):
-        try:
-            float(cell or "nan")
-        except ValueError:
-            return k + 2, cell
-    raise AssertionError("called only where a cell is no number")
-
-
 def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[np.int64]:
     known = np.flatnonzero(np.isfinite(t))
-    _count(repairs, "rows_without_time", t.size - known.size)
-    if known.size < _LEAST_ROWS:
+    count_repair(repairs, "rows_without_time", t.size - known.size)
+    if known.size < LEAST_ROWS:
         raise RunsError(f"run {name}, column 't': only {known.size} rows have a time", run=name, column="t")
     kept = known[_longest_increasing(t[known])]
     again = int(np.isin(t[np.setdiff1d(known, kept)], t[kept]).sum())
     backward = known.size - kept.size - again
-    _count(repairs, "duplicate_stamps", again)
-    _count(repairs, "backward_stamps", backward)
+    count_repair(repairs, "duplicate_stamps", again)
+    count_repair(repairs, "backward_stamps", backward)
     if backward > 0.2 * known.size:
         row = int(known[np.flatnonzero(np.diff(t[known]) < 0)[0] + 1]) + 2
         raise RunsError(
@@ -194,7 +129,7 @@ def _electric(
         current = numbers.pop("current")
         if np.isfinite(current).any() and np.nanmedian(current) < 0:
             current = -current
-            _count(repairs, "current_sign_flipped", 1)
+            count_repair(repairs, "current_sign_flipped", 1)
     elif parts:
         current = np.sum([np.abs(numbers.pop(key)) for key in parts], axis=0)
     else:
@@ -218,13 +153,13 @@ def _without_spikes(
         raise RunsError(
             f"run {name}, column {key!r}: {int(blank.sum())} of {t.size} cells are blank", run=name, column=key
         )
-    _count(repairs, f"blank_{key}", int(blank.sum()))
+    count_repair(repairs, f"blank_{key}", int(blank.sum()))
     filled = np.interp(t, t[~blank], values[~blank])
     middle = median_filter(filled, 11, mode="nearest")
     away = np.abs(filled - middle)
     spread = 1.4826 * median_filter(away, 11, mode="nearest")
     spikes = away > 6.0 * spread + share * abs(float(np.median(filled)))
-    _count(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
+    count_repair(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
     good = ~(spikes | blank)
     return np.interp(t, t[good], values[good])
 
@@ -256,23 +191,23 @@ def _usable_fixes(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Positions with NaN where a fix is not to be used, and where the track breaks."""
     good = np.isfinite(x) & np.isfinite(y)
-    _count(repairs, "blank_fixes", int((~good).sum()))
+    count_repair(repairs, "blank_fixes", int((~good).sum()))
     if gps_error is not None and (gps_error > 0).any():
         limit = max(_LEAST_GPS_LIMIT_M, 4.0 * float(np.median(gps_error[gps_error > 0])))
         bad = good & (gps_error > limit)
-        _count(repairs, "bad_fixes", int(bad.sum()))
+        count_repair(repairs, "bad_fixes", int(bad.sum()))
         good &= ~bad
     index = np.flatnonzero(good)
     held = _held(t[index], x[index], y[index], _LONGEST_HOLD_S)
-    _count(repairs, "held_fixes", int(held.sum()))
+    count_repair(repairs, "held_fixes", int(held.sum()))
     good[index[held]] = False
     index = index[~held]
     breaks = np.zeros(t.size, dtype=bool)
-    if index.size > _LEAST_ROWS:
+    if index.size > LEAST_ROWS:
         reach = _reach(t[index], x[index], y[index])
         verdict = _follow(t[index], x[index], y[index], *reach, _LONGEST_JUMP_S)
-        _count(repairs, "position_jumps", int((verdict == 1).sum()))
-        _count(repairs, "position_breaks", int((verdict == 2).sum()))
+        count_repair(repairs, "position_jumps", int((verdict == 1).sum()))
+        count_repair(repairs, "position_breaks", int((verdict == 2).sum()))
         good[index[verdict == 1]] = False
         breaks[index[verdict == 2]] = True
     return np.where(good, x, np.nan), np.where(good, y, np.nan), breaks

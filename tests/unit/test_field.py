@@ -9,7 +9,8 @@ import pytest
 from model.errors import InputError, NotFoundError, PointError
 from model.field.drives import Drive, drive_along
 from model.field.electrics import Pack, open_circuit_v, terminals
-from model.field.robot_dynamics import FieldRobot, Ground, move
+from model.field.robot_dynamics import move
+from model.field.robots import FieldRobot, Ground
 from model.field.simulation import simulate_segments, simulate_trace, true_segments
 from model.field.sites import Site, named_site, random_site
 from model.frames import GridFrame

@@ -8,7 +8,7 @@ import pytest
 from model.errors import PointError
 from model.field.drives import STEP_M, drive_along, lawnmower, random_waypoints
 from model.field.logger import COLUMNS, Logger, log_trace, simulate_run
-from model.field.robot_dynamics import FieldRobot
+from model.field.robots import FieldRobot
 from model.field.simulation import simulate_trace
 from model.field.sites import named_site
 from model.robot import Robot

@@ -175,6 +175,14 @@ def test_what_cannot_be_read_is_refused_with_its_place(columns, message):
         parse(columns)
 
 
+def test_quoted_cells_and_empty_lines():
+    columns = log(terrain=['"tall, wet grass"'] * 60)
+    run = parse_run(text(columns).replace("\n", "\r\n\r\n"), name="r")
+    assert len(run) == 60
+    assert run.texts["terrain"][0] == "tall, wet grass"
+    assert len(parse_run(text(log()).replace("\n", "\r\n\n"), name="r")) == 60
+
+
 def test_broken_tables_are_refused(tmp_path):
     lines = text(log()).splitlines()
     lines[3] += ",9"
