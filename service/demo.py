@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import zipfile
 from collections.abc import Iterator
@@ -63,7 +65,7 @@ def run_demo(
     out: Path,
     keep: bool,
 ) -> None:
-    """Run the demo; with `keep`, return when the user stops the service. Raises JoulemapError with the service's words."""
+    """Run the demo; with `keep`, return when the user stops the service. Raises JoulemapError in its words."""
     if (start is None) != (goal is None):
         raise InputError("give both --start and --goal, or neither")
     ground = _ground(heightmap, start, goal)
@@ -91,11 +93,11 @@ class _Told:
 def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: Path) -> _Told:
     """Heightmap, cost map, path and verdict over HTTP, each said in words as it comes."""
     sent = _json(client.post("/v1/heightmaps", params={"name": ground.name}, content=ground.content))
-    width, height = sent["cols"] * sent["resolution_m"], sent["rows"] * sent["resolution_m"]
+    cell = sent["resolution_m"]
     unknown = f", {1.0 - sent['known_share']:.1%} of it unknown" if sent["known_share"] < 1.0 else ""
     answer.say(
-        f"\n[bold]Heightmap[/]  {escape(sent['name'])}: {width:g} x {height:g} m in cells of {sent['resolution_m']:g} m, "
-        f"{sent['height_min_m']:.1f} to {sent['height_max_m']:.1f} m high{unknown}"
+        f"\n[bold]Heightmap[/]  {escape(sent['name'])}: {sent['cols'] * cell:g} x {sent['rows'] * cell:g} m "
+        f"in cells of {cell:g} m, {sent['height_min_m']:.1f} to {sent['height_max_m']:.1f} m high{unknown}"
     )
 
     began = time.perf_counter()
@@ -105,9 +107,10 @@ def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: 
         raise JoulemapError(f"the cost map is not done after {COSTMAP_WITHIN_S} s, but {costmap['status']}")
     seconds = time.perf_counter() - began
     frame, price, blocked = costmap["frame"], costmap["energy_per_m"], costmap["blocked"]
+    size = f"{frame['cols']} x {frame['rows']} cells of {frame['spacing_m']:g} m, {costmap['headings']} headings"
     reasons = [f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0]
     answer.say(
-        f"[bold]Cost map[/]   {frame['cols']} x {frame['rows']} cells x {costmap['headings']} headings in {seconds:.1f} s"
+        f"[bold]Cost map[/]   {size}, made in {seconds:.1f} s"
         f" by model {model}; driving costs {price['min']:.0f} to {price['max']:.0f} J/m, {price['mean']:.0f} on average"
         f"\n           ({', '.join(reasons)})"
         if price
@@ -138,8 +141,8 @@ def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: 
         else f"{energy_words(verdict['shortfall_j'])} are missing"
     )
     answer.say(
-        f"[bold]Battery[/]    there and back on a {capacity_wh:g} Wh battery at {CHARGE:.0%}, keeping {RESERVE:.0%}? {mark}\n"
-        f"           {energy_words(verdict['energy_j'])} over {verdict['length_m']:.0f} m; {left}"
+        f"[bold]Battery[/]    there and back on a {capacity_wh:g} Wh battery at {CHARGE:.0%}, keeping {RESERVE:.0%}? "
+        f"{mark}\n           {energy_words(verdict['energy_j'])} over {verdict['length_m']:.0f} m; {left}"
     )
 
     def priced(points: list[list[float]]) -> Any:
@@ -249,8 +252,10 @@ def _download(client: httpx.Client, costmap_id: str, folder: Path) -> CostLattic
     answer = client.get(f"/v1/costmaps/{costmap_id}/data", params={"format": "zarr"})
     if answer.is_error:
         _json(answer)
-    with zipfile.ZipFile(io.BytesIO(answer.content)) as packed:
-        packed.extractall(folder)
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as packed, tempfile.TemporaryDirectory(dir=folder.parent) as place:
+        packed.extractall(place)
+        shutil.rmtree(folder, ignore_errors=True)
+        next(Path(place).iterdir()).rename(folder)
     return load_lattice(folder)
 
 
