@@ -154,8 +154,8 @@ def install(app: FastAPI) -> None:
 
 def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
     """One finding of pydantic in our words: which field, what is wrong, and the value that was sent."""
-    place = [str(part) for part in error["loc"] if part not in ("body", "query", "path", "header")]
-    field = ".".join(place) or str(error["loc"][0] if error["loc"] else "body")
+    place = [str(part) for part in error["loc"]] or ["body"]
+    field = ".".join(place[1:] or place)  # the first says where: body, query, path, header, or a form field
     message = str(error["msg"]).removeprefix("Value error, ")
     found = {"field": jsonable(field), "message": jsonable(message)}
     if error["type"] != "missing" and "input" in error:

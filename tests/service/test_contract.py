@@ -1,0 +1,108 @@
+"""The OpenAPI document is up to date, and the service keeps to it whatever is sent."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import schemathesis
+from fastapi.testclient import TestClient
+from hypothesis import HealthCheck, Phase, given, settings
+from schemathesis import GenerationMode
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_headers_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+    unsupported_method,
+)
+
+from model.robot import Robot
+from planner.plan import SAMPLING_PLANNERS
+from service.app import create_app, openapi_document
+from service.schemas import RobotIn, RobotOut
+from tests.service.conftest import GOAL, START, settings_for
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "openapi" / "openapi.json"
+CHECKS = [
+    not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance,
+    response_headers_conformance, unsupported_method,
+]  # fmt: skip
+
+
+def test_document_is_up_to_date() -> None:
+    assert json.loads(DOCUMENT.read_text(encoding="utf-8")) == openapi_document(), (
+        "openapi/openapi.json is stale: python -m service.app > openapi/openapi.json"
+    )
+    assert openapi_document()["openapi"].startswith("3.1")
+
+
+def test_every_field_is_described() -> None:
+    """Units stand in descriptions, so none may be missing, but where the name says it all."""
+    plain = {"id", "status", "links", "total", "items", "rows", "cols", "crs", "type", "title", "detail", "code"}
+    plain |= {"name", "version", "planners", "created_at", "heightmap_id", "request_id", "feasible", "hash", "planner"}
+    plain |= {"start", "goal", "path", "profile", "shortest", "warnings", "out", "frame", "blocked", "robot", "free"}
+    for name, schema in openapi_document()["components"]["schemas"].items():
+        for key, value in schema.get("properties", {}).items():
+            assert key in plain or "description" in value or "$ref" in value, f"{name}.{key}"
+
+
+def test_robot_schema_is_the_robot() -> None:
+    names = [f.name for f in fields(Robot)]
+    assert list(RobotIn.model_fields) == names
+    assert list(RobotOut.model_fields) == names
+
+
+def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> None:
+    """Requests generated from the document, about half of them deliberately against it, on a map that exists."""
+    app = create_app(settings_for(tmp_path, max_cells=100_000, max_lattice_values=200_000, queue_size=1000))
+    with TestClient(app) as client:
+        heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
+        asked = {"heightmap_id": heightmap, "model": "physics"}
+        costmap = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}).json()["id"]
+        known = {"costmap_id": costmap, "heightmap_id": heightmap}
+        seen: dict[str, set[int]] = {}
+        for found in schemathesis.openapi.from_asgi("/openapi.json", app).get_all_operations():
+            operation = found.ok()
+            if operation.method == "delete":
+                continue
+            for mode in GenerationMode:
+                run_cases(operation, mode, known, seen.setdefault(f"{operation.method} {operation.path}", set()))
+    assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/paths"]
+    assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/feasibility"]
+    assert {202, 422} <= seen["post /v1/costmaps"]
+    assert {200, 422} <= seen["get /v1/costmaps/{costmap_id}/at"]
+
+
+def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen: set[int]) -> None:
+    @settings(
+        max_examples=20, deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    @given(case=operation.as_strategy(generation_mode=mode))
+    def ask(case: Any) -> None:
+        parameters = case.path_parameters or {}
+        parameters.update({key: value for key, value in known.items() if key in parameters})
+        if isinstance(case.body, dict):
+            point_towards_the_map(case.body, known["heightmap_id"])
+        answer = case.call()
+        case.validate_response(answer, checks=CHECKS)
+        seen.add(answer.status_code)
+
+    ask()
+
+
+def point_towards_the_map(body: dict[str, Any], heightmap_id: str) -> None:
+    """Random places are nearly always outside: put the well-formed ones on the map. Time limits stay short."""
+    if isinstance(body.get("heightmap_id"), str):
+        body["heightmap_id"] = heightmap_id
+    for key, place in (("start", START), ("goal", GOAL)):
+        if isinstance(body.get(key), list) and all(isinstance(v, float | int) for v in body[key]):
+            body[key] = place
+    if isinstance(body.get("time_limit_s"), float | int):
+        body["time_limit_s"] = min(body["time_limit_s"], 0.1)
+    elif body.get("planner") in SAMPLING_PLANNERS and "time_limit_s" not in body:
+        body["time_limit_s"] = 0.1
