@@ -30,7 +30,7 @@ class Blocked(IntEnum):
         return self.name.lower()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CostLattice:
     """A directional cost map for one robot on one heightmap.
 

@@ -20,7 +20,7 @@ HEIGHT_RATES = 9
 """How many rates [J per metre of climb] the bounds of `MoveTable.bound_per_m` are known for."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MoveTable:
     """Energies of all grid moves of a lattice.
 

@@ -21,7 +21,7 @@ SAMPLING_PLANNERS = ("rrtstar", "informed_rrtstar", "bitstar")
 PLANNERS = (*GRID_PLANNERS, *SAMPLING_PLANNERS)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """The answer to one question.
 

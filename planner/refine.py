@@ -18,8 +18,10 @@ from planner.lattice import CostLattice
 
 PAIR_BUDGET = 4_000_000
 """Cells that the legs of one shortcut pass may cross in all; longer paths look less far ahead."""
-LEG_CELLS = (8.0, 2.0)
-"""Longest leg at each level, coarse to fine. Finer and more levels gain under 0.4 % for twice the time."""
+LEG_CELLS = (math.inf, 8.0, 2.0)
+"""Longest leg at each level, coarse to fine: whole legs first, so that a zigzag can change its angle as one."""
+FIRST_STEP = 8.0
+"""Largest shift of a vertex [cells]; a quarter of the leg where that is less."""
 
 
 def refine_path(lattice: CostLattice, points: Points) -> Points:
@@ -34,7 +36,9 @@ def refine_path(lattice: CostLattice, points: Points) -> Points:
     for _ in range(2):
         best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
     for leg in LEG_CELLS:
-        relaxed = _relax(*price_arrays(lattice), lattice.robot.turn_j_per_rad, _subdivide(best, leg), 0.25 * leg)
+        relaxed = _relax(
+            *price_arrays(lattice), lattice.robot.turn_j_per_rad, _subdivide(best, leg), min(FIRST_STEP, 0.25 * leg)
+        )
         best, energy = _cheaper(lattice, best, energy, relaxed)
         best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
     return best

@@ -15,7 +15,7 @@ from planner.lattice import CostLattice
 PROFILE_STEP_M = 1.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Profile:
     """A route cut into pieces of at most a metre (never across a corner). All arrays (n,).
 
@@ -32,7 +32,7 @@ class Profile:
     cumulative_j: NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Route:
     """A path with its price.
 

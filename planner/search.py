@@ -20,7 +20,7 @@ PLANNERS = ("astar", "dijkstra")
 _NONE = -1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class GridSearch:
     """What a search knows when it stops.
 

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import httpx
 import schemathesis
-from fastapi.testclient import TestClient
+import uvicorn
+from fastapi import FastAPI
 from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis.errors import Unsatisfiable
 from schemathesis import GenerationMode
 from schemathesis.checks import not_a_server_error
 from schemathesis.specs.openapi.checks import (
@@ -56,16 +63,32 @@ def test_robot_schema_is_the_robot() -> None:
     assert list(RobotOut.model_fields) == names
 
 
+@contextmanager
+def served(app: FastAPI) -> Iterator[str]:
+    """The app behind a real server in this process; its base URL."""
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive(), "the server did not start"
+        time.sleep(0.02)
+    try:
+        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
+    finally:
+        server.should_exit = True
+        thread.join()
+
+
 def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> None:
     """Requests generated from the document, about half of them deliberately against it, on a map that exists."""
     app = create_app(settings_for(tmp_path, max_cells=100_000, max_lattice_values=200_000, queue_size=1000))
-    with TestClient(app) as client:
-        heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
+    seen: dict[str, set[int]] = {}
+    with served(app) as url:
+        heightmap = httpx.post(f"{url}/v1/heightmaps", content=hill_tif).json()["id"]
         asked = {"heightmap_id": heightmap, "model": "physics"}
-        costmap = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}).json()["id"]
-        known = {"costmap_id": costmap, "heightmap_id": heightmap}
-        seen: dict[str, set[int]] = {}
-        for found in schemathesis.openapi.from_asgi("/openapi.json", app).get_all_operations():
+        made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}, timeout=70)
+        known = {"costmap_id": made.json()["id"], "heightmap_id": heightmap}
+        for found in schemathesis.openapi.from_url(f"{url}/openapi.json").get_all_operations():
             operation = found.ok()
             if operation.method == "delete":
                 continue
@@ -79,7 +102,7 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
 
 def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen: set[int]) -> None:
     @settings(
-        max_examples=20, deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate],
+        max_examples=12, deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate],
         suppress_health_check=list(HealthCheck),
     )  # fmt: skip
     @given(case=operation.as_strategy(generation_mode=mode))
@@ -92,16 +115,24 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
         case.validate_response(answer, checks=CHECKS)
         seen.add(answer.status_code)
 
-    ask()
+    with suppress(Unsatisfiable):  # what takes no input cannot be asked wrongly
+        ask()
 
 
 def point_towards_the_map(body: dict[str, Any], heightmap_id: str) -> None:
     """Random places are nearly always outside: put the well-formed ones on the map. Time limits stay short."""
     if isinstance(body.get("heightmap_id"), str):
         body["heightmap_id"] = heightmap_id
+        if isinstance(body.get("model", ""), str):
+            body["model"] = "physics"
+        if isinstance(body.get("spacing_m"), float | int):
+            body["spacing_m"] = min(body["spacing_m"], 5.0)
     for key, place in (("start", START), ("goal", GOAL)):
         if isinstance(body.get(key), list) and all(isinstance(v, float | int) for v in body[key]):
             body[key] = place
+    if body.get("start") == START and body.get("goal") == GOAL:
+        body.pop("path", None)
+        body.pop("robot", None)
     if isinstance(body.get("time_limit_s"), float | int):
         body["time_limit_s"] = min(body["time_limit_s"], 0.1)
     elif body.get("planner") in SAMPLING_PLANNERS and "time_limit_s" not in body:

@@ -1,0 +1,101 @@
+"""A* = Dijkstra = networkx on random lattices, with turning, regeneration, blocked cells and limits."""
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from model.errors import BlockedError, NegativeCycleError, NoRouteError
+from planner.edges import path_price
+from planner.graph import lattice_graph
+from planner.moves import move_table
+from planner.refine import refine_path
+from planner.search import grid_search
+from tests.reference.lattices import random_lattice
+
+
+def states_graph(lattice, neighbours):
+    """(cell, heading of arrival) states: the slow reference for turning."""
+    graph = lattice_graph(lattice, neighbours=neighbours)
+    out = nx.DiGraph()
+    for a, b, data in graph.edges(data=True):
+        heading = np.arctan2(b[1] - a[1], a[0] - b[0])
+        for c in graph.predecessors(a):
+            before = np.arctan2(a[1] - c[1], c[0] - a[0])
+            turn = abs(np.angle(np.exp(1j * (heading - before))))
+            energy = data["energy_j"] + turn * lattice.robot.turn_j_per_rad
+            out.add_edge((c, a), (a, b), energy_j=energy)
+        out.add_edge(("from", a), (a, b), energy_j=data["energy_j"])
+        out.add_edge((a, b), ("to", b), energy_j=0.0)
+    return out
+
+
+@settings(max_examples=120, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10**6),
+    neighbours=st.sampled_from([8, 16, 32]),
+    regeneration=st.sampled_from([0.0, 0.0, 0.5]),
+    turn=st.sampled_from([0.0, 0.0, 30.0]),
+    limit=st.sampled_from([12.0, 30.0]),
+    idle=st.sampled_from([0.0, 12.0]),
+)
+def test_astar_equals_dijkstra_equals_networkx(seed, neighbours, regeneration, turn, limit, idle):
+    rng = np.random.default_rng(seed)
+    lattice = random_lattice(
+        rng, 9, 11, regeneration=regeneration, turn_j_per_rad=turn, max_grade_deg=limit, idle_power_w=idle
+    )
+    start, goal = rng.integers(0, [9, 11]), rng.integers(0, [9, 11])
+    lattice.blocked[tuple(start)] = lattice.blocked[tuple(goal)] = 0
+    table = move_table(lattice, neighbours=neighbours)
+    reference = states_graph(lattice, neighbours) if turn else lattice_graph(lattice, neighbours=neighbours)
+    a, b = tuple(start.tolist()), tuple(goal.tolist())
+    ends = (("from", a), ("to", b)) if turn else (a, b)
+    try:
+        found = grid_search(lattice, table, start.astype(float), goal.astype(float))
+    except NegativeCycleError:
+        assert regeneration > 0.0
+        return
+    except NoRouteError:
+        assert not all(reference.has_node(e) for e in ends) or not nx.has_path(reference, *ends)
+        return
+    slow = 0.0 if a == b else nx.bellman_ford_path_length(reference, *ends, weight="energy_j")
+    assert found.energy_to_goal_j == pytest.approx(slow, rel=1e-6, abs=1e-4)
+    other = grid_search(lattice, table, start.astype(float), goal.astype(float), planner="dijkstra")
+    assert other.energy_to_goal_j == pytest.approx(found.energy_to_goal_j, rel=1e-9, abs=1e-6)
+    assert found.expanded <= other.expanded + 4 * (len(table.offsets) if turn else 1)
+    assert path_price(lattice, found.points) == pytest.approx(found.energy_to_goal_j, rel=1e-6, abs=1e-3)
+    refined = refine_path(lattice, found.points)
+    assert path_price(lattice, refined) <= path_price(lattice, found.points) + 1e-9
+    np.testing.assert_array_equal(refined[[0, -1]], found.points[[0, -1]])
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10**6), turn=st.sampled_from([0.0, 50.0]))
+def test_any_start_and_goal_inside_the_map_are_priced_as_they_are_claimed(seed, turn):
+    rng = np.random.default_rng(seed)
+    lattice = random_lattice(rng, 12, 12, turn_j_per_rad=turn)
+    table = move_table(lattice, neighbours=16)
+    start, goal = rng.uniform(-0.5, 11.5, 2), rng.uniform(-0.5, 11.5, 2)
+    try:
+        found = grid_search(lattice, table, start, goal)
+    except (NoRouteError, BlockedError):
+        return
+    np.testing.assert_allclose(found.points[[0, -1]], [start, goal])
+    assert path_price(lattice, found.points) == pytest.approx(found.energy_to_goal_j, rel=1e-6)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10**6))
+def test_the_one_to_all_field_is_the_search_to_every_cell(seed):
+    rng = np.random.default_rng(seed)
+    lattice = random_lattice(rng, 8, 8)
+    lattice.blocked[0, 0] = 0
+    table = move_table(lattice, neighbours=16)
+    field = grid_search(lattice, table, np.zeros(2), None).energy_j
+    lengths = nx.single_source_dijkstra_path_length(lattice_graph(lattice, neighbours=16), (0, 0), weight="energy_j")
+    for cell in np.ndindex(8, 8):
+        if cell in lengths:
+            assert field[cell] == pytest.approx(lengths[cell], rel=1e-6, abs=1e-4)
+        else:
+            assert np.isinf(field[cell])

@@ -1,0 +1,1 @@
+"""Slow, obvious yardsticks for the tests."""
