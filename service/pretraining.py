@@ -6,12 +6,23 @@ The only module that joins the simulated field (which knows no model) to the mod
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
+import numba
 import numpy as np
+from numpy.typing import ArrayLike
 
+from model.energy.artifact import Artifact, save_artifact
 from model.energy.examples import Examples, concatenate, cut_examples
+from model.energy.physics import eq5_traction_per_m, fit_rolling_resistance
+from model.energy.training import TrainingOptions, errors, predicted_energy, train_network
 from model.errors import InputError
 from model.field.drives import drive_along, random_waypoints
 from model.field.robot_dynamics import FieldRobot, Ground
@@ -27,33 +38,125 @@ MAX_TURN_RAD = 0.25
 """Segments that turn by more are left out: turning is priced apart (`turn_j_per_rad`)."""
 MU_RANGE = (0.03, 0.25)
 """Declared rolling resistances that are learned."""
+MAX_SLOPE_DEG = 30.0
+"""Slopes of the sites reach up to this."""
 _SITE_M = 30.0
 _SMOOTH_SHARE = 0.2
 _DECLARED_SPREAD = 0.08  # how well an owner knows the rolling resistance (standard deviation of its logarithm)
 
 
+PRETRAINING = TrainingOptions(epochs=12, patience=12, batch=512, learning_rate=2e-3)
+DEFAULT_SITES = 1400
+WORKERS = 2
+_ASIDE = 0.08  # of the sites to stop by, and as many again to report errors on
+
+
+def train_default(
+    out: str | Path,
+    *,
+    seed: int = 0,
+    sites: int = DEFAULT_SITES,
+    options: TrainingOptions = PRETRAINING,
+    command: str = "joulemap train --out DIR",
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Simulate `sites` sites, train the compact network on them and write its folder `out`.
+
+    Returns what its config.json says of the training, JSON-able, with `version`. `held_out` are the errors on sites and
+    robots that neither training nor stopping saw, on segments without regeneration; `baselines` those of eq. 5 on the
+    same segments, with the declared rolling resistance and with the one fitted to each very run (which no one could
+    have known before driving it). The same seed gives the same weights.
+    """
+    report = progress or (lambda _: None)
+    examples = make_pretraining_set(sites=sites, seed=seed, workers=WORKERS, progress=lambda p: report(0.4 * p))
+    site = examples.run // ROBOTS_PER_SITE
+    order = np.random.default_rng([seed, sites]).permutation(np.unique(site))
+    count = max(1, round(_ASIDE * order.size))
+    test = np.isin(site, order[:count])
+    stop = np.unique(examples.run[np.isin(site, order[count : 2 * count])])
+    result = train_network(
+        examples.select(~test), seed=seed, held_out_runs=stop.tolist(), options=options,
+        progress=lambda p: report(0.4 + 0.6 * p),
+    )  # fmt: skip
+    judged = examples.select(test & (examples.regeneration == 0.0))
+    training: dict[str, Any] = {
+        "data": "simulated sites and robots (service.pretraining)",
+        "command": command,
+        "seed": seed,
+        "sites": sites,
+        "robots": sites * ROBOTS_PER_SITE,
+        "segments": len(examples),
+        "data_hash": examples.data_hash,
+        "options": asdict(options),
+        "epochs": result.epochs,
+        "held_out_sites": count,
+        "held_out": _summary(predicted_energy(result.net, judged), judged),
+        "baselines": baselines(judged),
+    }
+    domain = replace(examples.domain(), max_slope_deg=MAX_SLOPE_DEG)
+    version = save_artifact(out, Artifact(result.net, domain, training=training))
+    return {**training, "version": version}
+
+
+def baselines(examples: Examples) -> dict[str, dict[str, Any]]:
+    """Errors of eq. 5 with the declared rolling resistance, and with the one that fits each run best."""
+    fitted = examples.rolling_resistance.astype(np.float64)
+    for run in np.unique(examples.run):
+        mine = examples.run == run
+        traction = (examples.energy_j - examples.hotel_per_m)[mine]
+        driven = traction > 0.0  # braking says nothing of the resistance
+        weight = float(examples.weight_n[mine][0])
+        fitted[mine] = fit_rolling_resistance(traction[driven], examples.tan_grade[mine][driven], weight_n=weight)
+    found = {}
+    for name, mu in (("physics_declared", examples.rolling_resistance), ("physics_fitted_to_each_run", fitted)):
+        traction = eq5_traction_per_m(examples.weight_n, mu, examples.tan_grade)
+        found[name] = _summary(examples.hotel_per_m + np.maximum(traction, 0.0), examples)
+    return found
+
+
+def _summary(energy_j: ArrayLike, examples: Examples) -> dict[str, Any]:
+    """`errors` without the list of every run."""
+    found = errors(energy_j, examples.energy_j, examples.run)
+    del found["route_relative_errors"]
+    return {key: value if isinstance(value, int) else round(value, 5) for key, value in found.items()}
+
+
 def make_pretraining_set(
-    *, sites: int, seed: int, progress: Callable[[float], None] | None = None, first_site: int = 0
+    *, sites: int, seed: int, workers: int = 1, progress: Callable[[float], None] | None = None
 ) -> Examples:
     """Segments of `ROBOTS_PER_SITE` robots on each of `sites` random sites, squares cut from the surveyed heightmap.
 
     `run` is site * ROBOTS_PER_SITE + robot. Every site has its own generator (seed, site number), so that a set is the
-    same in whatever order or portion it is made. A declared rolling resistance is what the robot draws on smooth level
+    same with any number of `workers` (processes). A declared rolling resistance is what the robot draws on smooth level
     ground over its weight (eq. 5 at the battery, as the paper fits it), known to about 8 %. Raises InputError for less
     than one site.
     """
     if sites < 1:
         raise InputError(f"at least one site is needed, got {sites}", sites=sites)
+    make = partial(_one_site, seed)
     parts = []
-    for number in range(first_site, first_site + sites):
-        rng = np.random.default_rng([seed, number])
-        site = smooth_site(rng) if rng.random() < _SMOOTH_SHARE else random_site(rng)
-        level = level_ground(site.ground, rng)
-        for k in range(ROBOTS_PER_SITE):
-            parts.append(_drive_once(site, level, rng, run=number * ROBOTS_PER_SITE + k))
-        if progress is not None:
-            progress((number - first_site + 1) / sites)
+    with ExitStack() as stack:
+        if workers > 1:  # spawned, because threads of numba and torch do not survive a fork
+            pool = ProcessPoolExecutor(
+                workers, mp_context=get_context("spawn"), initializer=numba.set_num_threads, initargs=(1,)
+            )
+            made: Iterable[Examples] = stack.enter_context(pool).map(make, range(sites), chunksize=4)
+        else:
+            made = map(make, range(sites))
+        for number, part in enumerate(made, start=1):
+            parts.append(part)
+            if progress is not None:
+                progress(number / sites)
     return concatenate(parts)
+
+
+def _one_site(seed: int, number: int) -> Examples:
+    rng = np.random.default_rng([seed, number])
+    site = smooth_site(rng) if rng.random() < _SMOOTH_SHARE else random_site(rng, max_slope_deg=MAX_SLOPE_DEG)
+    level = level_ground(site.ground, rng)
+    return concatenate(
+        [_drive_once(site, level, rng, run=number * ROBOTS_PER_SITE + k) for k in range(ROBOTS_PER_SITE)]
+    )
 
 
 def random_robot(rng: np.random.Generator) -> Robot:
@@ -95,7 +198,7 @@ def rolling_resistance_on(level: Site, ground: Ground, robot: FieldRobot) -> flo
 
 def smooth_site(rng: np.random.Generator) -> Site:
     """A road, a lawn or a slab: slopes as anywhere, hardly any roughness. `random_site` draws none so smooth."""
-    slope = 30.0 * float(rng.uniform(0.0, 1.0))
+    slope = MAX_SLOPE_DEG * float(rng.uniform(0.0, 1.0))
     hills = TerrainRecipe(
         max_slope_deg=slope,
         tilt_deg=slope * float(rng.uniform(0.3, 1.0)),

@@ -122,11 +122,14 @@ def cut_examples(
     def same(value: float) -> NDArray[np.float32]:
         return np.full(n, value, dtype=np.float32)
 
+    def kept(values: FloatArray) -> NDArray[np.float32]:
+        return values[known].astype(np.float32)
+
     return Examples(
         inputs[known],
         np.tile(robot_features(robot, heightmap.resolution_m), (n, 1)),
-        heading[known], grade[known], same(robot.weight_n), same(robot.rolling_resistance), same(robot.hotel_per_m),
-        same(robot.regeneration), same(robot.nominal_voltage_v), energy[known], runs[known],
+        kept(heading), kept(grade), same(robot.weight_n), same(robot.rolling_resistance), same(robot.hotel_per_m),
+        same(robot.regeneration), same(robot.nominal_voltage_v), kept(energy), runs[known],
     )  # fmt: skip
 
 

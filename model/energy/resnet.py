@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -115,7 +116,9 @@ def load_backbone(path: str | Path) -> ResNet18Backbone:
         kept = {key: value for key, value in state.items() if not key.startswith("fc.")}
         backbone = ResNet18Backbone()
         backbone.load_state_dict(kept, strict=True)
-    except (RuntimeError, SafetensorError, OSError, AttributeError, TypeError, EOFError, ValueError) as error:
+    except (
+        RuntimeError, SafetensorError, UnpicklingError, OSError, AttributeError, TypeError, EOFError, ValueError,
+    ) as error:  # fmt: skip
         raise ModelError(
             f"{path} does not hold a ResNet18 with torchvision's names: {error}", path=str(path)
         ) from error

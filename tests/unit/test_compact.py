@@ -1,0 +1,161 @@
+"""The compact network: one answer in two ways, symmetric where it must be, and equation 5 until it is trained."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from model.energy.compact import PIXEL_M, SQUARE, CompactNet, heading_basis, robot_features, slopes_of_squares
+from model.energy.dense import REACH_M, CompactPredictor, slope_raster
+from model.energy.domain import Domain
+from model.energy.physics import PhysicsPredictor
+from model.frames import GridFrame, heading_bins
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from model.terrain.patches import cut_squares
+
+ROBOT = Robot()
+DOMAIN = Domain({"mass_kg": (15.0, 120.0)}, (0.05, 1.0), 30.0)
+
+
+def some_net(seed: int = 0) -> CompactNet:
+    torch.manual_seed(seed)
+    net = CompactNet()
+    for layer in (net.series, net.film, net.gains):
+        torch.nn.init.normal_(layer.weight, std=0.1)
+    features = robot_features(ROBOT, 0.2)
+    net.set_feature_ranges(features - 1.0, features + 1.0)
+    return net
+
+
+def predictor(net: CompactNet | None = None) -> CompactPredictor:
+    return CompactPredictor(net or some_net(), DOMAIN, {"kind": "compact"}, name="some")
+
+
+def rough(resolution_m: float, *, side_m: float = 14.0, seed: int = 0, height_m: float = 300.0) -> Heightmap:
+    cells = round(side_m / resolution_m)
+    frame = GridFrame(40.0, 90.0, resolution_m, cells, cells)
+    heights = height_m + 0.06 * np.random.default_rng(seed).standard_normal(frame.shape)
+    return Heightmap(heights.astype(np.float32), frame)
+
+
+def one_by_one(model: CompactPredictor, heightmap: Heightmap, frame: GridFrame, headings: np.ndarray) -> np.ndarray:
+    x, y = frame.centres()
+    places = np.broadcast_arrays(x[None, :, None], y[:, None, None], headings)
+    return model.segment_traction(heightmap, ROBOT, *(p.ravel() for p in places)).reshape(places[0].shape)
+
+
+def test_small_enough_to_ship():
+    count = sum(p.numel() for p in CompactNet().parameters())
+    assert 100_000 < count < 300_000
+
+
+@pytest.mark.parametrize("resolution_m", [0.05, 0.1, 0.25, 1.0])
+@pytest.mark.parametrize("spacing_m", [1.0, 0.5, 1 / 3, 0.7, 2.0])
+def test_dense_passes_and_single_squares_agree(resolution_m, spacing_m):
+    heightmap = rough(resolution_m)
+    frame = heightmap.frame.respaced(spacing_m)
+    headings = heading_bins(6)
+    model = predictor()
+    lattice = model.traction_per_m(heightmap, ROBOT, frame, headings)
+    np.testing.assert_allclose(lattice, one_by_one(model, heightmap, frame, headings), rtol=1e-5, atol=2e-4)
+    assert np.isfinite(lattice[1:-1, 1:-1]).all()
+
+
+def test_a_window_is_a_part_of_the_whole():
+    heightmap = rough(0.2)
+    frame = heightmap.frame.respaced(1.0)
+    model = predictor()
+    whole = model.traction_per_m(heightmap, ROBOT, frame, heading_bins(8))
+    part = model.traction_per_m(heightmap, ROBOT, frame.window(2, 9, 5, 6), heading_bins(8))
+    np.testing.assert_allclose(part, whole[2:9, 5:6], rtol=1e-5, atol=1e-4)
+
+
+def test_the_raster_is_made_of_the_squares_slopes():
+    heightmap = rough(0.1, height_m=0.0)
+    frame = heightmap.frame.respaced(1.0)
+    x, y = frame.centres()
+    raster = slope_raster(heightmap, x, y)
+    assert raster.shape == (8 * y.size + 8, 8 * x.size + 8, 3)
+    for i, j in ((0, 0), (3, 5), (y.size - 1, 0)):
+        square = cut_squares(heightmap, x[j], y[i], size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M)
+        slopes = slopes_of_squares(torch.from_numpy(square))[0].permute(1, 2, 0).numpy()
+        np.testing.assert_allclose(raster[8 * i : 8 * i + 16, 8 * j : 8 * j + 16], slopes, atol=2e-5)
+
+
+def test_slopes_of_a_plane():
+    x, y = np.meshgrid((np.arange(SQUARE) - 8) * PIXEL_M, (8 - np.arange(SQUARE)) * PIXEL_M)
+    square = torch.from_numpy((0.3 * x - 0.2 * y).astype(np.float32))[None]
+    east, north, twist = slopes_of_squares(square)[0].numpy()
+    np.testing.assert_allclose(east, 0.3, atol=1e-6)
+    np.testing.assert_allclose(north, -0.2, atol=1e-6)
+    np.testing.assert_allclose(twist, 0.0, atol=1e-6)
+
+
+def test_height_above_the_sea_does_not_matter():
+    # heights that float32 holds exactly, so that the shift by 512 m loses nothing
+    frame = GridFrame(0.0, 12.0, 0.25, 48, 48)
+    heights = np.random.default_rng(1).integers(-64, 64, frame.shape) / 1024.0
+    low, high = (Heightmap((heights + shift).astype(np.float32), frame) for shift in (0.0, 512.0))
+    model = predictor()
+    cells, headings = frame.respaced(1.0), heading_bins(5)
+    answers = [model.traction_per_m(h, ROBOT, cells, headings) for h in (low, high)]
+    np.testing.assert_array_equal(*answers)
+
+
+def test_untrained_it_is_equation_5():
+    heightmap = rough(0.25)
+    frame = heightmap.frame.respaced(1.0)
+    headings = heading_bins(16)
+    answer = predictor(CompactNet()).traction_per_m(heightmap, ROBOT, frame, headings)
+    expected = PhysicsPredictor().traction_per_m(heightmap, ROBOT, frame, headings)
+    np.testing.assert_allclose(answer, expected, rtol=1e-5, atol=1e-3)
+
+
+def test_headings_between_the_bins_come_from_the_series():
+    heightmap = rough(0.1)
+    x, y = 47.0, 83.0
+    model = predictor(some_net(3))
+    physics = PhysicsPredictor()
+    bins = heading_bins(9)  # 2 * 4 + 1 values determine a series of order 4
+    known = model.net.read_robot(torch.from_numpy(robot_features(ROBOT, 0.1))[None])[1][0].detach().numpy()
+
+    def learned(h):
+        grade = physics.segment_traction(heightmap, ROBOT, x, y, h) / ROBOT.weight_n - ROBOT.rolling_resistance
+        whole = model.segment_traction(heightmap, ROBOT, x, y, h) / ROBOT.weight_n
+        return whole - known[0] * ROBOT.rolling_resistance - known[1] * grade
+
+    coefficients = np.linalg.solve(heading_basis(bins, 4).astype(float), learned(bins))
+    between = np.array([0.3, 2.0, 5.5])
+    np.testing.assert_allclose(learned(between), heading_basis(between, 4) @ coefficients, atol=1e-5)
+
+
+def test_unknown_within_reach_is_unknown_and_no_further():
+    clean = rough(0.25)
+    heights = clean.heights.copy()
+    heights[25, 29] = math.nan  # x = 47.375, y = 83.625
+    holed = Heightmap(heights, clean.frame)
+    cells = clean.frame.respaced(1.0)
+    model = predictor()
+    before = model.traction_per_m(clean, ROBOT, cells, heading_bins(4))
+    after = model.traction_per_m(holed, ROBOT, cells, heading_bins(4))
+    unknown = np.isnan(after)
+    assert (unknown.all(axis=2) == unknown.any(axis=2)).all()
+    x, y = cells.centres()
+    near = (np.abs(y - 83.625) < REACH_M + 0.25)[:, None] & (np.abs(x - 47.375) < REACH_M + 0.25)[None, :]
+    assert (unknown[..., 0] == near).all()
+    np.testing.assert_allclose(after[~near], before[~near], rtol=1e-5, atol=1e-4)
+
+
+def test_a_robot_beyond_the_learned_ranges_is_told_and_answered_like_the_nearest():
+    model = predictor()
+    heightmap = rough(0.2)
+    heavy = Robot(mass_kg=300.0)
+    assert model.warnings(heightmap, heavy) == ["mass_kg = 300 is outside the 15..120 the network learned"]
+    assert model.warnings(heightmap, Robot()) == []
+    features = torch.from_numpy(robot_features(ROBOT, 0.2))[None]
+    low, high = model.net.feature_low, model.net.feature_high
+    far = model.net.read_robot(features + 100.0)[1]
+    assert torch.equal(far, model.net.read_robot(high[None])[1])
+    assert not torch.equal(far, model.net.read_robot(low[None])[1])
