@@ -6,6 +6,8 @@ import io
 import lzma
 import math
 import re
+import struct
+import tokenize
 import zipfile
 import zlib
 from typing import IO
@@ -51,7 +53,8 @@ def decode_npz(stream: IO[bytes], scaling: Scaling, max_cells: int) -> Decoded:
                     with archive.open(members[key]) as member:
                         scalars[key] = _read_scalar(member, key)
     except (
-        zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, NotImplementedError, RuntimeError, KeyError
+        zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError, NotImplementedError,
+        RuntimeError, KeyError, ValueError,
     ) as error:  # fmt: skip
         raise HeightmapError(f"the .npz file is truncated or corrupt: {error}") from error
     return Decoded(
@@ -88,7 +91,7 @@ def _read_header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, n
     parse = npy_format.read_array_header_1_0 if magic[6] == 1 else npy_format.read_array_header_2_0
     try:
         shape, fortran, dtype = parse(io.BytesIO(size_bytes + header))
-    except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError) as error:
+    except (ValueError, TypeError, SyntaxError, tokenize.TokenError, RecursionError, MemoryError) as error:
         raise HeightmapError(f"{what} is truncated or corrupt: its header cannot be read") from error
     return shape, fortran, dtype, 8 + width + size
 

@@ -58,6 +58,8 @@ class Scaling:
         band_scale, band_offset : the file's own scaling, applied first. Raises HeightmapError on an undeclared
         no-data value and on heights beyond HEIGHT_LIMIT_M.
         """
+        if not (math.isfinite(band_scale) and band_scale != 0.0 and math.isfinite(band_offset)):
+            raise HeightmapError(f"the file scales its heights by {band_scale} and {band_offset}: it is corrupt")
         unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, dtype=bool)
         if known is not None:
             unknown |= ~known
@@ -75,8 +77,9 @@ class Scaling:
         if values.dtype == np.float32 and scale == 1.0 and offset == 0.0:
             metres = values.copy()
         else:
-            metres = np.multiply(values, scale, dtype=np.float64)
-            metres += offset
+            with np.errstate(invalid="ignore", over="ignore"):  # what overflows is refused below
+                metres = np.multiply(values, scale, dtype=np.float64)
+                metres += offset
         metres[unknown] = np.nan
         too_far = np.abs(metres) > HEIGHT_LIMIT_M
         if too_far.any():

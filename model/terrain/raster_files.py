@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
@@ -31,6 +33,7 @@ _ENV = {
     "PROJ_NETWORK": "OFF",
     "GDAL_CACHEMAX": 256,
 }
+_CRS_TEXT = re.compile(r"\s*(?:[A-Za-z]+:\d{1,9}\s*$|[A-Za-z_]+\[)")
 _FOOT_UNITS = ("ft", "foot", "feet", "us survey foot", "us-ft", "ftus")
 
 
@@ -47,7 +50,7 @@ def _opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
             else:
                 with rasterio.open(str(source), driver=driver) as dataset:
                     yield dataset
-        except (RasterioError, OSError) as error:
+        except (RasterioError, CPLE_BaseError, UnicodeDecodeError, OSError) as error:
             raise HeightmapError(f"the {name} is truncated or corrupt: {error.__cause__ or error}") from error
 
 
@@ -124,13 +127,20 @@ def decode_geotiff(source: Path | bytes, scaling: Scaling, max_cells: int, *, ba
 
 
 def crs_name(crs: CRS | str) -> str:
-    """ "EPSG:n" where the CRS has such a code, else its WKT. Raises HeightmapError unless it is in metres."""
+    """The CRS as "EPSG:n" where it has such a code, else as WKT; a text may be either.
+
+    Raises HeightmapError unless it is a plane in metres.
+    """
     try:
-        crs = CRS.from_user_input(crs)
-        code, wkt = crs.to_epsg(), crs.to_wkt()
-    except CRSError as error:
+        with rasterio.Env(**_ENV):
+            if isinstance(crs, str):
+                if not _CRS_TEXT.match(crs):  # GDAL would also take file names and addresses
+                    raise ValueError(crs)
+                crs = CRS.from_string(crs)
+            code, wkt = crs.to_epsg(), crs.to_wkt()
+    except (CRSError, CPLE_BaseError, ValueError, OverflowError) as error:
         raise HeightmapError(
-            f"the coordinate reference system {str(crs)[:80]!r} is not known", crs=str(crs)[:80]
+            f"the coordinate reference system {str(crs)[:80]!r} is not known: give EPSG:n or its WKT", crs=str(crs)[:80]
         ) from error
     name = f"EPSG:{code}" if code else wkt
     if crs.is_geographic:

@@ -57,8 +57,8 @@ def read_heightmap(
 
     filename : the name of `source` where it is bytes. resolution_m : side of a cell [m], required where the file does
     not say and refused where it contradicts the file by more than 0.1 %. west_m, north_m : outer corner [m], used where
-    the file does not say; north_m defaults to the value that puts the south-west corner at y = 0. crs : likewise, any
-    name PROJ knows. scale_m, offset_m : height = stored value * scale_m + offset_m; PNG needs scale_m. nodata : stored
+    the file does not say; north_m defaults to the value that puts the south-west corner at y = 0. crs : likewise,
+    "EPSG:n" or WKT. scale_m, offset_m : height = stored value * scale_m + offset_m; PNG needs scale_m. nodata : stored
     value of unknown cells beside those the file declares. band : 1-based, of a GeoTIFF with several.
 
     Row 0 of the answer is north and unknown cells are NaN, whatever the file's own way. Raises HeightmapError when it

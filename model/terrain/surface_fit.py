@@ -35,8 +35,9 @@ def fit_surface(
 ) -> Heightmap:
     """The heightmap under driven RTK-GPS positions. x, y, z : (n,) [m], z of the antenna less its height above ground.
 
-    A smoothing thin-plate surface: cubic B-splines on knots of smoothing_m / 2, least squares plus the bending energy
-    weighted so that waves of length `smoothing_m` keep half their height. Solved sparsely, on driven ground only.
+    A smoothing thin-plate surface: cubic B-splines on knots of smoothing_m / 3, least squares plus the bending energy
+    weighted so that waves of twice `smoothing_m` keep 16/17 of their height, waves of smoothing_m itself under half.
+    Solved sparsely, on driven ground only.
 
     Repeated points: those within one cell count once, at their mean place and median height, so standing still adds no
     weight. Outliers: Tukey's biweight over five passes from coarse to fine; a cell whose height is off the surface by
@@ -62,7 +63,7 @@ def fit_surface(
             f"the points lie in {cells.z.size} cells of {resolution_m:g} m; a surface needs at least {_MIN_CELLS}"
         )
     reach = _near(cells, np.ones(cells.z.size, dtype=bool), frame, max_gap_m)
-    spline = _Spline.over(reach, frame, knot_m=max(0.5 * smoothing_m, resolution_m))
+    spline = _Spline.over(reach, frame, knot_m=max(smoothing_m / 3.0, resolution_m))
     coefficients, weight = _robust_fit(cells, spline, smoothing_m, reach)
     heights = spline.on_grid(coefficients, frame)
     heights[~_near(cells, weight > 0.0, frame, max_gap_m)] = np.nan

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
@@ -57,7 +59,9 @@ def write_bands_geotiff(
         if tags:
             dataset.update_tags(**tags)
 
-    with rasterio.Env(GDAL_PAM_ENABLED="NO"):
+    with warnings.catch_warnings(), rasterio.Env(GDAL_PAM_ENABLED="NO"):
+        # A corner at (0, 0) with cells of 1 m looks to rasterio like no transform; GeoTIFF does keep it.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
         if path is None:
             with MemoryFile() as memory:
                 with memory.open(**profile) as dataset:
