@@ -225,13 +225,21 @@ def _await_ready(process: subprocess.Popen[bytes], url: str, log: Path) -> None:
     with Console(stderr=True).status(words), httpx.Client(base_url=url, timeout=5.0) as client:
         while time.monotonic() < deadline:
             if process.poll() is not None:
-                tail = " | ".join(log.read_text(errors="replace").splitlines()[-3:])
-                raise JoulemapError(f"the service ended with {process.returncode}: {tail} (more in {log})")
+                raise JoulemapError(f"the service ended with {process.returncode}: {_last_words(log)} (more in {log})")
             with contextlib.suppress(httpx.TransportError):
-                if client.get("/readyz").status_code == 200:
+                answer = client.get("/readyz")
+                if answer.is_success:
                     return
+                if "failed" in answer.json()["detail"]:
+                    raise JoulemapError(f"the service cannot get ready: {_last_words(log)} (more in {log})")
             time.sleep(0.2)
     raise JoulemapError(f"the service is not ready after {READY_WITHIN_S:.0f} s: see {log}")
+
+
+def _last_words(log: Path) -> str:
+    """The last error a log tells of, or its last line."""
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return next((line for line in reversed(lines) if "Error" in line), lines[-1] if lines else "no words")
 
 
 def _free_port(wanted: int) -> int:

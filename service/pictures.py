@@ -300,9 +300,10 @@ def _map_figure(frame: GridFrame, *, extra_in: float) -> tuple[Figure, Axes]:
 
 
 def _style_map(axes: Axes, frame: GridFrame) -> None:
-    """Equal axes in metres; large coordinates are counted from a round number near the corner, named in the label."""
+    """Axes in metres, to scale; large coordinates are counted from a round number, which the label names."""
     west, south, east, north = frame.bounds
-    axes.set_aspect("equal")
+    slender = max(frame.shape) > 12 * min(frame.shape)  # to scale, nothing would be seen of it
+    axes.set_aspect("auto" if slender else "equal")
     for axis, low, high, name in ((axes.xaxis, west, east, "x"), (axes.yaxis, south, north, "y")):
         origin = math.floor(low / 100.0) * 100.0 if max(abs(low), abs(high)) >= 10_000.0 else 0.0
         axis.set_major_formatter(FuncFormatter(lambda value, _, origin=origin: f"{value - origin:g}"))

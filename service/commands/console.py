@@ -94,7 +94,8 @@ def write_file(path: Path, content: bytes) -> None:
 def progress_bar(what: str) -> Iterator[Report]:
     """A bar on stderr that is gone when the work is done; gives the callback (0..1) that moves it."""
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=1.0)
         yield lambda share: progress.update(task, completed=share)
 

@@ -1,0 +1,52 @@
+# The two commands are `make demo` and `make test`; a machine needs Python 3.11 or newer with venv, and make.
+PYTHON ?= python3.11
+VENV ?= .venv
+ARGS ?=
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.joulemap-installed
+
+.PHONY: help demo test test-slow bench lint format openapi clean distclean
+
+help: ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+demo: $(INSTALLED) ## start the service, ask it everything, draw a picture (ARGS=--exit ends by itself)
+	$(BIN)/joulemap demo $(ARGS)
+
+test: lint ## what must pass before a change is taken: linters, types, layers, tests
+	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+
+test-slow: $(INSTALLED) ## the tests that take minutes
+	$(BIN)/python -m pytest -m slow $(ARGS)
+
+bench: $(INSTALLED) ## seconds for every step, beside SciPy, on this machine
+	$(BIN)/python -m tests.bench $(ARGS)
+
+lint: $(INSTALLED) ## ruff, mypy and the layers of the architecture
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(INSTALLED) ## let ruff mend what it can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+openapi: $(INSTALLED) ## write openapi/openapi.json anew
+	$(BIN)/joulemap openapi --out openapi/openapi.json
+
+clean: ## remove caches and the demo's output (data/ and $(VENV) stay)
+	rm -rf build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find model planner service tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean ## remove the environment too
+	rm -rf $(VENV)
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+# Installed anew when the dependencies change; the kernels are compiled here so that nobody waits for them later.
+$(INSTALLED): pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[dev]'
+	$(BIN)/joulemap warmup
+	touch $@

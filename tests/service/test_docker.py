@@ -1,0 +1,172 @@
+"""The Dockerfile without an engine: its steps are read, checked against the repository, and really run."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCKERFILE = REPOSITORY / "docker" / "Dockerfile"
+
+
+@dataclass
+class Image:
+    """What a Dockerfile says. runs : (user, work folder, command); copies : (sources, target)."""
+
+    base: str = ""
+    user: str = "root"
+    folder: str = "/"
+    env: dict[str, str] = field(default_factory=dict)
+    runs: list[tuple[str, str, str]] = field(default_factory=list)
+    copies: list[tuple[list[str], str]] = field(default_factory=list)
+    volumes: list[str] = field(default_factory=list)
+    exposed: list[str] = field(default_factory=list)
+    command: list[str] = field(default_factory=list)
+    health: list[str] = field(default_factory=list)
+
+
+def read_image(text: str) -> Image:
+    """The instructions of a Dockerfile of one stage; one that is not known fails."""
+    image = Image()
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    for line in "\n".join(lines).replace("\\\n", " ").splitlines():
+        word, rest = line.split(None, 1)
+        if word == "FROM":
+            assert not image.base, "one stage is enough"
+            image.base = rest
+        elif word == "ENV":
+            image.env |= dict(re.findall(r"(\w+)=(\S+)", rest))
+        elif word == "RUN":
+            image.runs.append((image.user, image.folder, rest))
+        elif word == "COPY":
+            *sources, target = rest.split()
+            image.copies.append((sources, target))
+        elif word == "USER":
+            image.user = rest
+        elif word == "WORKDIR":
+            image.folder = rest
+        elif word == "VOLUME":
+            image.volumes += json.loads(rest)
+        elif word == "EXPOSE":
+            image.exposed += rest.split()
+        elif word == "CMD":
+            image.command = json.loads(rest)
+        elif word == "HEALTHCHECK":
+            image.health = json.loads(rest.split("CMD", 1)[1])
+        else:
+            assert word == "ARG", f"unknown instruction {word}"
+    return image
+
+
+@pytest.fixture(scope="module")
+def image() -> Image:
+    return read_image(DOCKERFILE.read_text())
+
+
+def test_what_is_copied_is_there_and_enough(image: Image) -> None:
+    copied = {source.removeprefix("./") for sources, _ in image.copies for source in sources}
+    for source in copied:
+        assert (REPOSITORY / source).exists(), source
+    assert {"pyproject.toml", "README.md", "LICENSE", "model", "planner", "service"} <= copied
+    ignored = (REPOSITORY / ".dockerignore").read_text().split()
+    assert not copied & set(ignored)
+    assert {".git", ".venv", "data"} <= set(ignored)
+
+
+def test_the_service_is_not_root_and_owns_what_it_writes(image: Image) -> None:
+    assert image.user not in ("root", "0")
+    made = next(command for user, _, command in image.runs if user == "root" and "useradd" in command)
+    assert image.user in made
+    owned = made.split(f"chown {image.user}:{image.user}")[1].split()
+    assert image.env["JOULEMAP_DATA_DIR"] in image.volumes
+    assert {image.env["JOULEMAP_DATA_DIR"], image.env["NUMBA_CACHE_DIR"]} <= set(owned)
+    warmed = next(user for user, _, command in image.runs if "warmup" in command)
+    assert warmed == image.user  # so that the service can read, and renew, what was compiled
+
+
+def test_the_base_fits_the_package(image: Image) -> None:
+    version = re.fullmatch(r"python:(\d+)\.(\d+)-slim", image.base)
+    assert version is not None
+    needed = re.search(r'requires-python = ">=(\d+)\.(\d+)"', (REPOSITORY / "pyproject.toml").read_text())
+    assert needed is not None
+    assert tuple(map(int, version.groups())) >= tuple(map(int, needed.groups()))
+
+
+def test_compose_starts_this_image(image: Image) -> None:
+    compose = (REPOSITORY / "docker" / "compose.yaml").read_text()
+    assert "dockerfile: docker/Dockerfile" in compose
+    assert f':{image.exposed[0]}:{image.env["JOULEMAP_PORT"]}"' in compose
+    assert f"data:{image.volumes[0]}\n" in compose
+
+
+def test_the_command_starts_and_its_health_check_tells_so(image: Image, tmp_path: Path) -> None:
+    start_and_check(image, Path(sys.executable).parent, tmp_path, os.environ)
+
+
+@pytest.mark.slow
+def test_the_steps_build_a_working_service(image: Image, tmp_path: Path) -> None:
+    """Install and start as the Dockerfile says, in a fresh environment with nothing but what is copied."""
+    root = tmp_path / "root"
+    for sources, target in image.copies:
+        for source in sources:
+            place = root / "app" / target / (source if target == "./" else "")
+            origin = REPOSITORY / source
+            if origin.is_dir():
+                shutil.copytree(origin, place, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                place.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(origin, place)
+    subprocess.run([sys.executable, "-m", "venv", str(root / "venv")], check=True)
+    for folder in ("home", "data", "cache"):
+        (root / folder).mkdir()
+    kept = {key: value for key, value in os.environ.items() if key.startswith(("PIP_", "SSL_", "HTTP", "NO_PROXY"))}
+    environment = kept | image.env | {"HOME": str(root / "home"), "NUMBA_CACHE_DIR": str(root / "cache")}
+    environment["PATH"] = f"{root / 'venv' / 'bin'}:/usr/bin:/bin"
+    environment.pop("PIP_NO_CACHE_DIR", None)
+    places = {"/app": root / "app", "/data": root / "data"}
+    ran = []
+    for _, folder, command in image.runs:
+        if command.startswith(("apt-get", "useradd")):
+            continue  # the system's part; what it makes, folders and a user, is made above
+        subprocess.run(["bash", "-c", command], cwd=places[folder], env=environment, check=True, timeout=1200)
+        ran.append(command)
+    assert ran == ["python -m pip install .", "joulemap warmup"]
+    assert any((root / "cache").rglob("*.nbc")), "the kernels are not where the service looks for them"
+    shutil.rmtree(root / "app")  # what runs is what was installed
+    start_and_check(image, root / "venv" / "bin", root / "data", environment)
+
+
+def start_and_check(image: Image, programs: Path, data: Path, environment: Mapping[str, str]) -> None:
+    """Run CMD until HEALTHCHECK passes, then stop it as an engine does: SIGTERM, and a clean end."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    env = dict(environment) | {key: value for key, value in image.env.items() if key.startswith("JOULEMAP_")}
+    env |= {"PATH": f"{programs}:{env['PATH']}", "JOULEMAP_DATA_DIR": str(data / "kept"), "JOULEMAP_PORT": port}
+    log = data / "service.log"
+    with log.open("wb") as sink:
+        process = subprocess.Popen(image.command, cwd=data, env=env, stdout=sink, stderr=sink)
+    try:
+        assert subprocess.run(image.health, env=env, capture_output=True).returncode != 0  # not before it is up
+        deadline = time.monotonic() + 120.0
+        while subprocess.run(image.health, env=env, capture_output=True).returncode != 0:
+            assert process.poll() is None, log.read_text()
+            assert time.monotonic() < deadline, log.read_text()
+            time.sleep(0.5)
+        assert (data / "kept" / "joulemap.db").is_file()
+    finally:
+        process.send_signal(signal.SIGTERM)
+        ended = process.wait(30.0)
+    assert ended in (0, -signal.SIGTERM), log.read_text()

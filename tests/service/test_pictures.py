@@ -1,0 +1,109 @@
+"""Pictures: what must be seen in them is there, whatever the map is like."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from matplotlib import image as mpimage
+
+from model.energy.physics import PhysicsPredictor
+from model.errors import InputError
+from model.frames import GridFrame
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from planner.lattice import CostLattice
+from planner.lattice_build import build_lattice
+from planner.plan import RoutePlanner
+from service import pictures
+from service.pictures import OPTIMAL, SHORTEST, lattice_image, route_picture
+
+
+def rough(rows: int = 30, cols: int = 40) -> Heightmap:
+    """A knoll between two sides, a hole of unknown ground, and a bank too steep to climb in the north."""
+    row, col = np.mgrid[0:rows, 0:cols]
+    heights = 3.0 * np.exp(-((row - rows / 2) ** 2 + (col - cols / 2) ** 2) / 40.0)
+    heights += np.where(row < 4, (4 - row) * 0.8, 0.0)
+    heights[-6:-3, -8:-4] = np.nan
+    return Heightmap(heights.astype(np.float32), GridFrame(366_000.0, 4_064_500.0, 1.0, rows, cols, "EPSG:32630"))
+
+
+@pytest.fixture(scope="module")
+def lattice() -> CostLattice:
+    return build_lattice(rough(), Robot(), PhysicsPredictor())
+
+
+def pixels(png: bytes) -> np.ndarray:
+    """(rows, cols, 3) 0..1."""
+    return mpimage.imread(io.BytesIO(png), format="png")[..., :3]
+
+
+def share_of(png: bytes, colour: str) -> float:
+    """Share of pixels of a colour, #rrggbb."""
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    return float((np.abs(pixels(png) - wanted).max(axis=2) < 0.02).mean())
+
+
+@pytest.mark.parametrize(("view", "heading_deg"), [("mean", None), ("directionality", None), ("heading", 37.0)])
+def test_every_view_is_drawn(lattice: CostLattice, view: str, heading_deg: float | None) -> None:
+    png = lattice_image(lattice, view=view, heading_deg=heading_deg)
+    assert png.startswith(b"\x89PNG\r\n\x1a\n")
+    assert pixels(png).std() > 0.05
+
+
+def test_opposite_headings_look_different_on_a_slope(lattice: CostLattice) -> None:
+    one, other = (lattice_image(lattice, view="heading", heading_deg=h) for h in (90.0, 270.0))
+    assert pixels(one).shape == pixels(other).shape
+    assert np.abs(pixels(one) - pixels(other)).mean() > 0.01
+    assert lattice_image(lattice, view="heading", heading_deg=450.0) == one  # the same direction, the same bytes
+
+
+def test_what_is_too_steep_is_marked_where_it_blocks(lattice: CostLattice) -> None:
+    """The bank climbs to the north at 0.8 m per metre (39 degrees): too steep along north, across for east."""
+    grade, cross = (pictures._REASONS[reason][0] for reason in (pictures.Blocked.GRADE, pictures.Blocked.CROSS_SLOPE))
+    north, east = (lattice_image(lattice, view="heading", heading_deg=h) for h in (0.0, 90.0))
+    assert share_of(north, grade) > 5.0 * share_of(east, grade)
+    assert share_of(east, cross) > 5.0 * share_of(north, cross)
+
+
+@pytest.mark.parametrize(("view", "heading_deg"), [("heading", None), ("heading", float("nan")), ("sideways", 3.0)])
+def test_a_view_that_is_not_there_is_refused(lattice: CostLattice, view: str, heading_deg: float | None) -> None:
+    with pytest.raises(InputError, match=r"heading_deg|sideways"):
+        lattice_image(lattice, view=view, heading_deg=heading_deg)
+
+
+def test_a_map_on_which_nothing_may_be_driven_is_still_drawn() -> None:
+    steep = np.tile(np.arange(12, dtype=np.float32) * 3.0, (12, 1))
+    lattice = build_lattice(Heightmap(steep, GridFrame(0.0, 12.0, 1.0, 12, 12)), Robot(), PhysicsPredictor())
+    assert share_of(lattice_image(lattice), "#b3264a") > 0.2
+
+
+def test_both_paths_are_in_the_picture() -> None:
+    heightmap = rough()
+    plan = RoutePlanner(build_lattice(heightmap, Robot(), PhysicsPredictor())).plan(
+        (366_005.0, 4_064_485.0), (366_036.0, 4_064_484.0)
+    )
+    assert plan.saving_j > 0.0
+    png = route_picture(heightmap, plan, title="knoll")
+    assert share_of(png, OPTIMAL) > 1e-3
+    assert share_of(png, SHORTEST) > 1e-3
+
+
+def test_a_large_map_is_averaged_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of 3 x 3 with one unknown cell average the other eight; the rest that fills no block is left out."""
+    monkeypatch.setattr(pictures, "MAX_PIXELS", 4)
+    values = np.arange(110.0).reshape(10, 11)
+    values[0, 0] = np.nan
+    thin, extent = pictures._thinned(values, GridFrame(0.0, 10.0, 1.0, 10, 11))
+    assert thin.shape == (3, 3)
+    assert extent == (0.0, 9.0, 1.0, 10.0)
+    assert thin[0, 0] == pytest.approx((values[:3, :3][~np.isnan(values[:3, :3])]).mean())
+    assert thin[2, 2] == pytest.approx(values[6:9, 6:9].mean())
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 200), (200, 3)])
+def test_odd_shapes_are_drawn(shape: tuple[int, int]) -> None:
+    flat = Heightmap(np.zeros(shape, dtype=np.float32), GridFrame(0.0, 50.0, 1.0, *shape))
+    lattice = build_lattice(flat, Robot(), PhysicsPredictor())
+    assert lattice_image(lattice).startswith(b"\x89PNG")
