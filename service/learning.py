@@ -26,15 +26,14 @@ from model.loop.runs import Run, read_run
 from model.loop.segments import Segments, concatenate, cut_segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.pretraining import MAX_TURN_RAD
 
-MAX_TURN_RAD = 0.25
-"""Segments that turn by more are not learned from: turning is priced apart (`turn_j_per_rad`)."""
 FRESH_RATE, TUNING_RATE, RESNET_RATE = 1e-3, 3e-4, 1e-4  # learning rates; the last is the paper's (section V-A)
 
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """What a training left. held_out : errors on whole runs that were not trained on; repairs : rule -> count."""
+    """What a training left. segments : learned from and held out; held_out : errors on `held_out_runs`."""
 
     version: str
     segments: int
@@ -74,7 +73,7 @@ def train_on_runs(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> TrainedModel:
-    """Train on measured runs over a heightmap and write the model's folder `out`.
+    """Train on measured runs over a heightmap and write the model's folder `out`; segments in turns are left out.
 
     start_from : a model's folder to fine-tune; backbone : a ResNet18 file with torchvision's names (resnet18 only);
     patch_size : rows and columns of a resnet18 patch (256 in the paper). A share of the runs, whole, is held out; the
@@ -114,7 +113,8 @@ def train_on_runs(
         "started_from": str(start_from or backbone or ""),
     }
     size = {"size": patch_size} if architecture == "resnet18" else {}
-    version = save_artifact(out, Artifact(result.net, examples.domain(), training=training, **size))
+    domain = examples.domain() if parent is None else parent.domain.joined(examples.domain())
+    version = save_artifact(out, Artifact(result.net, domain, training=training, **size))
     return TrainedModel(version, len(examples), list(segments.runs), names, held_out, result.epochs)
 
 
