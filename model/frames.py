@@ -70,6 +70,9 @@ class GridFrame:
             raise HeightmapError(f"the map's corner must be finite, got ({self.west_m}, {self.north_m})")
         if self.rows < 1 or self.cols < 1:
             raise HeightmapError(f"a map needs at least one cell, got {self.rows} x {self.cols}")
+        for key in ("west_m", "north_m", "resolution_m"):
+            # One place has one spelling, which Heightmap.data_hash rests on: no 0 beside 0.0 and -0.0.
+            object.__setattr__(self, key, float(getattr(self, key)) + 0.0)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -55,6 +55,7 @@ def test_the_hash_tells_heights_and_places_apart() -> None:
     frame = GridFrame(0.0, 2.0, 1.0, 2, 2)
     one = Heightmap(np.zeros((2, 2)), frame)
     assert one.data_hash == Heightmap(np.zeros((2, 2)), frame, source="elsewhere").data_hash
+    assert one.data_hash == Heightmap(np.zeros((2, 2)), GridFrame(-0.0, 2, 1, 2, 2)).data_hash
     assert one.data_hash != Heightmap(np.ones((2, 2)), frame).data_hash
     assert one.data_hash != Heightmap(np.zeros((2, 2)), GridFrame(1.0, 2.0, 1.0, 2, 2)).data_hash
 
