@@ -64,7 +64,8 @@ class GridFrame:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
             raise HeightmapError(
-                f"resolution must be a positive number of metres, got {self.resolution_m}", resolution_m=self.resolution_m
+                f"resolution must be a positive number of metres, got {self.resolution_m}",
+                resolution_m=self.resolution_m,
             )
         if not (math.isfinite(self.west_m) and math.isfinite(self.north_m)):
             raise HeightmapError(f"the map's corner must be finite, got ({self.west_m}, {self.north_m})")
@@ -130,7 +131,9 @@ class GridFrame:
     def respaced(self, spacing_m: float) -> GridFrame:
         """The grid of `spacing_m` cells that starts at the same north-west corner and fits inside."""
         if not (math.isfinite(spacing_m) and spacing_m > 0):
-            raise HeightmapError(f"spacing must be a positive number of metres, got {spacing_m}", spacing_m=str(spacing_m))
+            raise HeightmapError(
+                f"spacing must be a positive number of metres, got {spacing_m}", spacing_m=str(spacing_m)
+            )
         rows = int(self.rows * self.resolution_m / spacing_m + 1e-6)
         cols = int(self.cols * self.resolution_m / spacing_m + 1e-6)
         if rows < 2 or cols < 2:
