@@ -24,6 +24,8 @@ from planner.lattice import CostLattice
 
 MAX_TIME_LIMIT_S = 120.0
 _HEADINGS_PER_BIN = 8
+TREE_STEP_CELLS = 30.0
+"""Longest leg a tree planner adds. OMPL's own default, a fifth of the map, mostly runs into blocked ground."""
 
 
 def price_floor_per_m(lattice: CostLattice) -> float:
@@ -164,6 +166,8 @@ def sample_route(
     problem.setStartAndGoalStates(_state(space, start), _state(space, goal), 1e-6)
     problem.setOptimizationObjective(make_objective(info, pricer))
     solver = make_planner(info)
+    if hasattr(solver, "setRange"):
+        solver.setRange(TREE_STEP_CELLS)
     solver.setProblemDefinition(problem)
     solver.setup()
     began = time.perf_counter()

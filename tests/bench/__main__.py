@@ -1,0 +1,200 @@
+"""`make bench`: seconds per stage on 200 x 200 and 1000 x 1000 cells, each beside its peer in the same run.
+
+Times are the least of several repeats after a warm-up, kernels compiled. SciPy gets the very same move prices.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from fastapi.testclient import TestClient
+from rich.console import Console
+from rich.table import Table
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from model.energy.predictor import load_predictor
+from model.energy.resnet import ResNetEnergy
+from model.frames import GridFrame
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from model.terrain.patches import cut_patches
+from model.terrain.synthesis import TerrainRecipe, make_terrain
+from model.terrain.writers import write_geotiff
+from planner.lattice import CostLattice
+from planner.lattice_build import build_lattice
+from planner.moves import MoveTable, move_table
+from planner.plan import RoutePlanner
+from planner.refine import refine_path
+from planner.search import grid_search
+from service.app import create_app
+from service.settings import Settings
+
+ROBOT = Robot()
+SIZES = (200, 1000)
+RESNET_PATCHES = 16
+
+
+def seconds(work: Callable[[], object], *, repeats: int = 3) -> float:
+    """Least wall time of `repeats` calls, after one that is not counted."""
+    work()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def terrain(cells: int, resolution_m: float) -> Heightmap:
+    """Hills of up to 20 degrees, `cells` metres wide."""
+    side = round(cells / resolution_m)
+    frame = GridFrame(0.0, float(cells), resolution_m, side, side)
+    recipe = TerrainRecipe(max_slope_deg=20.0, relief_longest_m=cells / 4, relief_shortest_m=cells / 40)
+    return make_terrain(recipe, frame, np.random.default_rng(5))
+
+
+def scipy_graph(table: MoveTable) -> csr_array:
+    """The move prices as SciPy wants them."""
+    rows, cols, moves = table.energy.shape
+    cell = np.arange(rows * cols).reshape(rows, cols)
+    row_of, col_of, price = [], [], []
+    for n in range(moves):
+        r, c = np.nonzero(np.isfinite(table.energy[:, :, n]))
+        row_of.append(cell[r, c])
+        col_of.append(cell[r + table.offsets[n, 0], c + table.offsets[n, 1]])
+        price.append(table.energy[r, c, n].astype(np.float64))
+    size = rows * cols
+    return csr_array((np.concatenate(price), (np.concatenate(row_of), np.concatenate(col_of))), shape=(size, size))
+
+
+def free_corner(lattice: CostLattice, near: tuple[float, float]) -> np.ndarray:
+    """The free cell nearest to a point given as shares of rows and columns."""
+    free = np.argwhere(lattice.blocked == 0)
+    target = np.array(near) * lattice.frame.shape
+    return free[np.argmin(((free - target) ** 2).sum(axis=1))].astype(float)
+
+
+def request_seconds(heightmap: Heightmap, start: list[float], goal: list[float], model: str) -> dict[str, float]:
+    """Seconds of the three requests of the main job, through the whole application in this process."""
+    body = write_geotiff(None, heightmap)
+    out: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder, TestClient(create_app(Settings(data_dir=Path(folder)))) as client:
+        while client.get("/readyz").status_code != 200:
+            time.sleep(0.1)
+        began = time.perf_counter()
+        uploaded = client.post("/v1/heightmaps", content=body, headers={"Content-Type": "image/tiff"}).json()
+        out["upload"] = time.perf_counter() - began
+        began = time.perf_counter()
+        made = client.post(
+            "/v1/costmaps", json={"heightmap_id": uploaded["id"], "model": model}, headers={"Prefer": "wait=300"}
+        ).json()
+        assert made["status"] == "done", made
+        out["cost map"] = time.perf_counter() - began
+        url = f"/v1/costmaps/{made['id']}/paths"
+        for name in ("first path", "second path"):
+            began = time.perf_counter()
+            answer = client.post(url, json={"start": start, "goal": goal})
+            assert answer.status_code == 200, answer.text
+            out[name] = time.perf_counter() - began
+    return out
+
+
+def bench(cells: int, resolution_m: float) -> list[tuple[str, str, float, str, float | None]]:
+    """Rows of (size, stage, seconds, what it is set beside, ratio ours / theirs)."""
+    size = f"{cells} x {cells}"
+    rows: list[tuple[str, str, float, str, float | None]] = []
+    heightmap = terrain(cells, resolution_m)
+
+    lattice = build_lattice(heightmap, ROBOT, load_predictor("physics"))
+    took = seconds(lambda: build_lattice(heightmap, ROBOT, load_predictor("physics")))
+    rows.append((size, "lattice, physics, 16 headings", took, "", None))
+    default = load_predictor("default")
+    network = seconds(lambda: build_lattice(heightmap, ROBOT, default), repeats=1)
+    per_patch = resnet_seconds_per_patch(heightmap)
+    rows.append((size, "lattice, default network, 16 headings", network, "ResNet18, a 256 x 256 patch per value",
+                 network / (per_patch * cells * cells * 16)))  # fmt: skip
+    n = 10_000
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(2, cells - 2, (2, n))
+    heading = rng.uniform(0, 2 * np.pi, n)
+    for side in (32, 256):
+        count = n if side == 32 else 500
+        cut = seconds(lambda: cut_patches(heightmap, x[:count], y[:count], heading[:count], size=side))  # noqa: B023
+        rows.append((size, f"{count} patches of {side} x {side}", cut, "", None))
+    rows.append((size, f"ResNet18 on {RESNET_PATCHES} patches of 256 x 256", per_patch * RESNET_PATCHES, "", None))
+
+    start, goal = free_corner(lattice, (0.9, 0.1)), free_corner(lattice, (0.1, 0.9))
+    for neighbours in (8, 16, 32):
+        table = move_table(lattice, neighbours=neighbours)
+        build = seconds(lambda: move_table(lattice, neighbours=neighbours))  # noqa: B023
+        began = time.perf_counter()
+        graph = scipy_graph(table)
+        graph_build = time.perf_counter() - began
+        source = int(start[0] * lattice.frame.cols + start[1])
+        peer = seconds(lambda: dijkstra(graph, indices=source))  # noqa: B023
+        field = seconds(lambda: grid_search(lattice, table, start, None))  # noqa: B023
+        one = seconds(lambda: grid_search(lattice, table, start, goal))  # noqa: B023
+        ours = grid_search(lattice, table, start, None).energy_j
+        theirs = dijkstra(graph, indices=source).reshape(ours.shape)
+        assert np.allclose(ours, theirs, rtol=1e-9), "the two fields differ"
+        name = f"{neighbours} neighbours"
+        rows.append((size, f"pricing the moves, {name}", build, "building SciPy's graph", build / graph_build))
+        rows.append((size, f"energy field, {name}", field, "scipy dijkstra, search alone", field / peer))
+        rows.append((size, f"A* corner to corner, {name}", one, "scipy dijkstra, search alone", one / peer))
+        if neighbours == 16:
+            path = grid_search(lattice, table, start, goal).points
+            better = seconds(lambda: refine_path(lattice, path))  # noqa: B023
+            rows.append((size, "any-angle improvement", better, "", None))
+    planner = RoutePlanner(lattice)
+    ends = [tuple(float(v) for v in lattice.frame.xy(*p)) for p in (start, goal)]
+    rows.append((size, "a whole plan, moves priced before", seconds(lambda: planner.plan(*ends)), "", None))
+    for stage, took in request_seconds(heightmap, list(ends[0]), list(ends[1]), "default").items():
+        rows.append((size, f"over HTTP: {stage}", took, "", None))
+    return rows
+
+
+def resnet_seconds_per_patch(heightmap: Heightmap) -> float:
+    """Seconds the paper's network takes for one 256 x 256 patch, in batches, on this machine."""
+    torch.manual_seed(0)
+    network = ResNetEnergy().eval()
+    middle = heightmap.frame.resolution_m * heightmap.frame.cols / 2
+    patches = torch.from_numpy(
+        cut_patches(heightmap, *np.full((2, RESNET_PATCHES), middle), np.linspace(0, 6, RESNET_PATCHES), size=256)
+    )
+    with torch.inference_mode():
+        return seconds(lambda: network(patches), repeats=2) / RESNET_PATCHES
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--resolution", type=float, default=0.25, help="metres per pixel of the heightmaps")
+    parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES), help="cells along a side, 1 m each")
+    parser.add_argument("--json", type=Path, help="also write the rows here")
+    options = parser.parse_args()
+    machine = (
+        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    )
+    rows = [row for cells in options.sizes for row in bench(cells, options.resolution)]
+    table = Table(title=f"joulemap bench, {dt.date.today()}, {machine}, heightmap {options.resolution:g} m per pixel")
+    for name in ("cells", "stage", "seconds", "beside", "ours / theirs"):
+        table.add_column(name, justify="right" if name in ("seconds", "ours / theirs") else "left")
+    for size, stage, took, peer, ratio in rows:
+        table.add_row(size, stage, f"{took:.4f}", peer, "" if ratio is None else f"{ratio:.3g}")
+    Console(width=140).print(table)
+    if options.json:
+        options.json.write_text(json.dumps({"machine": machine, "rows": rows}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""A real heightmap (Malaga rescue area, 200 x 200 m): the searches agree, and no sampling planner beats them."""
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from model.energy.physics import PhysicsPredictor
+from model.robot import Robot
+from model.terrain.readers import read_heightmap
+from planner.edges import path_price, price_world_path, world_points
+from planner.graph import lattice_graph
+from planner.lattice_build import build_lattice
+from planner.moves import move_table
+from planner.plan import RoutePlanner
+from planner.search import grid_search
+from tests.reference.quadrature import leg_energy_by_midpoints
+
+CROSSINGS = [((20.5, 179.5), (179.5, 20.5)), ((100.5, 15.5), (90.5, 189.5)), ((30.2, 60.7), (170.9, 120.3))]
+
+
+@pytest.fixture(scope="module")
+def hillside(real_data):
+    heightmap = read_heightmap(real_data / "cuadriga" / "uma_rescue_area_1m.tif")
+    lattice = build_lattice(heightmap, Robot(), PhysicsPredictor())
+    west, south, _, _ = lattice.frame.bounds
+    crossings = [((west + a, south + b), (west + c, south + d)) for (a, b), (c, d) in CROSSINGS]
+    return lattice, crossings
+
+
+def test_astar_equals_dijkstra_equals_networkx_on_16_neighbours(hillside):
+    lattice, crossings = hillside
+    table = move_table(lattice, neighbours=16)
+    graph = lattice_graph(lattice, neighbours=16)
+    for start, goal in crossings:
+        cells = [lattice.frame.cell_of(*p) for p in (start, goal)]
+        ends = [np.array(c, dtype=float) for c in cells]
+        fast = grid_search(lattice, table, *ends)
+        plain = grid_search(lattice, table, *ends, planner="dijkstra")
+        slow = nx.dijkstra_path_length(graph, *cells, weight="energy_j")
+        assert fast.energy_to_goal_j == pytest.approx(plain.energy_to_goal_j, rel=1e-9)
+        assert fast.energy_to_goal_j == pytest.approx(slow, rel=1e-6)
+        assert path_price(lattice, fast.points) == pytest.approx(fast.energy_to_goal_j, rel=1e-6)
+        assert fast.expanded < plain.expanded
+
+
+def test_routes_are_priced_as_claimed_both_ways_and_beat_the_shortest(hillside):
+    lattice, crossings = hillside
+    planner = RoutePlanner(lattice)
+    for start, goal in crossings:
+        plan = planner.plan(start, goal)
+        for route in (plan.route, plan.shortest):
+            xy = route.points[:, :2]
+            assert route.energy_j == pytest.approx(price_world_path(lattice, xy), rel=1e-6)
+            assert route.energy_j == pytest.approx(route.profile.energy_j.sum(), rel=1e-6)
+            there = sum(
+                leg_energy_by_midpoints(lattice, a, b, points=4000) for a, b in zip(xy[:-1], xy[1:], strict=True)
+            )
+            assert route.energy_j == pytest.approx(there, rel=1e-4)
+            back = sum(
+                leg_energy_by_midpoints(lattice, b, a, points=4000) for a, b in zip(xy[:-1], xy[1:], strict=True)
+            )
+            assert price_world_path(lattice, xy[::-1]) == pytest.approx(back, rel=1e-4)
+        assert plan.route.energy_j <= plan.shortest.energy_j
+        assert plan.route.energy_j <= plan.details["grid_energy_j"] * (1 + 1e-9)
+        assert plan.shortest.length_m <= plan.route.length_m
+
+
+@pytest.mark.parametrize("sampler", ["rrtstar", "informed_rrtstar", "bitstar"])
+def test_sampling_planners_never_beat_the_improved_grid_path_by_a_hundredth(hillside, sampler):
+    lattice, crossings = hillside
+    planner = RoutePlanner(lattice)
+    start, goal = crossings[0]
+    best = planner.plan(start, goal).route
+    sampled = planner.plan(start, goal, planner=sampler, time_limit_s=6.0, refine=False).route
+    assert sampled.energy_j == pytest.approx(price_world_path(lattice, sampled.points), rel=1e-9)
+    np.testing.assert_allclose(world_points(lattice, sampled.points)[[0, -1]], world_points(lattice, [start, goal]))
+    assert 0.99 * best.energy_j <= sampled.energy_j <= 1.5 * best.energy_j
