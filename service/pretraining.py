@@ -46,16 +46,18 @@ _DECLARED_SPREAD = 0.08  # how well an owner knows the rolling resistance (stand
 
 
 PRETRAINING = TrainingOptions(epochs=12, patience=12, batch=512, learning_rate=2e-3)
-DEFAULT_SITES = 1400
-WORKERS = 2
+DEFAULT_SITES = 1200
+DEFAULT_SEED = 20261121
+"""The shipped network's seed and number of sites."""
 _ASIDE = 0.08  # of the sites to stop by, and as many again to report errors on
 
 
 def train_default(
     out: str | Path,
     *,
-    seed: int = 0,
+    seed: int = DEFAULT_SEED,
     sites: int = DEFAULT_SITES,
+    workers: int = 2,
     options: TrainingOptions = PRETRAINING,
     command: str = "joulemap train --out DIR",
     progress: Callable[[float], None] | None = None,
@@ -68,7 +70,7 @@ def train_default(
     have known before driving it). The same seed gives the same weights.
     """
     report = progress or (lambda _: None)
-    examples = make_pretraining_set(sites=sites, seed=seed, workers=WORKERS, progress=lambda p: report(0.4 * p))
+    examples = make_pretraining_set(sites=sites, seed=seed, workers=workers, progress=lambda p: report(0.4 * p))
     site = examples.run // ROBOTS_PER_SITE
     order = np.random.default_rng([seed, sites]).permutation(np.unique(site))
     count = max(1, round(_ASIDE * order.size))

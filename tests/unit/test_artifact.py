@@ -1,0 +1,124 @@
+"""Models as folders: what is saved comes back, what does not fit is refused, and what was learned is told."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from model.energy.artifact import CONFIG_FILE, WEIGHTS_FILE, Artifact, load_artifact, save_artifact
+from model.energy.compact import CompactNet
+from model.energy.domain import Domain, steep_share
+from model.energy.predictor import load_predictor
+from model.energy.resnet import ResNetEnergy
+from model.errors import ModelError
+from model.frames import GridFrame, heading_bins
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+ROBOTS = {"mass_kg": (15.0, 120.0), "speed_mps": (0.3, 1.2), "hotel_over_weight": (0.01, 0.3)}
+DOMAIN = Domain(ROBOTS, (0.05, 1.0), 30.0)
+
+
+def slope(angle_deg: float, resolution_m: float = 0.25, cells: int = 40) -> Heightmap:
+    frame = GridFrame(0.0, cells * resolution_m, resolution_m, cells, cells)
+    heights = np.tile(np.arange(cells) * resolution_m * math.tan(math.radians(angle_deg)), (cells, 1))
+    return Heightmap(heights.astype(np.float32), frame)
+
+
+@pytest.mark.parametrize("net", [CompactNet(), ResNetEnergy()], ids=["compact", "resnet18"])
+def test_a_model_comes_back_from_its_folder(tmp_path, net):
+    net = net.eval()
+    for parameter in net.parameters():
+        torch.nn.init.normal_(parameter, std=0.05)
+    size = {} if isinstance(net, CompactNet) else {"size": 32}
+    version = save_artifact(tmp_path / "mine", Artifact(net, DOMAIN, training={"seed": 7}, **size))
+    loaded = load_predictor(tmp_path / "mine")
+    assert loaded.name == "mine"
+    assert loaded.domain == DOMAIN
+    assert all(torch.equal(a, loaded.net.state_dict()[key]) for key, a in net.state_dict().items())
+    told = loaded.provenance()
+    assert (told["version"], told["kind"]) == (version, "compact" if isinstance(net, CompactNet) else "resnet18")
+    assert told["config"]["training"] == {"seed": 7}
+    json.dumps(told)
+    answer = loaded.segment_traction(slope(5.0), Robot(), [5.0], [5.0], [0.0])
+    assert np.isfinite(answer).all()
+
+
+def test_files_that_are_not_partners_are_refused(tmp_path):
+    save_artifact(tmp_path / "a", Artifact(CompactNet(), DOMAIN))
+    save_artifact(tmp_path / "b", Artifact(CompactNet(), DOMAIN))
+    (tmp_path / "a" / WEIGHTS_FILE).write_bytes((tmp_path / "b" / WEIGHTS_FILE).read_bytes())
+    with pytest.raises(ModelError, match="damaged or mixed"):
+        load_artifact(tmp_path / "a")
+    config = json.loads((tmp_path / "b" / CONFIG_FILE).read_text())
+    for key, value, words in (
+        ("architecture", "forest", "unknown architecture"),
+        ("size", 33, "this version 17"),
+        ("format", 99, "model format"),
+        ("domain", {}, "what it learned"),
+        ("network", {"pixel_m": 0.125, "depth": 3}, "does not fit this version"),
+        ("network", {"pixel_m": 0.125, "order": 5}, "do not fit its network"),
+    ):
+        (tmp_path / "b" / CONFIG_FILE).write_text(json.dumps(config | {key: value}))
+        with pytest.raises(ModelError, match=words):
+            load_artifact(tmp_path / "b")
+    (tmp_path / "b" / CONFIG_FILE).write_text("{")
+    with pytest.raises(ModelError, match="not valid JSON"):
+        load_artifact(tmp_path / "b")
+    (tmp_path / "b" / CONFIG_FILE).unlink()
+    with pytest.raises(ModelError, match="not a trained model"):
+        load_predictor(tmp_path / "b")
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones():
+    with pytest.raises(ModelError, match="physics, default") as caught:
+        load_predictor("phisics")
+    assert caught.value.context["known"] == ["physics", "default"]
+
+
+def test_warnings_name_the_value_and_the_limits():
+    inside = Robot()
+    assert DOMAIN.warnings(slope(10.0), inside) == []
+    assert DOMAIN.warnings(slope(10.0), Robot(mass_kg=300.0)) == [
+        "mass_kg = 300 is outside the 15..120 the network learned",
+        "idle power / (speed x weight) = 0.00816 is outside the 0.01..0.3 the network learned",
+    ]
+    assert DOMAIN.warnings(slope(10.0, resolution_m=2.0), inside) == [
+        "the heightmap's resolution of 2 m/pixel is outside the 0.05..1 the network learned"
+    ]
+    assert DOMAIN.warnings(slope(35.0), inside) == [
+        "1e+02 % of the map is steeper than the 30 degrees the network learned"
+    ]
+
+
+def test_share_of_steep_ground():
+    half = slope(40.0).heights.copy()
+    half[:, 20:] = half[:, 19:20]  # level from the middle on
+    frame = slope(40.0).frame
+    assert steep_share(Heightmap(half, frame), 30.0) == pytest.approx(0.5, abs=0.03)
+    half = half.copy()
+    half = half.copy()
+    half[:, :20] = np.nan
+    assert steep_share(Heightmap(half, frame), 30.0) == 0.0
+
+
+def test_domains_join():
+    other = Domain({"mass_kg": (100.0, 300.0)}, (0.5, 2.0), 12.0)
+    joined = DOMAIN.joined(other)
+    assert joined.robot["mass_kg"] == (15.0, 300.0)
+    assert joined.robot["speed_mps"] == (0.3, 1.2)
+    assert (joined.resolution_m, joined.max_slope_deg) == ((0.05, 2.0), 30.0)
+    assert Domain.from_dict(json.loads(json.dumps(joined.as_dict()))) == joined
+
+
+def test_the_same_lattice_from_the_saved_model(tmp_path):
+    torch.manual_seed(0)
+    net = CompactNet()
+    torch.nn.init.normal_(net.series.weight, std=0.1)
+    save_artifact(tmp_path, Artifact(net, DOMAIN))
+    hill = slope(8.0)
+    frame = hill.frame.respaced(1.0)
+    first, second = (load_artifact(tmp_path).traction_per_m(hill, Robot(), frame, heading_bins(4)) for _ in range(2))
+    np.testing.assert_array_equal(first, second)

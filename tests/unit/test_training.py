@@ -1,0 +1,166 @@
+"""Training: it learns what is there, repeats itself, resumes, holds out whole runs, and its errors are the paper's."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from model.energy.examples import cut_examples
+from model.energy.physics import PhysicsPredictor, tan_grade
+from model.energy.resnet import ResNetEnergy
+from model.energy.training import Network, TrainingOptions, errors, evaluate_segments, predicted_energy, train_network
+from model.errors import InputError, ModelError
+from model.frames import GridFrame
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+ROBOT = Robot(rolling_resistance=0.1)
+SHORT = TrainingOptions(epochs=3, patience=9, batch=64, learning_rate=2e-3)
+
+
+def hilly(seed: int = 0) -> Heightmap:
+    rng = np.random.default_rng(seed)
+    frame = GridFrame(0.0, 24.0, 0.1, 240, 240)
+    x, y = (a * 2 * math.pi for a in np.meshgrid(np.arange(240) / 240, np.arange(240) / 240))
+    heights = 0.6 * np.sin(x) + 0.5 * np.cos(2 * y + x) + 0.01 * rng.standard_normal(frame.shape)
+    return Heightmap(heights.astype(np.float32), frame)
+
+
+def driven(count: int, *, loss: float = 1.4, architecture: str = "compact", seed: int = 1):
+    """Segments of a made-up truth: eq. 5 with rolling losses `loss` times what the robot's owner believes."""
+    rng = np.random.default_rng(seed)
+    heightmap = hilly()
+    x, y = rng.uniform(2.0, 22.0, (2, count))
+    heading = rng.uniform(0.0, 2 * math.pi, count)
+    grade = tan_grade(heightmap, x, y, heading)
+    energy = ROBOT.price_per_m(ROBOT.weight_n * (loss * ROBOT.rolling_resistance + grade))
+    run = np.arange(count) * 8 // count
+    examples = cut_examples(heightmap, ROBOT, x, y, heading, energy, run=run, architecture=architecture, size=32)
+    return heightmap, (x, y, heading, energy, run), examples
+
+
+def test_learns_a_loss_that_physics_underrates():
+    _, _, examples = driven(400)
+    options = TrainingOptions(epochs=30, patience=30, batch=64, learning_rate=3e-3)
+    result = train_network(examples, seed=3, options=options)
+    before = TrainingOptions(epochs=0)
+    untrained = train_network(examples, seed=3, options=before).held_out_error
+    assert result.held_out_error < 0.2 * untrained
+    held = examples.select(np.isin(examples.run, result.held_out_runs))
+    measured = errors(predicted_energy(result.net, held), held.energy_j, held.run)
+    assert measured["mean_relative_error"] == pytest.approx(result.held_out_error, rel=0.05)
+
+
+def same_weights(one: Network, other: Network) -> bool:
+    pairs = zip(one.state_dict().values(), other.state_dict().values(), strict=True)
+    return all(torch.equal(a, b) for a, b in pairs)
+
+
+def test_same_seed_same_weights_and_resuming_changes_nothing(tmp_path):
+    _, _, examples = driven(120)
+
+    class Stopped(Exception):
+        pass
+
+    def stop_after_one(done: float) -> None:
+        raise Stopped
+
+    def train(seed=5, **kwargs):
+        return train_network(examples, seed=seed, options=SHORT, **kwargs).net
+
+    reference = train()
+    checkpoint = tmp_path / "state.pt"
+    with pytest.raises(Stopped):
+        train(checkpoint=checkpoint, progress=stop_after_one)
+    assert same_weights(reference, train())
+    assert same_weights(reference, train(checkpoint=checkpoint))
+    assert not same_weights(reference, train(seed=6))
+    with pytest.raises(ModelError, match="another training"):
+        train(seed=6, checkpoint=checkpoint)
+
+
+def test_the_papers_network_repeats_itself_too():
+    _, _, examples = driven(8, architecture="resnet18")
+    options = TrainingOptions(epochs=1, batch=8, learning_rate=1e-4, loss="mse")
+    one, other = (train_network(examples, architecture="resnet18", seed=5, options=options).net for _ in range(2))
+    assert same_weights(one, other)
+
+
+def test_whole_runs_are_held_out():
+    _, _, examples = driven(80)
+    result = train_network(examples, held_out_runs=[2, 5], options=TrainingOptions(epochs=1))
+    assert result.held_out_runs == [2, 5]
+    with pytest.raises(InputError, match="at least two runs"):
+        train_network(examples.select(examples.run == 0), options=SHORT)
+
+
+def test_training_turns_the_ground_and_the_heading_together():
+    from model.energy.training import _Tensors
+
+    # on the plane z = 0.3 x a robot heads 20 degrees west of uphill; turned clockwise uphill is south
+    heading = math.radians(90.0 - 20.0)
+    frame = GridFrame(0.0, 6.0, 0.125, 48, 48)
+    x, _ = frame.centres()
+    east = Heightmap(np.tile(0.3 * x, (48, 1)).astype(np.float32), frame)
+    south = Heightmap(np.tile(0.3 * x[:, None], (1, 48)).astype(np.float32), frame)
+    west = Heightmap(np.tile(-0.3 * x, (48, 1)).astype(np.float32), frame)
+    one, turned, mirrored = (
+        cut_examples(heightmap, ROBOT, [3.0], [3.0], [h], [1.0])
+        for heightmap, h in ((east, heading), (south, heading + math.pi / 2), (west, -heading))
+    )
+    torch.manual_seed(0)
+    net = train_network(driven(80)[2], options=TrainingOptions(epochs=1, learning_rate=1e-2)).net
+    part = torch.arange(1)
+    with torch.inference_mode():
+        by_turning = _Tensors(one).energy(net, part, leak=0.0, quarter_turns=1)[0]
+        assert float(by_turning) == pytest.approx(float(_Tensors(turned).energy(net, part, leak=0.0)[0]), rel=1e-4)
+        by_mirror = _Tensors(one).energy(net, part, leak=0.0, mirror=True)[0]
+        assert float(by_mirror) == pytest.approx(float(_Tensors(mirrored).energy(net, part, leak=0.0)[0]), rel=1e-4)
+
+
+def test_fine_tuning_starts_from_what_is_known_and_leaves_it_alone():
+    _, _, examples = driven(400)
+    options = TrainingOptions(epochs=15, patience=15, batch=64, learning_rate=3e-3)
+    known = train_network(examples, options=options)
+    kept = {key: value.clone() for key, value in known.net.state_dict().items()}
+    tuned = train_network(examples, start_from=known.net, options=TrainingOptions(epochs=1, learning_rate=1e-4))
+    assert tuned.held_out_error <= known.held_out_error + 1e-9
+    assert all(torch.equal(kept[key], value) for key, value in known.net.state_dict().items())
+    with pytest.raises(ModelError):
+        train_network(examples, architecture="compact", start_from=ResNetEnergy(), options=SHORT)
+
+
+def test_a_frozen_backbone_stays():
+    _, _, examples = driven(8, architecture="resnet18")
+    torch.manual_seed(0)
+    start = ResNetEnergy()
+    options = TrainingOptions(epochs=1, batch=8, learning_rate=1e-2, freeze_backbone=True, loss="mse")
+    net = train_network(examples, architecture="resnet18", start_from=start, options=options).net
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(start.backbone.state_dict().values(), net.backbone.state_dict().values(), strict=True)
+    )
+
+
+def test_errors_by_hand():
+    # |10-8|/8 = 0.25, |5-5|/5 = 0, |6-12|/12 = 0.5; runs: |15-13|/13 and |6-12|/12
+    found = errors([10.0, 5.0, 6.0], [8.0, 5.0, 12.0], [1, 1, 2])
+    assert found["segments"] == 3
+    assert found["mean_relative_error"] == pytest.approx(0.25)
+    assert found["median_relative_error"] == pytest.approx(0.25)
+    assert found["rmse_j"] == pytest.approx(math.sqrt((4 + 0 + 36) / 3))
+    assert found["bias_j"] == pytest.approx((-2 + 0 + 6) / 3)
+    assert found["route_relative_errors"] == {"1": pytest.approx(2 / 13), "2": pytest.approx(0.5)}
+    assert found["route_relative_error"] == pytest.approx((2 / 13 + 0.5) / 2)
+
+
+def test_physics_is_perfect_where_physics_made_the_data():
+    heightmap, segments, _ = driven(50, loss=1.0)
+    x, y, heading, energy, run = segments
+    x = x.copy()
+    x[0] = 1000.0  # off the map
+    found = evaluate_segments(PhysicsPredictor(), heightmap, ROBOT, x, y, heading, energy, run=run)
+    assert found["unknown"] == 1
+    assert found["segments"] == 49
+    assert found["mean_relative_error"] == pytest.approx(0.0, abs=1e-9)
