@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import math
 from dataclasses import asdict
 from typing import Any
@@ -31,7 +32,7 @@ from service.workflows import Assessment
 
 def heightmap_out(row: HeightmapRow) -> HeightmapOut:
     links = {"self": f"/v1/heightmaps/{row.id}"}
-    return HeightmapOut(id=row.id, name=row.name, created_at=row.created_at, links=links, **row.stats)
+    return HeightmapOut(id=row.id, name=row.name, created_at=_utc(row.created_at), links=links, **row.stats)
 
 
 def costmap_out(row: CostmapRow) -> CostmapOut:
@@ -53,8 +54,8 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
         id=row.id,
         status=row.status,  # type: ignore[arg-type]
         progress=row.progress,
-        created_at=row.created_at,
-        finished_at=row.finished_at,
+        created_at=_utc(row.created_at),
+        finished_at=_utc(row.finished_at) if row.finished_at else None,
         heightmap_id=row.heightmap_id,
         robot=RobotOut(**row.request["robot"]),
         model=row.request["model"],
@@ -160,6 +161,11 @@ def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityO
         back=RouteOut(**route_values(routes[1])) if len(routes) == 2 else None,
         warnings=[*warnings, *(note for r in routes for note in r.notes)],
     )
+
+
+def _utc(time: dt.datetime) -> dt.datetime:
+    """The database keeps UTC without saying so."""
+    return time.replace(tzinfo=dt.UTC)
 
 
 def _percent(part: float, whole: float) -> float:

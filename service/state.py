@@ -12,7 +12,7 @@ from typing import Any
 import anyio
 from fastapi import Request
 
-from model.errors import BusyError, ConflictError
+from model.errors import BusyError, ConflictError, JoulemapError
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
 from service.jobs import CostmapJobs
@@ -38,6 +38,7 @@ class Service:
         self.ingest_limit = anyio.CapacityLimiter(_INGEST_AT_ONCE)  # each may hold a whole heightmap
         self.warm_seconds: float | None = None
         self._warm = threading.Event()
+        self._warm_failure = "see the log"
 
     def start(self) -> None:
         """Open the store, warm up in a thread, and go on with unfinished cost maps."""
@@ -52,8 +53,9 @@ class Service:
     def check_ready(self) -> float:
         """Seconds that warming up took. Raises BusyError before it is over, or when it failed."""
         if self.warm_seconds is None:
-            words = "warming up failed: see the log" if self._warm.is_set() else "kernels are being compiled or loaded"
-            raise BusyError(f"not ready: {words}", retry_after_s=2)
+            if self._warm.is_set():
+                raise BusyError(f"not ready: warming up failed: {self._warm_failure}", failed=True)
+            raise BusyError("not ready: kernels are being compiled or loaded", failed=False, retry_after_s=2)
         return self.warm_seconds
 
     def await_kernels(self) -> None:
@@ -126,6 +128,9 @@ class Service:
             settings = self.settings
             self.warm_seconds = warm_up(models=settings.warm_models, models_dir=settings.resolved_models_dir)
             _LOG.info("kernels are warm after %.1f s", self.warm_seconds)
+        except JoulemapError as error:
+            self._warm_failure = error.message
+            _LOG.error("warming up failed: %s", error.message)
         finally:
             self._warm.set()
 

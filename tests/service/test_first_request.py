@@ -1,0 +1,52 @@
+"""Nobody waits for a compiler: after warming up, a request on a real map compiles nothing more."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+PROBE = """
+import gc, json, sys, tempfile
+from pathlib import Path
+from fastapi.testclient import TestClient
+from numba.core.dispatcher import Dispatcher
+from service.app import create_app
+from tests.service.conftest import GOAL, START, hill, settings_for
+from model.terrain.writers import write_geotiff
+
+def compiled():
+    own = [d for d in gc.get_objects() if isinstance(d, Dispatcher)]
+    own = [d for d in own if d.py_func.__module__.startswith(("model", "planner"))]
+    return {f"{d.py_func.__module__}.{d.py_func.__name__}": sorted(map(str, d.signatures)) for d in own}
+
+with tempfile.TemporaryDirectory() as folder, TestClient(create_app(settings_for(Path(folder)))) as client:
+    service = client.app.state.service
+    service.await_kernels()
+    before = compiled()
+    heightmap = client.post("/v1/heightmaps", content=write_geotiff(None, hill())).json()["id"]
+    for robot in ({}, {"regeneration": 0.5, "turn_j_per_rad": 2.0}):
+        asked = {"heightmap_id": heightmap, "model": "physics", "robot": robot, "headings": 12}
+        made = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}).json()["id"]
+        for change in ({}, {"neighbours": 8}, {"neighbours": 32}, {"planner": "dijkstra"}, {"refine": False}):
+            asked = {"start": START, "goal": GOAL, **change}
+            assert client.post(f"/v1/costmaps/{made}/paths", json=asked).status_code == 200
+        task = {"start": START, "goal": GOAL, "round_trip": True}
+        assert client.post(f"/v1/costmaps/{made}/feasibility", json=task).status_code == 200
+        assert client.get(f"/v1/costmaps/{made}/at", params={"x": START[0], "y": START[1]}).status_code == 200
+    after = compiled()
+    assert len(before) > 10
+    print(json.dumps({name: signatures for name, signatures in after.items() if before.get(name) != signatures}))
+"""
+
+
+def test_requests_after_the_warm_up_compile_nothing() -> None:
+    """In a process of its own, where nothing but the warm-up came before."""
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE], cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().splitlines()[-1] == "{}", f"compiled after the warm-up: {done.stdout}"
