@@ -49,10 +49,13 @@ def simulate(
 ) -> None:
     """Simulate **measured runs**: a robot driven over a site, its battery, and a logger at 10 Hz with all its faults.
 
-    The robot's true mass, friction and losses are drawn around what its file declares, as they are in life.
+    The robot's true mass and losses are drawn around what its file declares, as they are in life. Without `--robot`,
+    robot.toml declares the rolling resistance that its owner would measure on smooth level ground of that site.
 
     Example: `joulemap simulate --out field --site dirt --drive waypoints --runs 6`
     """
+    from dataclasses import replace
+
     import numpy as np
 
     from model.field.drives import drive_along, lawnmower, random_waypoints
@@ -61,12 +64,16 @@ def simulate(
     from model.field.sites import named_site, random_site
     from model.robot import Robot
     from model.terrain.writers import write_geotiff
+    from service.pretraining import level_ground, rolling_resistance_on
 
     answer = Answer(json_file)
     rng = np.random.default_rng([seed, 1])
     place = random_site(np.random.default_rng(seed)) if site is SiteName.RANDOM else named_site(site.value, seed=seed)
     declared = Robot.from_toml(robot) if robot is not None else Robot()
     truth = FieldRobot.drawn(declared, rng)
+    if robot is None:
+        measured = rolling_resistance_on(level_ground(place.ground, rng), place.ground, truth)
+        declared = replace(declared, rolling_resistance=round(measured, 4))
     out.mkdir(parents=True, exist_ok=True)
     write_geotiff(out / "dem.tif", place.survey)
     write_file(out / "robot.toml", _toml(declared).encode())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -210,12 +211,14 @@ def test_simulated_runs_are_judged_and_learned_from(tmp_path: Path) -> None:
     made = ("simulate", "--out", field, "--site", "random", "--drive", "waypoints", "--runs", "2", "--seed", "3")
     assert joulemap(*made)[0] == 0
     assert sorted(p.name for p in field.iterdir()) == ["dem.tif", "robot.toml", "run_01.csv", "run_02.csv"]
-    assert Robot.from_toml(field / "robot.toml") == Robot()
+    declared = Robot.from_toml(field / "robot.toml")
+    assert replace(declared, rolling_resistance=Robot().rolling_resistance) == Robot()
     measured = ("--heightmap", field / "dem.tif", "--robot", field / "robot.toml", "--runs", field)
     code, words, errors = joulemap("evaluate", "--model", "physics", *measured, "--json", "-")
     assert code == 0, errors
     physics = json.loads(words)
     assert physics["segments"] > 100
+    assert physics["mean_relative_error"] < 0.4  # the owner's rolling resistance is not far off
     assert set(physics["route_relative_errors"]) == {"run_01.csv", "run_02.csv"}
     code, words, errors = joulemap("train", *measured, "--out", model, "--epochs", "2", "--json", "-")
     assert code == 0, errors
