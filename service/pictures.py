@@ -281,7 +281,7 @@ def _map_inches(frame: GridFrame) -> tuple[float, float]:
     width = 7.2
     height = width * frame.rows / frame.cols
     if height > 7.0:
-        width, height = max(width * 7.0 / height, 3.0), 7.0
+        width, height = max(width * 7.0 / height, 4.8), 7.0
     return width, max(height, 1.2)
 
 
@@ -307,7 +307,8 @@ def _style_map(axes: Axes, frame: GridFrame) -> None:
     for axis, low, high, name in ((axes.xaxis, west, east, "x"), (axes.yaxis, south, north, "y")):
         origin = math.floor(low / 100.0) * 100.0 if max(abs(low), abs(high)) >= 10_000.0 else 0.0
         axis.set_major_formatter(FuncFormatter(lambda value, _, origin=origin: f"{value - origin:g}"))
-        axis.set_major_locator(MaxNLocator(7))
+        share = 1.0 if slender else (high - low) / max(east - west, north - south)
+        axis.set_major_locator(MaxNLocator(max(1, round(7 * share))))
         axis.set_label_text(f"{name} - {origin:,.0f} [m]".replace(",", " ") if origin else f"{name} [m]")
     _quiet(axes)
 
