@@ -146,6 +146,7 @@ def test_the_steps_build_a_working_service(image: Image, tmp_path: Path) -> None
     assert any((root / "cache").rglob("*.nbc")), "the kernels are not where the service looks for them"
     shutil.rmtree(root / "app")  # what runs is what was installed
     start_and_check(image, root / "venv" / "bin", root / "data", environment)
+    shutil.rmtree(root / "venv")  # more than a gigabyte that pytest would keep
 
 
 def start_and_check(image: Image, programs: Path, data: Path, environment: Mapping[str, str]) -> None:
