@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Any
@@ -93,6 +93,18 @@ class CostLattice:
         codes[np.abs(rise_east * north - rise_north * east) > max_cross] = Blocked.CROSS_SLOPE
         codes[np.abs(rise_east * east + rise_north * north) > max_grade] = Blocked.GRADE
         return np.where(self.blocked[..., None] > 0, self.blocked[..., None], codes)
+
+    def window(self, row0: int, row1: int, col0: int = 0, col1: int | None = None) -> CostLattice:
+        """The lattice of cells [row0, row1) x [col0, col1); views, not copies."""
+        part = np.s_[row0:row1, col0:col1]
+        return replace(
+            self,
+            frame=self.frame.window(row0, row1, col0, col1),
+            traction_per_m=self.traction_per_m[part],
+            elevation_m=self.elevation_m[part],
+            gradient=self.gradient[part],
+            blocked=self.blocked[part],
+        )
 
     def blocked_by_heading(self) -> NDArray[np.uint8]:
         """(rows, cols, headings) uint8 `Blocked` codes at every bin."""

@@ -24,30 +24,30 @@ def ground_limits(
 
     elevation : (rows, cols) float32 [m] at the centre. gradient : (rows, cols, 2) float32, the least-squares plane
     through the square metre around the cell, rise per metre to east and north. blocked : (rows, cols) uint8.
-    A step is a height jump over at most one wheel radius, after the plane is taken out, that exceeds the wheel radius
-    (a wheel meets a wall higher than its own axle).
+
+    A step is a rise within one wheel diameter (to whole pixels, at least one), along a row or a column of the
+    heightmap, that exceeds the wheel radius and that neither the run before it nor the one after shares: a kerb, a wall
+    or a ditch, but not a steep slope, which is a matter of grade. A map coarser than a wheel shows none.
     """
     samples = int(np.clip(round(SQUARE_M / heightmap.resolution_m) + 1, 9, 21))
-    pitch_m = SQUARE_M / (samples - 1)
     x, y = frame.centres()
     row, _ = heightmap.frame.rowcol(0.0, y)
     _, col = heightmap.frame.rowcol(x, 0.0)
-    lag = max(1, int(robot.wheel_radius_m / pitch_m))
+    diameter = 2.0 * robot.wheel_radius_m / heightmap.resolution_m
     return _ground_limits(
-        heightmap.heights, row, col, heightmap.resolution_m, samples, lag, pitch_m, robot.wheel_radius_m,
+        heightmap.heights, row, col, heightmap.resolution_m, samples, int(diameter), robot.wheel_radius_m,
         int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP),
     )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)
-def _ground_limits(
-    heights, row, col, resolution_m, samples, lag, pitch_m, max_step_m, outside, unknown, step
-):  # fmt: skip
+def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, outside, unknown, step):
     rows, cols = row.size, col.size
     elevation = np.full((rows, cols), np.nan, dtype=np.float32)
     gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
     blocked = np.zeros((rows, cols), dtype=np.uint8)
     half = 0.5 * (samples - 1)
+    pitch_m = SQUARE_M / (samples - 1)
     pixel = pitch_m / resolution_m
     reach = half * pixel
     spread = 0.0  # sum of squared offsets along one axis, over the whole square [m2]
@@ -55,7 +55,6 @@ def _ground_limits(
         spread += ((a - half) * pitch_m) ** 2 * samples
     edge = 0.5 + 1e-6
     for i in prange(rows):
-        z = np.empty((samples, samples))
         for j in range(cols):
             elevation[i, j] = bilinear(heights, row[i], col[j])
             if (
@@ -69,7 +68,6 @@ def _ground_limits(
             for a in range(samples):  # a grows to the south
                 for b in range(samples):
                     h = bilinear(heights, row[i] + (a - half) * pixel, col[j] + (b - half) * pixel)
-                    z[a, b] = h
                     rise_east += h * (b - half) * pitch_m
                     rise_north -= h * (a - half) * pitch_m
             rise_east /= spread
@@ -79,14 +77,37 @@ def _ground_limits(
                 continue
             gradient[i, j, 0] = rise_east
             gradient[i, j, 1] = rise_north
-            highest = 0.0
-            for a in range(samples):
-                for b in range(samples):
-                    for k in range(1, lag + 1):
-                        if b + k < samples:
-                            highest = max(highest, abs(z[a, b + k] - z[a, b] - rise_east * k * pitch_m))
-                        if a + k < samples:
-                            highest = max(highest, abs(z[a + k, b] - z[a, b] + rise_north * k * pitch_m))
-            if highest > max_step_m:
+            if run > 0 and _has_step(heights, row[i], col[j], reach, run, max_step_m):
                 blocked[i, j] = step
     return elevation, gradient, blocked
+
+
+@njit(cache=True)
+def _has_step(heights, row, col, reach, run, max_step_m):
+    """Whether some run of `run` pixels whose middle lies in the square around (row, col) is a step."""
+    rows, cols = heights.shape
+    middle = 0.5 * run
+    slack = reach + 1e-6
+    for axis in range(2):
+        down, right = (run, 0) if axis == 0 else (0, run)
+        first_row = max(int(math.ceil(row - slack - (middle if axis == 0 else 0.0))), 0)
+        last_row = min(int(math.floor(row + slack - (middle if axis == 0 else 0.0))), rows - 1 - down)
+        first_col = max(int(math.ceil(col - slack - (middle if axis == 1 else 0.0))), 0)
+        last_col = min(int(math.floor(col + slack - (middle if axis == 1 else 0.0))), cols - 1 - right)
+        for r in range(first_row, last_row + 1):
+            for c in range(first_col, last_col + 1):
+                rise = heights[r + down, c + right] - heights[r, c]
+                if not abs(rise) > max_step_m:  # cheap, and false where a height is unknown
+                    continue
+                jump = abs(rise)
+                if r - down >= 0 and c - right >= 0:
+                    before = heights[r, c] - heights[r - down, c - right]
+                    if not math.isnan(before):
+                        jump = min(jump, abs(rise - before))
+                if r + 2 * down < rows and c + 2 * right < cols:
+                    after = heights[r + 2 * down, c + 2 * right] - heights[r + down, c + right]
+                    if not math.isnan(after):
+                        jump = min(jump, abs(rise - after))
+                if jump > max_step_m:
+                    return True
+    return False

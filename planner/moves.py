@@ -10,7 +10,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from model.errors import InputError
-from model.frames import heading_of
+from model.frames import heading_of, heading_vector, wrap_angle
 from planner.edges import interpolation_matrix, price_terms
 from planner.kernels import mean_response
 from planner.lattice import CostLattice
@@ -62,7 +62,7 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     matrix = interpolation_matrix(headings, lattice.headings).astype(np.float32)
     at_moves = lattice.traction_per_m.reshape(-1, lattice.headings) @ matrix.T  # (cells, N)
-    allowed = _allowed_moves(lattice.gradient, lattice.blocked, headings, *lattice.max_tangents)
+    allowed = _allowed_moves(lattice.gradient, lattice.blocked, *heading_vector(headings), *lattice.max_tangents)
     pieces = [_pieces(int(r), int(c)) for r, c in offsets]
     cells, share = _stack_stencils(offsets, pieces)
     piece_share, piece_cell, piece_blend = _stack_pieces(pieces)
@@ -72,8 +72,7 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
         at_moves.reshape(*lattice.frame.shape, -1), allowed, lattice.elevation_m, offsets, length_m,
         price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
     )  # fmt: skip
-    change = np.abs(np.angle(np.exp(1j * (headings[None, :] - headings[:, None]))))
-    turn = lattice.robot.turn_j_per_rad * change
+    turn = lattice.robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
     return MoveTable(offsets, headings, length_m, energy, turn, rates, bounds)
 
 
@@ -139,18 +138,16 @@ def _stack_pieces(pieces):
 
 
 @njit(cache=True, parallel=True)
-def _allowed_moves(gradient, blocked, headings, max_grade, max_cross):
+def _allowed_moves(gradient, blocked, east, north, max_grade, max_cross):
     """(rows, cols) int64 bit set of the moves whose heading the cell's slope allows; 0 where blocked."""
     rows, cols = blocked.shape
     allowed = np.zeros((rows, cols), dtype=np.int64)
-    east = np.sin(headings)
-    north = np.cos(headings)
     for i in prange(rows):
         for j in range(cols):
             if blocked[i, j] != 0:
                 continue
             bits = 0
-            for k in range(headings.size):
+            for k in range(east.size):
                 along = gradient[i, j, 0] * east[k] + gradient[i, j, 1] * north[k]
                 across = gradient[i, j, 0] * north[k] - gradient[i, j, 1] * east[k]
                 if abs(along) <= max_grade and abs(across) <= max_cross:

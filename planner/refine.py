@@ -80,7 +80,7 @@ def _shortcut(lattice: CostLattice, points: Points) -> Points:
     return np.ascontiguousarray(points[keep])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _cheapest_chain(points, first, second, energy, turn_j_per_rad):
     """Indices of the kept vertices. Pairs are sorted by `first`; the turn at a vertex counts from its best chain."""
     n = points.shape[0]
@@ -126,7 +126,7 @@ def _local_energy(traction, gradient, blocked, terms, turn_j_per_rad, points, i,
     return energy
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _relax(traction, gradient, blocked, terms, turn_j_per_rad, points, step):
     """Pattern search over vertices and whole legs with steps from `step` down to 1/32 cell."""
     points = points.copy()

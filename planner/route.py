@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.errors import BlockedError
+from model.frames import wrap_angle
 from model.terrain.heightmap import sample_bilinear
 from planner.edges import leg_prices, path_headings, path_price, world_points
 from planner.lattice import CostLattice
@@ -118,7 +119,7 @@ def _profile(lattice: CostLattice, points: NDArray[np.float64]) -> Profile:
     heading = path_headings(fine)
     driven = np.hypot(*np.diff(fine, axis=0).T) * spacing
     if lattice.robot.turn_j_per_rad > 0.0 and energy.size > 1:
-        change = np.abs(np.angle(np.exp(1j * np.diff(heading))))
+        change = np.abs(wrap_angle(np.diff(heading)))
         moving = (driven[1:] > 0) & (driven[:-1] > 0)
         energy[1:] += lattice.robot.turn_j_per_rad * np.where(moving, change, 0.0)
     x, y = lattice.frame.xy(fine[1:, 0], fine[1:, 1])

@@ -24,6 +24,7 @@ from planner.lattice import CostLattice
 
 MAX_TIME_LIMIT_S = 120.0
 _HEADINGS_PER_BIN = 8
+_DIP = (math.pi / _HEADINGS_PER_BIN) ** 2 / 8.0
 TREE_STEP_CELLS = 30.0
 """Longest leg a tree planner adds. OMPL's own default, a fifth of the map, mostly runs into blocked ground."""
 
@@ -32,8 +33,8 @@ def price_floor_per_m(lattice: CostLattice) -> float:
     """A proven lower bound of the price per metre [J/m], over all places and all continuous headings.
 
     Traction is bilinear between cells, so its least value is at a cell; in heading it is a trigonometric polynomial of
-    order at most K / 2, which between samples 2 pi / (8 K) apart falls at most (pi / 8)^2 / 8 = 1.93 % of its largest
-    magnitude below them (Bernstein's inequality for the second derivative).
+    order at most K / 2, which between samples 2 pi / (8 K) apart falls at most `_DIP` = (pi / 8)^2 / 8 = 1.93 % of its
+    largest magnitude below them (Bernstein's inequality for the second derivative).
     """
     bins = lattice.headings
     matrix = interpolation_matrix(heading_bins(_HEADINGS_PER_BIN * bins), bins).astype(np.float32).T
@@ -45,7 +46,7 @@ def price_floor_per_m(lattice: CostLattice) -> float:
         if part.size:
             lowest = min(lowest, float(part.min()))
             largest = max(largest, float(np.abs(part).max()))
-    floor = lowest - (math.pi / _HEADINGS_PER_BIN) ** 2 / 8.0 * largest
+    floor = lowest - _DIP * largest / (1.0 - _DIP)
     return float(lattice.robot.price_per_m(floor))
 
 

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from model.errors import BlockedError, InputError, NoRouteError
@@ -15,6 +14,7 @@ from planner.heuristics import dijkstra_bounds, energy_bounds
 from planner.kernels import turn_angle
 from planner.lattice import Blocked, CostLattice
 from planner.moves import MoveTable
+from planner.search_kernels import search_states, trace_cells
 
 PLANNERS = ("astar", "dijkstra")
 _NONE = -1
@@ -37,10 +37,12 @@ class GridSearch:
 
 
 def check_standing(lattice: CostLattice, x: float, y: float, *, name: str) -> tuple[int, int]:
-    """The cell under a world point. Raises PointError outside the map, BlockedError where the robot cannot stand."""
+    """The cell under a world point. Raises PointError outside the map, BlockedError where every heading
+    is blocked; the reason given is the one that comes first in `Blocked`."""
     row, col = lattice.frame.cell_of(x, y, name=name)
-    reason = Blocked(int(lattice.blocked[row, col]))
-    if reason is not Blocked.FREE:
+    codes = lattice.window(row, row + 1, col, col + 1).blocked_by_heading()[0, 0]
+    if codes.all():
+        reason = Blocked(int(codes.min()))
         raise BlockedError(
             f"{name} ({x:g}, {y:g}) stands on blocked ground: {reason.label.replace('_', ' ')}",
             which=name, x=x, y=y, reason=reason.label,
@@ -95,7 +97,7 @@ def grid_search(
         if goal is not None
         else (np.empty(0, dtype=np.int64), np.empty((0, layers)))
     )
-    energy, pred, last, total, expanded = _search(
+    energy, pred, last, total, expanded = search_states(
         table.energy, table.offsets, table.turn_j, layers, lattice.elevation_m, lattice.frame.resolution_m,
         seeds, seed_cost, targets, target_cost, bounds,
     )  # fmt: skip
@@ -113,7 +115,7 @@ def grid_search(
             f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
             reached=expanded,
         )
-    nodes = _trace(pred, table.offsets, last, layers, lattice.frame.cols)
+    nodes = trace_cells(pred, table.offsets, last, layers, lattice.frame.cols)
     points = np.vstack([start, nodes.astype(np.float64), goal])
     keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-12)
     return GridSearch(field, np.ascontiguousarray(points[keep]), float(total), expanded)
@@ -139,168 +141,3 @@ def _terminals(lattice, table, point, layers, *, outward):
                 cost[s, k] += lattice.robot.turn_j_per_rad * angle
     usable = np.isfinite(legs)
     return (cells[usable, 0] * lattice.frame.cols + cells[usable, 1]), np.ascontiguousarray(cost[usable])
-
-
-@njit(cache=True)
-def _bound(bounds, row, col, z, target_row, target_col, target_z, target_rest, spacing):
-    """Lower bound of the energy from a cell to the goal: over bounds the best, over targets the least."""
-    if target_row.size == 0:
-        return -bounds[0, 1] * z
-    least = np.inf
-    for k in range(target_row.size):
-        distance = math.hypot(target_row[k] - row, target_col[k] - col) * spacing
-        best = -np.inf
-        for b in range(bounds.shape[0]):
-            best = max(best, bounds[b, 0] * distance + bounds[b, 1] * (target_z[k] - z))
-        least = min(least, best + target_rest[k])
-    return least
-
-
-@njit(cache=True)
-def _sift_up(heap, place, key, k):
-    node = heap[k]
-    value = key[node]
-    while k > 0:
-        parent = (k - 1) >> 2
-        other = heap[parent]
-        if key[other] <= value:
-            break
-        heap[k] = other
-        place[other] = k
-        k = parent
-    heap[k] = node
-    place[node] = k
-
-
-@njit(cache=True)
-def _sift_down(heap, place, key, size):
-    node = heap[0]
-    value = key[node]
-    k = 0
-    while True:
-        child = 4 * k + 1
-        if child >= size:
-            break
-        best = child
-        for c in range(child + 1, min(child + 4, size)):
-            if key[heap[c]] < key[heap[best]]:
-                best = c
-        other = heap[best]
-        if key[other] >= value:
-            break
-        heap[k] = other
-        place[other] = k
-        k = best
-    heap[k] = node
-    place[node] = k
-
-
-@njit(cache=True)
-def _search(
-    move_energy, offsets, turn, layers, elevation, spacing, seeds, seed_cost, targets, target_cost, bounds
-):  # fmt: skip
-    """A* over states (cell, layer) with a 4-ary heap of decreasing keys; Dijkstra when `bounds` are flat.
-
-    Returns energy (states,), pred (states,) uint16 of move * layers + predecessor layer + 1 (0: a seed), the last state
-    (-1: not reached), the energy to the goal, and the number of settled states.
-    """
-    rows, cols, moves = move_energy.shape
-    states = rows * cols * layers
-    energy = np.full(states, np.inf)
-    key = np.empty(states)
-    pred = np.zeros(states, dtype=np.uint16)
-    place = np.full(states, -1, dtype=np.int32)
-    heap = np.empty(states, dtype=np.int32)
-    target_row = np.empty(targets.size)
-    target_col = np.empty(targets.size)
-    target_z = np.empty(targets.size)
-    target_rest = np.empty(targets.size)
-    is_target = np.full(rows * cols, -1, dtype=np.int8)
-    for k in range(targets.size):
-        target_row[k] = targets[k] // cols
-        target_col[k] = targets[k] % cols
-        target_z[k] = elevation[targets[k] // cols, targets[k] % cols]
-        target_rest[k] = target_cost[k].min()
-        is_target[targets[k]] = k
-    size = 0
-    for s in range(seeds.size):
-        row, col = seeds[s] // cols, seeds[s] % cols
-        ahead = _bound(bounds, row, col, elevation[row, col], target_row, target_col, target_z, target_rest, spacing)
-        for layer in range(layers):
-            state = seeds[s] * layers + layer
-            energy[state] = seed_cost[s, layer]
-            key[state] = energy[state] + ahead
-            heap[size] = state
-            _sift_up(heap, place, key, size)
-            size += 1
-    total = np.inf
-    last = -1
-    expanded = 0
-    while size > 0:
-        state = heap[0]
-        if key[state] >= total:
-            break
-        size -= 1
-        if size > 0:
-            heap[0] = heap[size]
-            _sift_down(heap, place, key, size)
-        place[state] = -1
-        expanded += 1
-        layer = state % layers
-        cell = state // layers
-        goal = is_target[cell]
-        if goal >= 0 and energy[state] + target_cost[goal, layer] < total:
-            total = energy[state] + target_cost[goal, layer]
-            last = state
-        row, col = cell // cols, cell % cols
-        for n in range(moves):
-            step = move_energy[row, col, n]
-            if math.isnan(step):
-                continue
-            reached = energy[state] + step
-            r, c = row + offsets[n, 0], col + offsets[n, 1]
-            other = r * cols + c
-            if layers > 1:
-                reached += turn[layer, n]
-                other = other * layers + n
-            if reached < energy[other]:
-                if place[other] < 0:
-                    if energy[other] < np.inf and reached > energy[other] - 1e-9 * (1.0 + abs(reached)):
-                        continue  # settled before; the gain is rounding of the bounds
-                    ahead = _bound(
-                        bounds, r, c, elevation[r, c], target_row, target_col, target_z, target_rest, spacing
-                    )
-                    place[other] = size
-                    heap[size] = other
-                    size += 1
-                    key[other] = reached + ahead
-                else:
-                    key[other] += reached - energy[other]
-                energy[other] = reached
-                pred[other] = n * layers + layer + 1
-                _sift_up(heap, place, key, place[other])
-    return energy, pred, last, total, expanded
-
-
-@njit(cache=True)
-def _trace(pred, offsets, last, layers, cols):
-    """(n, 2) int64 cells from the first to the state `last`."""
-    count = 1
-    state = last
-    while pred[state] > 0:
-        code = pred[state] - 1
-        n = code // layers
-        cell = state // layers - offsets[n, 0] * cols - offsets[n, 1]
-        state = cell * layers + code % layers
-        count += 1
-    out = np.empty((count, 2), dtype=np.int64)
-    state = last
-    for k in range(count - 1, -1, -1):
-        out[k, 0] = (state // layers) // cols
-        out[k, 1] = (state // layers) % cols
-        if k > 0:
-            code = pred[state] - 1
-            n = code // layers
-            cell = state // layers - offsets[n, 0] * cols - offsets[n, 1]
-            state = cell * layers + code % layers
-    return out

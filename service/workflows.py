@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -97,15 +97,7 @@ def summarise(lattice: CostLattice) -> dict[str, Any]:
     """
     low, high, total, counts = np.inf, -np.inf, 0.0, np.zeros(len(Blocked), dtype=np.int64)
     for row0 in range(0, lattice.frame.rows, _STRIP_ROWS):
-        rows = slice(row0, min(row0 + _STRIP_ROWS, lattice.frame.rows))
-        strip = replace(
-            lattice,
-            frame=lattice.frame.window(rows.start, rows.stop),
-            traction_per_m=lattice.traction_per_m[rows],
-            elevation_m=lattice.elevation_m[rows],
-            gradient=lattice.gradient[rows],
-            blocked=lattice.blocked[rows],
-        )
+        strip = lattice.window(row0, min(row0 + _STRIP_ROWS, lattice.frame.rows))
         codes = strip.blocked_by_heading()
         counts += np.bincount(codes.ravel(), minlength=len(Blocked))
         prices = strip.energy_per_m[codes == Blocked.FREE]
@@ -145,7 +137,7 @@ def costs_at(lattice: CostLattice, x: float, y: float) -> PointCosts:
         for c in range(max(int(np.floor(at_col)), 0), min(int(np.floor(at_col)) + 2, lattice.frame.cols))
     ]
     near.sort(key=lambda cell: (cell[0] - at_row) ** 2 + (cell[1] - at_col) ** 2)
-    codes = np.stack([_cell_codes(lattice, r, c) for r, c in near])  # (cells, K)
+    codes = np.stack([lattice.window(r, r + 1, c, c + 1).blocked_by_heading()[0, 0] for r, c in near])  # (cells, K)
     reasons: list[str | None] = []
     for k in range(lattice.headings):
         if np.isfinite(energy[k]):
@@ -154,18 +146,6 @@ def costs_at(lattice: CostLattice, x: float, y: float) -> PointCosts:
             blocked = codes[:, k][codes[:, k] != Blocked.FREE]
             reasons.append(Blocked(int(blocked[0])).label if blocked.size else Blocked.UNKNOWN.label)
     return PointCosts(headings, energy, reasons, float(lattice.elevation_m[row, col]))
-
-
-def _cell_codes(lattice: CostLattice, row: int, col: int) -> np.ndarray:
-    cell = replace(
-        lattice,
-        frame=lattice.frame.window(row, row + 1, col, col + 1),
-        traction_per_m=lattice.traction_per_m[row : row + 1, col : col + 1],
-        elevation_m=lattice.elevation_m[row : row + 1, col : col + 1],
-        gradient=lattice.gradient[row : row + 1, col : col + 1],
-        blocked=lattice.blocked[row : row + 1, col : col + 1],
-    )
-    return cell.blocked_by_heading()[0, 0]
 
 
 @dataclass(frozen=True, eq=False)

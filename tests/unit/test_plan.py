@@ -1,0 +1,150 @@
+"""Plans: what is asked, what is refused, and what comes back beside the route."""
+
+import numpy as np
+import pytest
+
+from model.errors import BlockedError, InputError, NoRouteError, PointError
+from model.robot import Battery, Robot
+from planner.budget import judge
+from planner.edges import price_world_path
+from planner.plan import PLANNERS, RoutePlanner
+from planner.route import geojson, price_route
+from planner.sampling import price_floor_per_m
+from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice
+
+ROOM = """
+    ..........
+    .a..#.....
+    ....#...b.
+    ....#.....
+    ..........
+"""
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_every_planner_goes_round_the_wall(planner):
+    lattice, at = ascii_lattice(ROOM)
+    plan = RoutePlanner(lattice).plan(at["a"], at["b"], planner=planner, time_limit_s=1.5, seed=4)
+    assert plan.route.energy_j == pytest.approx(price_world_path(lattice, plan.route.points), rel=1e-9)
+    np.testing.assert_allclose(plan.route.points[[0, -1], :2], [at["a"], at["b"]])
+    straight = np.hypot(7, 1)
+    assert straight < plan.shortest.energy_j <= plan.route.energy_j * (1 + 1e-9)  # 1 J/m: shortest is cheapest
+    assert plan.route.energy_j < 1.06 * plan.shortest.energy_j
+    assert plan.details["planner"] == planner
+
+
+def test_what_cannot_be_asked_is_refused_by_name():
+    lattice, at = ascii_lattice(ROOM)
+    planner = RoutePlanner(lattice)
+    with pytest.raises(BlockedError, match=r"start .* step"):
+        planner.plan((4.5, 2.5), at["b"])
+    with pytest.raises(BlockedError, match="goal"):
+        planner.plan(at["a"], (4.5, 2.5))
+    with pytest.raises(PointError, match=r"goal .* outside"):
+        planner.plan(at["a"], (99.0, 2.5))
+    with pytest.raises(PointError, match="finite"):
+        planner.plan((np.nan, 1.0), at["b"])
+    with pytest.raises(PointError, match="finite"):
+        planner.plan(at["a"], (np.inf, 1.0))
+    with pytest.raises(InputError, match="planner"):
+        planner.plan(at["a"], at["b"], planner="magic")
+    with pytest.raises(InputError, match="neighbours"):
+        planner.plan(at["a"], at["b"], neighbours=4)
+    with pytest.raises(InputError, match="time_limit_s"):
+        planner.plan(at["a"], at["b"], planner="bitstar", time_limit_s=0.0)
+
+
+def test_walled_in_there_is_no_route():
+    lattice, at = ascii_lattice("""
+        ..#....
+        .a#..b.
+        ..#....
+    """)
+    for planner in ("astar", "rrtstar"):  # the grid search proves it before any sampling
+        with pytest.raises(NoRouteError, match="25 deg"):
+            RoutePlanner(lattice).plan(at["a"], at["b"], planner=planner, time_limit_s=60.0)
+
+
+def test_a_start_that_leans_on_blocked_ground_moves_to_its_cell_centre_and_says_so():
+    lattice, at = ascii_lattice("""
+        .....
+        .#...
+        ....b
+    """)
+    plan = RoutePlanner(lattice).plan((2.05, 1.5), at["b"])  # free cell, but a hand's breadth from the block
+    np.testing.assert_allclose(plan.route.points[0, :2], [2.5, 1.5])
+    assert any("start leans on blocked ground" in note for note in plan.route.notes)
+
+
+def test_start_and_goal_need_not_be_cell_centres_nor_in_different_cells():
+    lattice, _ = ascii_lattice(".....\n.....\n.....")
+    planner = RoutePlanner(lattice)
+    for start, goal in (((1.2, 1.1), (1.9, 1.8)), ((0.05, 0.05), (4.95, 2.95)), ((2.0, 1.0), (2.0, 1.0))):
+        plan = planner.plan(start, goal)
+        distance = np.hypot(*np.subtract(goal, start))
+        assert plan.route.energy_j == pytest.approx(distance, abs=1e-6)
+        assert plan.route.length_m == pytest.approx(distance, abs=1e-9)
+
+
+def test_a_route_adds_up():
+    lattice = plane_lattice(40, 40, 0.05, 0.1, robot=Robot(turn_j_per_rad=20.0))
+    path = [[5.0, 5.0], [20.0, 30.0], [35.0, 8.0]]
+    route = price_route(lattice, path)
+    profile = route.profile
+    assert route.energy_j == pytest.approx(profile.energy_j.sum(), rel=1e-9)
+    assert route.energy_j == pytest.approx(profile.cumulative_j[-1], rel=1e-12)
+    assert route.length_m == pytest.approx(np.hypot(15, 25) + np.hypot(15, 22))
+    assert route.duration_s == pytest.approx(route.length_m / 0.5)
+    assert np.diff(profile.distance_m, prepend=0.0).max() <= 1.0 + 1e-9
+    z = lambda p: 0.05 * p[0] + 0.1 * p[1]  # noqa: E731
+    assert route.climb_m - route.descent_m == pytest.approx(z(path[2]) - z(path[0]), abs=1e-4)
+    np.testing.assert_allclose(route.points[:, 2], [z(p) for p in path], atol=1e-4)
+    feature = geojson(route, kind="optimal")
+    assert feature["geometry"]["coordinates"] == route.points.tolist()
+    assert feature["properties"]["energy_j"] == route.energy_j
+
+
+def test_a_path_through_blocked_ground_is_refused_with_its_leg():
+    lattice, at = ascii_lattice(ROOM)
+    with pytest.raises(BlockedError, match="leg 1"):
+        price_route(lattice, [(1.5, 0.5), at["a"], at["b"]])
+    with pytest.raises(PointError, match="point 1"):
+        price_route(lattice, [at["a"], (50.0, 1.0)])
+
+
+def test_turning_is_planned_for_not_only_paid():
+    """On flat ground with dear turns a route takes fewer radians than the grid's staircase, at any price of turning."""
+    free = RoutePlanner(plane_lattice(30, 30, robot=Robot())).plan((3.5, 3.5), (26.5, 12.5), refine=False)
+    dear_robot = Robot(turn_j_per_rad=500.0)
+    dear = RoutePlanner(plane_lattice(30, 30, robot=dear_robot)).plan((3.5, 3.5), (26.5, 12.5), refine=False)
+
+    def radians(points):
+        heading = np.arctan2(*np.diff(points[:, :2], axis=0).T)
+        return np.abs(np.angle(np.exp(1j * np.diff(heading)))).sum()
+
+    assert radians(dear.route.points) <= radians(free.route.points) + 1e-9
+    assert radians(dear.route.points) < 0.5  # one bend between two moves
+    assert dear.details["grid_energy_j"] == pytest.approx(dear.route.energy_j, rel=1e-6)
+
+
+def test_the_price_floor_is_below_every_price():
+    rng = np.random.default_rng(2)
+    for regeneration in (0.0, 0.5):
+        lattice = random_lattice(rng, 12, 12, regeneration=regeneration)
+        floor = price_floor_per_m(lattice)
+        for _ in range(200):
+            heading, centre = rng.uniform(0, 7), rng.uniform([103, 191], [109, 197])
+            step = 0.01 * np.array([np.sin(heading), np.cos(heading)])
+            price = price_world_path(lattice, [centre, centre + step]) / 0.01
+            assert np.isnan(price) or price >= floor - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("energy_j", "feasible", "margin", "end"),
+    [(100_000.0, True, 80_000.0, 0.8 - 100 / 360), (180_000.0, True, 0.0, 0.3), (252_000.0, False, -72_000.0, 0.1)],
+)
+def test_a_verdict_is_energy_against_charge_above_the_reserve(energy_j, feasible, margin, end):
+    verdict = judge(energy_j, Battery(capacity_wh=100.0, charge=0.8, reserve=0.3))  # 180 kJ above the reserve
+    assert verdict.feasible is feasible
+    assert verdict.margin_j - verdict.shortfall_j == pytest.approx(margin)
+    assert verdict.charge_at_end == pytest.approx(end)
