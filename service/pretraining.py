@@ -45,7 +45,9 @@ _SMOOTH_SHARE = 0.2
 _DECLARED_SPREAD = 0.08  # how well an owner knows the rolling resistance (standard deviation of its logarithm)
 
 
-PRETRAINING = TrainingOptions(epochs=12, patience=12, batch=512, learning_rate=2e-3)
+PRETRAINING = TrainingOptions(
+    epochs=18, patience=18, batch=512, learning_rate=2e-3, weight_decay=0.05, feature_jitter=0.1
+)
 DEFAULT_SITES = 1200
 DEFAULT_SEED = 20261121
 """The shipped network's seed and number of sites."""
@@ -59,7 +61,6 @@ def train_default(
     sites: int = DEFAULT_SITES,
     workers: int = 2,
     options: TrainingOptions = PRETRAINING,
-    command: str = "joulemap train --out DIR",
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Simulate `sites` sites, train the compact network on them and write its folder `out`.
@@ -83,7 +84,7 @@ def train_default(
     judged = examples.select(test & (examples.regeneration == 0.0))
     training: dict[str, Any] = {
         "data": "simulated sites and robots (service.pretraining)",
-        "command": command,
+        "command": f"joulemap train --seed {seed} --out DIR",
         "seed": seed,
         "sites": sites,
         "robots": sites * ROBOTS_PER_SITE,

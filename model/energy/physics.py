@@ -171,4 +171,5 @@ class PhysicsPredictor:
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> FloatArray:
         """The same for 1 m segments centred at (x, y). (n,) float64 [J/m]."""
-        return eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, tan_grade(heightmap, x, y, heading_rad))
+        grade = np.atleast_1d(tan_grade(heightmap, x, y, heading_rad))
+        return eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, grade)
