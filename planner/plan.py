@@ -12,7 +12,7 @@ from model.errors import InputError
 from planner.edges import Points, path_price
 from planner.lattice import CostLattice
 from planner.moves import MoveTable, move_table
-from planner.refine import refine_path
+from planner.refine import LEVELS, refine_path
 from planner.route import Route, price_route
 from planner.search import PLANNERS as GRID_PLANNERS
 from planner.search import grid_search, standing_point
@@ -104,10 +104,8 @@ class RoutePlanner:
             if lattice.robot.turn_j_per_rad > 0.0:
                 notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
         details |= found
-        if refine:  # a local improvement may start better from the shortest path
-            other = refine_path(lattice, shortest)
-            if path_price(lattice, other) < path_price(lattice, points):
-                points = other
+        if refine and path_price(lattice, shortest) < path_price(lattice, points):
+            points = refine_path(lattice, shortest)  # as good a start, and the route never costs more than the shortest
         details["seconds"] = time.perf_counter() - began
         return Plan(self._route(points, notes), self._route(shortest, notes), planner, details)
 
@@ -117,7 +115,8 @@ class RoutePlanner:
         lattice = self._distances if distance else self.lattice
         found = grid_search(lattice, self._table(neighbours, distance=distance), start, goal, planner=planner)
         assert found.points is not None
-        points = refine_path(lattice, found.points) if refine else found.points
+        levels = LEVELS[:2] if distance else LEVELS  # a taut string needs no small zigzags
+        points = refine_path(lattice, found.points, levels=levels) if refine else found.points
         return points, {"expanded": found.expanded, "grid_energy_j": found.energy_to_goal_j}
 
     def _route(self, points: Points, notes: list[str]) -> Route:

@@ -16,15 +16,22 @@ from planner.edges import Points, leg_prices_between, path_price, price_arrays
 from planner.kernels import leg_energy, turn_angle
 from planner.lattice import CostLattice
 
-PAIR_BUDGET = 4_000_000
+PAIR_BUDGET = 300_000
 """Cells that the legs of one shortcut pass may cross in all; longer paths look less far ahead."""
-LEG_CELLS = (math.inf, 8.0, 2.0)
-"""Longest leg at each level, coarse to fine: whole legs first, so that a zigzag can change its angle as one."""
-FIRST_STEP = 8.0
-"""Largest shift of a vertex [cells]; a quarter of the leg where that is less."""
+Levels = tuple[tuple[float, float, float], ...]
+LEVELS: Levels = (
+    (math.inf, 8.0, 0.5),
+    (8.0, 2.0, 0.125),
+    (2.0, 0.5, 0.03125),
+    (math.inf, 0.25, 0.015625),
+)
+"""Longest leg, first and last shift of its vertices [cells]. Coarse to fine, so that small bends are found too; whole
+legs first and last, so that a zigzag can change its angle as one."""
+SWEEPS = 24
+"""Most sweeps over the vertices with one shift."""
 
 
-def refine_path(lattice: CostLattice, points: Points) -> Points:
+def refine_path(lattice: CostLattice, points: Points, *, levels: Levels = LEVELS) -> Points:
     """A polyline (m, 2) of (row, col) with the same ends and at most the energy of `points` (n, 2).
 
     Ground is only left out or added where each new leg may be driven. Returns `points` when nothing is gained.
@@ -35,10 +42,9 @@ def refine_path(lattice: CostLattice, points: Points) -> Points:
     energy = path_price(lattice, best)
     for _ in range(2):
         best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
-    for leg in LEG_CELLS:
-        relaxed = _relax(
-            *price_arrays(lattice), lattice.robot.turn_j_per_rad, _subdivide(best, leg), min(FIRST_STEP, 0.25 * leg)
-        )
+    for leg, first_step, last_step in levels:
+        fine = _subdivide(best, leg)
+        relaxed = _relax(*price_arrays(lattice), lattice.robot.turn_j_per_rad, fine, first_step, last_step, SWEEPS)
         best, energy = _cheaper(lattice, best, energy, relaxed)
         best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
     return best
@@ -50,11 +56,11 @@ def _cheaper(lattice: CostLattice, best: Points, energy: float, candidate: Point
 
 
 def _distinct(points: Points) -> Points:
-    """Without vertices that repeat their predecessor; the last one stays."""
+    """Without vertices that repeat their predecessor; both ends stay."""
     keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
-    keep[-1] = True
-    if len(points) > 1 and keep.sum() > 1 and np.allclose(points[keep][-1], points[keep][-2], atol=1e-9, rtol=0):
-        keep[np.flatnonzero(keep)[-2]] = keep.sum() == 2
+    if not keep[-1]:
+        keep[-2], keep[-1] = False, True
+    keep[0] = True
     return np.ascontiguousarray(points[keep])
 
 
@@ -127,18 +133,24 @@ def _local_energy(traction, gradient, blocked, terms, turn_j_per_rad, points, i,
 
 
 @njit(cache=True, nogil=True)
-def _relax(traction, gradient, blocked, terms, turn_j_per_rad, points, step):
-    """Pattern search over vertices and whole legs with steps from `step` down to 1/32 cell."""
+def _relax(traction, gradient, blocked, terms, turn_j_per_rad, points, step, last_step, sweeps):
+    """Pattern search over vertices and whole legs, with shifts from `step` halved down to `last_step`.
+
+    A vertex is looked at again only after it or one of its neighbours has moved.
+    """
     points = points.copy()
     n = points.shape[0]
-    while step >= 1.0 / 32.0:
-        for _ in range(24):
+    while step >= last_step:
+        due = np.ones(n, dtype=np.bool_)
+        for _ in range(sweeps):
             gained = 0.0
-            total = 0.0
             for i in range(1, n - 1):
+                if not due[i]:
+                    continue
+                due[i] = False
                 for j in range(i, min(i + 2, n - 1)):
                     here = _local_energy(traction, gradient, blocked, terms, turn_j_per_rad, points, i, j)
-                    lowest = here
+                    lowest = here - 1e-6 * abs(here) - 1e-9
                     best_r = 0.0
                     best_c = 0.0
                     for d in range(8):
@@ -151,16 +163,18 @@ def _relax(traction, gradient, blocked, terms, turn_j_per_rad, points, step):
                         for k in range(i, j + 1):
                             points[k, 0] -= dr
                             points[k, 1] -= dc
-                        if there < lowest - 1e-9:
+                        if there < lowest:
                             lowest = there
                             best_r = dr
                             best_c = dc
-                    for k in range(i, j + 1):
-                        points[k, 0] += best_r
-                        points[k, 1] += best_c
-                    gained += here - lowest
-                    total += abs(here)
-            if gained <= 1e-5 * total:
+                    if best_r != 0.0 or best_c != 0.0:
+                        gained += here - lowest
+                        for k in range(i, j + 1):
+                            points[k, 0] += best_r
+                            points[k, 1] += best_c
+                        for k in range(max(i - 2, 1), min(j + 3, n - 1)):
+                            due[k] = True
+            if gained == 0.0:
                 break
         step *= 0.5
     return points
