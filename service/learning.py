@@ -28,7 +28,8 @@ from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.pretraining import MAX_TURN_RAD
 
-FRESH_RATE, TUNING_RATE, RESNET_RATE = 1e-3, 3e-4, 1e-4  # learning rates; the last is the paper's (section V-A)
+LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
+BATCH = 32  # a day of driving is about a thousand segments: large batches would leave too few steps
 
 
 @dataclass(frozen=True)
@@ -92,8 +93,7 @@ def train_on_runs(
     if backbone is not None:
         start = ResNetEnergy()
         start.backbone = load_backbone(backbone)
-    fresh_rate = TUNING_RATE if parent is not None else FRESH_RATE
-    options = TrainingOptions(epochs=epochs, learning_rate=RESNET_RATE if architecture == "resnet18" else fresh_rate)
+    options = TrainingOptions(epochs=epochs, batch=BATCH, learning_rate=LEARNING_RATE.get(architecture, 1e-3))
     result = train_network(
         examples, architecture=architecture, seed=seed, start_from=start, options=options, progress=progress
     )

@@ -25,6 +25,7 @@ from service.commands.console import parse_point
 from service.commands.words import duration_words, energy_words, saving_words
 from service.problems import exit_code
 
+WEIGHTS = Path(__file__).resolve().parents[2] / "model" / "weights"
 PNG = b"\x89PNG\r\n\x1a\n"
 COMMANDS = ("costmap", "path", "feasibility", "demo", "serve", "warmup", "openapi", "simulate", "train", "evaluate")
 
@@ -220,14 +221,17 @@ def test_simulated_runs_are_judged_and_learned_from(tmp_path: Path) -> None:
     assert physics["segments"] > 100
     assert physics["mean_relative_error"] < 0.4  # the owner's rolling resistance is not far off
     assert set(physics["route_relative_errors"]) == {"run_01.csv", "run_02.csv"}
-    code, words, errors = joulemap("train", *measured, "--out", model, "--epochs", "2", "--json", "-")
+    tune = ("--start-from", "default", "--epochs", "2")
+    code, words, errors = joulemap("train", *measured, *tune, "--out", model, "--json", "-")
     assert code == 0, errors
     trained = json.loads(words)
     assert (trained["epochs"], len(trained["held_out_runs"])) == (2, 1)
+    shipped, mine = (json.loads((f / "config.json").read_text())["domain"]["robot"] for f in (WEIGHTS, model))
+    assert all(mine[key][0] <= low and mine[key][1] >= high for key, (low, high) in shipped.items())
     code, words, errors = joulemap("evaluate", "--model", model, *measured, "--json", "-")
     assert code == 0, errors
-    mine = json.loads(words)["route_relative_errors"][trained["held_out_runs"][0]]
-    assert mine == pytest.approx(trained["held_out"]["route_relative_error"], abs=0.05)  # turns are judged here too
+    error = json.loads(words)["route_relative_errors"][trained["held_out_runs"][0]]
+    assert error == pytest.approx(trained["held_out"]["route_relative_error"], abs=0.05)  # turns are judged here too
 
 
 def test_the_installed_command(folder: Path) -> None:
