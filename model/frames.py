@@ -105,7 +105,8 @@ class GridFrame:
         west, south, east, north = self.bounds
         if not (west <= x <= east and south <= y <= north):
             raise PointError(
-                f"{name} ({x:g}, {y:g}) lies outside the map, which spans x {west:g}..{east:g}, y {south:g}..{north:g}",
+                f"{name} ({x:.2f}, {y:.2f}) lies outside the map, which spans x {west:.2f}..{east:.2f}, "
+                f"y {south:.2f}..{north:.2f}",
                 x=x, y=y, bounds=[west, south, east, north],
             )  # fmt: skip
         row, col = self.rowcol(x, y)

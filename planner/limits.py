@@ -25,9 +25,11 @@ def ground_limits(
     elevation : (rows, cols) float32 [m] at the centre. gradient : (rows, cols, 2) float32, the least-squares plane
     through the square metre around the cell, rise per metre to east and north. blocked : (rows, cols) uint8.
 
-    A step is a rise within one wheel diameter (to whole pixels, at least one), along a row or a column of the
-    heightmap, that exceeds the wheel radius and that neither the run before it nor the one after shares: a kerb, a wall
-    or a ditch, but not a steep slope, which is a matter of grade. A map coarser than a wheel shows none.
+    A step is what a wheel or the belly meets, either of
+    - a rise within one wheel diameter (to whole pixels, so only maps finer than a wheel show it), along a row or a
+      column of the heightmap, that exceeds the wheel radius and that neither the run before it nor the one after
+      shares: a kerb, a wall or a ditch, but not a steep slope, which is a matter of grade;
+    - ground that departs from the plane by more than the wheel radius: a boulder, a post or a hole.
     """
     samples = int(np.clip(round(SQUARE_M / heightmap.resolution_m) + 1, 9, 21))
     x, y = frame.centres()
@@ -55,6 +57,7 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, ou
         spread += ((a - half) * pitch_m) ** 2 * samples
     edge = 0.5 + 1e-6
     for i in prange(rows):
+        z = np.empty((samples, samples))
         for j in range(cols):
             elevation[i, j] = bilinear(heights, row[i], col[j])
             if (
@@ -63,15 +66,19 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, ou
             ):  # fmt: skip
                 blocked[i, j] = outside
                 continue
+            mean = 0.0
             rise_east = 0.0
             rise_north = 0.0
             for a in range(samples):  # a grows to the south
                 for b in range(samples):
                     h = bilinear(heights, row[i] + (a - half) * pixel, col[j] + (b - half) * pixel)
+                    z[a, b] = h
+                    mean += h
                     rise_east += h * (b - half) * pitch_m
                     rise_north -= h * (a - half) * pitch_m
             rise_east /= spread
             rise_north /= spread
+            mean /= samples * samples
             if math.isnan(rise_east):
                 blocked[i, j] = unknown
                 continue
@@ -79,6 +86,12 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, ou
             gradient[i, j, 1] = rise_north
             if run > 0 and _has_step(heights, row[i], col[j], reach, run, max_step_m):
                 blocked[i, j] = step
+                continue
+            for a in range(samples):
+                for b in range(samples):
+                    plane = mean + ((b - half) * rise_east - (a - half) * rise_north) * pitch_m
+                    if abs(z[a, b] - plane) > max_step_m:
+                        blocked[i, j] = step
     return elevation, gradient, blocked
 
 

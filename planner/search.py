@@ -44,7 +44,7 @@ def check_standing(lattice: CostLattice, x: float, y: float, *, name: str) -> tu
     if codes.all():
         reason = Blocked(int(codes.min()))
         raise BlockedError(
-            f"{name} ({x:g}, {y:g}) stands on blocked ground: {reason.label.replace('_', ' ')}",
+            f"{name} ({x:.2f}, {y:.2f}) stands on blocked ground: {reason.label.replace('_', ' ')}",
             which=name, x=x, y=y, reason=reason.label,
         )  # fmt: skip
     return row, col

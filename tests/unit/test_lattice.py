@@ -86,6 +86,15 @@ def test_a_steep_slope_is_not_a_step_and_a_thin_wall_is():
     assert (build_lattice(wall, ROBOT, PhysicsPredictor()).blocked[:, 10] == Blocked.STEP).all()
 
 
+def test_a_post_is_a_step_on_a_coarse_map_too_and_a_gentle_mound_is_not():
+    for height, blocked in ((9.0, True), (-0.8, True), (0.1, False)):
+        heights = np.zeros((20, 20), dtype=np.float32)
+        heights[8, 11] = height
+        lattice = build_lattice(Heightmap(heights, GridFrame(0.0, 20.0, 1.0, 20, 20)), ROBOT, PhysicsPredictor())
+        assert lattice.blocked[8, 11] == (Blocked.STEP if blocked else Blocked.FREE)
+        assert (lattice.blocked[:6] == Blocked.FREE).all()
+
+
 def test_unknown_ground_blocks_every_square_metre_that_meets_it_and_nothing_else():
     heights = np.zeros((80, 80), dtype=np.float32)
     heights[42, 30] = np.nan  # row 42 at 0.25 m: y = 20 - 10.625; col 30: x = 7.625
