@@ -29,7 +29,7 @@ def ground_limits(
     - a rise within one wheel diameter (to whole pixels, so only maps finer than a wheel show it), along a row or a
       column of the heightmap, that exceeds the wheel radius and that neither the run before it nor the one after
       shares: a kerb, a wall or a ditch, but not a steep slope, which is a matter of grade;
-    - ground that departs from the plane by more than the wheel radius: a boulder, a post or a hole.
+    - ground that departs from the plane by more than the wheel diameter: a boulder, a post or a hole.
     """
     samples = int(np.clip(round(SQUARE_M / heightmap.resolution_m) + 1, 9, 21))
     x, y = frame.centres()
@@ -90,7 +90,7 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, ou
             for a in range(samples):
                 for b in range(samples):
                     plane = mean + ((b - half) * rise_east - (a - half) * rise_north) * pitch_m
-                    if abs(z[a, b] - plane) > max_step_m:
+                    if abs(z[a, b] - plane) > 2.0 * max_step_m:
                         blocked[i, j] = step
     return elevation, gradient, blocked
 

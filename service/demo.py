@@ -124,7 +124,7 @@ def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: 
     ends = {"start": list(start), "goal": list(goal)}
     path = _json(client.post(f"/v1/costmaps/{costmap['id']}/paths", json=ends))
     answer.say(
-        f"[bold]Path[/]       from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g})\n"
+        f"[bold]Path[/]       from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f})\n"
         f"           cheapest  {route_words(path)}\n"
         f"           shortest  {route_words(path['shortest'])}\n"
         f"           [bold]saved     {saving_words(path, path['shortest'])}[/]"
