@@ -114,7 +114,7 @@ def test_prices_at_one_place(client: TestClient, costmap_id: str) -> None:
     hole = client.get(f"/v1/costmaps/{costmap_id}/at", params={"x": IN_HOLE[0], "y": IN_HOLE[1]}).json()
     assert (hole["blocked"], hole["energy_per_m"]) == (["unknown"] * 16, [None] * 16)
     wall = client.get(f"/v1/costmaps/{costmap_id}/at", params={"x": WEST + 8.0, "y": NORTH - 3.5}).json()
-    assert set(wall["blocked"]) == {"grade", "cross_slope"}  # 2 m up within a metre
+    assert set(wall["blocked"]) == {"step"}  # 2 m up within a metre
 
 
 def test_path_with_profile_and_shortest(client: TestClient, costmap_id: str) -> None:
