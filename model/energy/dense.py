@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ FloatArray = NDArray[np.float64]
 REACH_M = (SQUARE - 1) // 2 * PIXEL_M
 """How far around a place the network looks [m], along both axes."""
 
-_TILE_ROWS, _TILE_COLS = 32, 256  # cells of one pass: its layers stay near the cache
+_TILE_ROWS, _TILE_COLS = 24, 64  # cells of one pass: its layers stay near the cache
 _BATCH = 2048  # squares of one pass
 _PASSES = 8  # a spacing of 1/k m up to this k is answered by k x k dense passes
 
@@ -64,20 +65,29 @@ class CompactPredictor:
         parts = round(1.0 / frame.resolution_m)
         dense = 1 <= parts <= _PASSES and abs(parts * frame.resolution_m - 1.0) < 1e-9
         step = parts if dense else 1
-        for i in range(step):
-            for j in range(step):
-                for r in range(i, frame.rows, _TILE_ROWS * step):
-                    for c in range(j, frame.cols, _TILE_COLS * step):
-                        rows = slice(r, min(r + _TILE_ROWS * step, frame.rows), step)
-                        cols = slice(c, min(c + _TILE_COLS * step, frame.cols), step)
-                        if dense:
-                            series = self._dense_series(heightmap, film, x[cols], y[rows])
-                        else:
-                            series = self._series_of_squares(heightmap, film, *np.meshgrid(x[cols], y[rows]))
-                        _assemble(
-                            traction[rows, cols], series, basis, float(gains[0]) * robot.rolling_resistance,
-                            float(gains[1]), robot.weight_n,
-                        )  # fmt: skip
+        rolling, climb = float(gains[0]) * robot.rolling_resistance, float(gains[1])
+
+        def fill(tile: tuple[slice, slice]) -> None:
+            rows, cols = tile
+            if dense:
+                series = self._dense_series(heightmap, film, x[cols], y[rows])
+            else:
+                series = self._series_of_squares(heightmap, film, *np.meshgrid(x[cols], y[rows]))
+            _assemble(traction[rows, cols], series, basis, rolling, climb, robot.weight_n)
+
+        high, wide = _TILE_ROWS * step, _TILE_COLS * step
+        tiles = [
+            (slice(r, min(r + high, frame.rows), step), slice(c, min(c + wide, frame.cols), step))
+            for i in range(step)
+            for j in range(step)
+            for r in range(i, frame.rows, high)
+            for c in range(j, frame.cols, wide)
+        ]
+        if dense:
+            _each(fill, tiles)
+        else:  # cutting squares already takes every core
+            for tile in tiles:
+                fill(tile)
         return traction
 
     def segment_traction(
@@ -122,6 +132,18 @@ class CompactPredictor:
         return out.reshape(*shape, out.shape[1])
 
 
+def _each(fill: Callable[[tuple[slice, slice]], None], tiles: Sequence[tuple[slice, slice]]) -> None:
+    """A tile per thread, nothing shared inside a tile: threads that meet at a barrier after every layer stand still
+    for most of the time when the machine has other work, here about eight times as long."""
+    threads = torch.get_num_threads()
+    try:
+        with ThreadPoolExecutor(min(threads, len(tiles)), initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            for _ in pool.map(fill, tiles):
+                pass
+    finally:
+        torch.set_num_threads(threads)
+
+
 def slope_raster(heightmap: Heightmap, x: FloatArray, y: FloatArray) -> NDArray[np.float32]:
     """Rise to the east, to the north and twist on the working pixels of cells 1 m apart.
 
@@ -163,7 +185,7 @@ def _between(at, size):  # fmt: skip
     return low, low + 1, share
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _slope_raster(heights, row, col):  # fmt: skip
     out = np.empty((row.size - 1, col.size - 1, 3), dtype=np.float32)
     scale = 0.5 / PIXEL_M
@@ -172,23 +194,21 @@ def _slope_raster(heights, row, col):  # fmt: skip
     share = np.empty(col.size)
     for j in range(col.size):
         left[j], right[j], share[j] = _between(col[j], heights.shape[1])
-    blocks = (row.size - 1 + 15) // 16
-    for b in prange(blocks):
-        line = np.empty((2, col.size))
-        for i in range(16 * b, min(16 * b + 17, row.size)):
-            up, down, low = _between(row[i], heights.shape[0])
-            for j in range(col.size):
-                upper = heights[up, left[j]] + share[j] * (float(heights[up, right[j]]) - heights[up, left[j]])
-                lower = heights[down, left[j]] + share[j] * (float(heights[down, right[j]]) - heights[down, left[j]])
-                line[i % 2, j] = upper + low * (lower - upper)
-            if i == 16 * b:
-                continue
-            for j in range(col.size - 1):
-                nw, ne = line[(i - 1) % 2, j], line[(i - 1) % 2, j + 1]
-                sw, se = line[i % 2, j], line[i % 2, j + 1]
-                out[i - 1, j, 0] = ((ne - nw) + (se - sw)) * scale
-                out[i - 1, j, 1] = ((nw - sw) + (ne - se)) * scale
-                out[i - 1, j, 2] = ((ne - nw) - (se - sw)) * scale
+    line = np.empty((2, col.size))
+    for i in range(row.size):
+        up, down, low = _between(row[i], heights.shape[0])
+        for j in range(col.size):
+            upper = heights[up, left[j]] + share[j] * (float(heights[up, right[j]]) - heights[up, left[j]])
+            lower = heights[down, left[j]] + share[j] * (float(heights[down, right[j]]) - heights[down, left[j]])
+            line[i % 2, j] = upper + low * (lower - upper)
+        if i == 0:
+            continue
+        for j in range(col.size - 1):
+            nw, ne = line[(i - 1) % 2, j], line[(i - 1) % 2, j + 1]
+            sw, se = line[i % 2, j], line[i % 2, j + 1]
+            out[i - 1, j, 0] = ((ne - nw) + (se - sw)) * scale
+            out[i - 1, j, 1] = ((nw - sw) + (ne - se)) * scale
+            out[i - 1, j, 2] = ((ne - nw) - (se - sw)) * scale
     return out
 
 
@@ -208,11 +228,11 @@ def _slopes_of(squares):  # fmt: skip
     return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _assemble(grade_to_traction, series, basis, rolling, climb_gain, weight_n):  # fmt: skip
     """In place: grade (rows, cols, K) -> traction [J/m], from coefficients (rows, cols, C) and basis (K, C)."""
     rows, cols, count = grade_to_traction.shape
-    for i in prange(rows):
+    for i in range(rows):
         for j in range(cols):
             for k in range(count):
                 total = np.float32(0.0)
