@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from model.energy.artifact import Artifact, read_artifact, save_artifact
+from model.energy.evaluation import errors, evaluate_segments
 from model.energy.examples import RESNET_SIZE, cut_examples
 from model.energy.predictor import Predictor
 from model.energy.resnet import ResNetEnergy, load_backbone
 from model.energy.training import (
     Network,
     TrainingOptions,
-    errors,
-    evaluate_segments,
     predicted_energy,
     train_network,
 )

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from model.energy.artifact import Artifact, save_artifact
+from model.energy.evaluation import errors
 from model.energy.examples import Examples, concatenate, cut_examples
 from model.energy.physics import eq5_traction_per_m, fit_rolling_resistance
-from model.energy.training import TrainingOptions, errors, predicted_energy, train_network
+from model.energy.training import TrainingOptions, predicted_energy, train_network
 from model.errors import InputError
 from model.field.drives import drive_along, random_waypoints
 from model.field.robot_dynamics import FieldRobot, Ground

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from model.energy.compact import FEATURES
+from model.energy.evaluation import errors
 from model.energy.physics import PhysicsPredictor
 from model.energy.predictor import load_predictor
-from model.energy.training import TrainingOptions, errors, predicted_energy
+from model.energy.training import TrainingOptions, predicted_energy
 from model.frames import GridFrame, heading_bins
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap

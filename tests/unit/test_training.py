@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from model.energy.evaluation import errors, evaluate_segments
 from model.energy.examples import cut_examples
 from model.energy.physics import PhysicsPredictor, tan_grade
 from model.energy.resnet import ResNetEnergy
-from model.energy.training import Network, TrainingOptions, errors, evaluate_segments, predicted_energy, train_network
+from model.energy.training import Network, TrainingOptions, predicted_energy, train_network
 from model.errors import InputError, ModelError
 from model.frames import GridFrame
 from model.robot import Robot

@@ -1,0 +1,62 @@
+"""How well a predictor says what measured segments cost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from model.energy.predictor import Predictor
+from model.errors import InputError
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+
+def evaluate_segments(
+    predictor: Predictor,
+    heightmap: Heightmap,
+    robot: Robot,
+    x: ArrayLike,
+    y: ArrayLike,
+    heading_rad: ArrayLike,
+    energy_j: ArrayLike,
+    *,
+    run: ArrayLike = 0,
+) -> dict[str, Any]:
+    """How well a predictor says what measured 1 m segments, centred at (x, y), cost. Arrays of (n,).
+
+    Returns the numbers of `errors` and `unknown`, the segments whose ground the heightmap does not know.
+    """
+    arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run)
+    xs, ys, heading, energy = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in arrays[:4])
+    predicted = robot.price_per_m(predictor.segment_traction(heightmap, robot, xs, ys, heading))
+    known = np.isfinite(predicted)
+    return errors(predicted[known], energy[known], arrays[4].ravel()[known]) | {"unknown": int((~known).sum())}
+
+
+def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[str, Any]:
+    """Errors of predicted against measured energies [J] of n segments.
+
+    segments; mean_relative_error and median_relative_error of |e_hat - e| / e (the paper's eq. 3); rmse_j; bias_j, the
+    mean of measured - predicted; route_relative_error, |sum e_hat - sum e| / sum e of every whole run (mean over runs),
+    and route_relative_errors of each. Raises InputError without a segment.
+    """
+    predicted, energy = np.asarray(predicted_j, dtype=np.float64), np.asarray(energy_j, dtype=np.float64)
+    if energy.size == 0:
+        raise InputError("there is no segment to judge by")
+    relative = np.abs(predicted - energy) / np.maximum(np.abs(energy), 1e-9)
+    residual = energy - predicted
+    by_run = {}
+    for one in np.unique(run):
+        mine = np.asarray(run) == one
+        by_run[str(one)] = float(abs(residual[mine].sum()) / max(abs(energy[mine].sum()), 1e-9))
+    return {
+        "segments": int(energy.size),
+        "mean_relative_error": float(relative.mean()),
+        "median_relative_error": float(np.median(relative)),
+        "rmse_j": float(np.sqrt(np.mean(residual**2))),
+        "bias_j": float(residual.mean()),
+        "route_relative_error": float(np.mean(list(by_run.values()))),
+        "route_relative_errors": by_run,
+    }
