@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit, prange
@@ -39,6 +39,13 @@ class MoveTable:
     turn_j: NDArray[np.float64]
     rate_j_per_m: NDArray[np.float64]
     bound_per_m: NDArray[np.float64]
+
+
+def distance_table(table: MoveTable) -> MoveTable:
+    """The same moves at 1 J per metre, with neither climbs nor turns to pay: its cheapest paths are the shortest."""
+    length = np.where(np.isnan(table.energy), np.float32(np.nan), table.length_m.astype(np.float32))
+    flat = np.zeros(1)
+    return replace(table, energy=length, turn_j=np.zeros_like(table.turn_j), rate_j_per_m=flat, bound_per_m=flat + 1.0)
 
 
 def move_offsets(neighbours: int) -> NDArray[np.int64]:

@@ -11,7 +11,7 @@ import numpy as np
 from model.errors import InputError
 from planner.edges import Points, path_price
 from planner.lattice import CostLattice
-from planner.moves import MoveTable, move_table
+from planner.moves import MoveTable, distance_table, move_table
 from planner.refine import LEVELS, refine_path
 from planner.route import Route, price_route
 from planner.search import PLANNERS as GRID_PLANNERS
@@ -55,10 +55,18 @@ class RoutePlanner:
         self._distances = distance_lattice(lattice)
         self._tables: dict[tuple[bool, int], MoveTable] = {}
 
+    def prepare(self, neighbours: int = 16) -> None:
+        """Price the moves now, so that the first question does not wait for it."""
+        self._table(neighbours, distance=True)
+
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
         if key not in self._tables:
-            self._tables[key] = move_table(self._distances if distance else self.lattice, neighbours=neighbours)
+            self._tables[key] = (
+                distance_table(self._table(neighbours, distance=False))
+                if distance
+                else move_table(self.lattice, neighbours=neighbours)
+            )
         return self._tables[key]
 
     def plan(

@@ -32,14 +32,25 @@ class OpenMaps:
         with self._lock:
             entry = self._entries.setdefault(costmap_id, _Entry())
             self._entries.move_to_end(costmap_id)
-            while len(self._entries) > self._size:
-                self._entries.popitem(last=False)
+            self._let_go()
         with entry.lock:
             if entry.planner is None:
                 entry.planner = RoutePlanner(self._load(costmap_id))
             yield entry.planner
 
+    def keep(self, costmap_id: str, planner: RoutePlanner) -> None:
+        """Hold a planner that is ready for questions."""
+        entry = _Entry()
+        entry.planner = planner
+        with self._lock:
+            self._entries[costmap_id] = entry
+            self._let_go()
+
     def forget(self, costmap_id: str) -> None:
         """Let go of a deleted cost map."""
         with self._lock:
             self._entries.pop(costmap_id, None)
+
+    def _let_go(self) -> None:
+        while len(self._entries) > self._size:
+            self._entries.popitem(last=False)

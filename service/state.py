@@ -15,6 +15,7 @@ from fastapi import Request
 from model.errors import BusyError, ConflictError, JoulemapError
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
+from planner.plan import RoutePlanner
 from service.jobs import CostmapJobs
 from service.open_maps import OpenMaps
 from service.settings import Settings
@@ -121,7 +122,10 @@ class Service:
             "provenance": lattice.provenance,
             **summarise(lattice),
         }
+        planner = RoutePlanner(lattice)
+        planner.prepare()
         self.store.save_lattice(costmap_id, lattice, summary)
+        self.maps.keep(costmap_id, planner)
 
     def _warm_up(self) -> None:
         try:
