@@ -28,6 +28,7 @@ from model.terrain.heightmap import Heightmap
 from service.pretraining import MAX_TURN_RAD
 
 LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
+CHECKPOINT = "training.pt"
 BATCH = 32  # a day of driving is about a thousand segments: large batches would leave too few steps
 
 
@@ -71,12 +72,14 @@ def train_on_runs(
     patch_size: int = RESNET_SIZE,
     epochs: int = 60,
     seed: int = 0,
+    resume: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> TrainedModel:
     """Train on measured runs over a heightmap and write the model's folder `out`; segments in turns are left out.
 
     start_from : a model's folder to fine-tune; backbone : a ResNet18 file with torchvision's names (resnet18 only);
-    patch_size : rows and columns of a resnet18 patch (256 in the paper). A share of the runs, whole, is held out; the
+    patch_size : rows and columns of a resnet18 patch (256 in the paper); resume : go on where a training of the same
+    data and settings was cut off (its state is kept in `out` until it ends). A share of the runs is held out whole; the
     best weights on those are kept. Raises InputError, ModelError, RunsError.
     """
     if backbone is not None and (architecture != "resnet18" or start_from is not None):
@@ -93,9 +96,14 @@ def train_on_runs(
         start = ResNetEnergy()
         start.backbone = load_backbone(backbone)
     options = TrainingOptions(epochs=epochs, batch=BATCH, learning_rate=LEARNING_RATE.get(architecture, 1e-3))
+    checkpoint = out / CHECKPOINT
+    out.mkdir(parents=True, exist_ok=True)
+    if not resume:
+        checkpoint.unlink(missing_ok=True)
     result = train_network(
-        examples, architecture=architecture, seed=seed, start_from=start, options=options, progress=progress
-    )
+        examples, architecture=architecture, seed=seed, start_from=start, options=options, checkpoint=checkpoint,
+        progress=progress,
+    )  # fmt: skip
     held = examples.select(np.isin(examples.run, result.held_out_runs))
     held_out = errors(predicted_energy(result.net, held), held.energy_j, held.run)
     names = [segments.runs[k] for k in result.held_out_runs]
@@ -114,6 +122,7 @@ def train_on_runs(
     size = {"size": patch_size} if architecture == "resnet18" else {}
     domain = examples.domain() if parent is None else parent.domain.joined(examples.domain())
     version = save_artifact(out, Artifact(result.net, domain, training=training, **size))
+    checkpoint.unlink(missing_ok=True)
     return TrainedModel(version, len(examples), list(segments.runs), names, held_out, result.epochs)
 
 

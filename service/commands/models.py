@@ -135,14 +135,24 @@ def train(
     ] = Architecture.COMPACT,
     start_from: Annotated[
         str | None,
-        typer.Option(metavar="M", help="Model to fine-tune: `default` or a folder. [default: none, train afresh]"),
+        typer.Option(
+            metavar="M",
+            help="Model to fine-tune: `default`, a folder, or `none` to train afresh. "
+            "[default: `default` for compact, `none` for resnet18]",
+        ),
     ] = None,
     weights: Annotated[
         Path | None, typer.Option(metavar="FILE", help="ResNet18 backbone with torchvision's names (ImageNet's file).")
     ] = None,
     patch_size: Annotated[int, typer.Option(min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper.")] = 64,
     epochs: Annotated[int, typer.Option(min=1, help="Passes over the data, at most.")] = 60,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a training of the same data and settings that was cut off.")
+    ] = False,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="The same seed and data give the same weights. [default: 0, or the shipped one's]"),
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Train a **model**: without `--runs` the shipped one anew, with them one for your robot on your ground.
@@ -151,14 +161,14 @@ def train(
 
     `joulemap train --out weights` (simulates the shipped network's data and trains on it)
 
-    `joulemap train --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --start-from default --out mine`
+    `joulemap train --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --out mine`
     """
     answer = Answer(json_file)
     if heightmap is None and not runs:
-        from service.pretraining import train_default
+        from service.pretraining import DEFAULT_SEED, train_default
 
         with progress_bar("Training the shipped network") as report:
-            trained = train_default(out, seed=seed, progress=report)
+            trained = train_default(out, seed=DEFAULT_SEED if seed is None else seed, progress=report)
         answer.say(f"[bold]Trained[/] {out}: held-out error {trained['held_out']['mean_relative_error']:.1%}")
         answer.document({"out": str(out), **trained})
         return
@@ -177,11 +187,12 @@ def train(
             find_runs(runs),
             out=out,
             architecture=architecture.value,
-            start_from=_folder_of(start_from),
+            start_from=_folder_of(start_from or ("default" if architecture is Architecture.COMPACT else "none")),
             backbone=weights,
             patch_size=patch_size,
             epochs=epochs,
-            seed=seed,
+            seed=seed or 0,
+            resume=resume,
             progress=report,
         )
     answer.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
@@ -242,11 +253,13 @@ def find_runs(patterns: list[str]) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def _folder_of(name: str | None) -> Path | None:
-    """A model's folder; the shipped one's for "default"."""
+def _folder_of(name: str) -> Path | None:
+    """A model's folder; the shipped one's for "default", None for "none"."""
     import model
 
-    return Path(model.__path__[0]) / "weights" if name == "default" else Path(name) if name is not None else None
+    if name == "none":
+        return None
+    return Path(model.__path__[0]) / "weights" if name == "default" else Path(name)
 
 
 def _errors_words(found: dict[str, Any]) -> str:

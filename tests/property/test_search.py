@@ -31,7 +31,7 @@ def states_graph(lattice, neighbours):
     return out
 
 
-@settings(max_examples=120, deadline=None, derandomize=True)
+@settings(max_examples=400, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10**6),
     neighbours=st.sampled_from([8, 16, 32]),
@@ -70,7 +70,7 @@ def test_astar_equals_dijkstra_equals_networkx(seed, neighbours, regeneration, t
     np.testing.assert_array_equal(refined[[0, -1]], found.points[[0, -1]])
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6), turn=st.sampled_from([0.0, 50.0]))
 def test_any_start_and_goal_inside_the_map_are_priced_as_they_are_claimed(seed, turn):
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_any_start_and_goal_inside_the_map_are_priced_as_they_are_claimed(seed, 
     assert path_price(lattice, found.points) == pytest.approx(found.energy_to_goal_j, rel=1e-6)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6))
 def test_the_one_to_all_field_is_the_search_to_every_cell(seed):
     rng = np.random.default_rng(seed)
