@@ -69,7 +69,8 @@ def _subdivide(points: Points, leg_cells: float) -> Points:
     out = [points[:1]]
     for a, b in zip(points[:-1], points[1:], strict=True):
         count = max(1, math.ceil(math.dist(a, b) / leg_cells))
-        out.append(a + (b - a) * (np.arange(1, count + 1)[:, None] / count))
+        share = np.arange(1, count + 1)[:, None] / count
+        out.append((1.0 - share) * a + share * b)  # exactly b at the end
     return np.ascontiguousarray(np.vstack(out))
 
 
