@@ -101,7 +101,7 @@ def grid_search(
         table.energy, table.offsets, table.turn_j, layers, lattice.elevation_m, lattice.frame.resolution_m,
         seeds, seed_cost, targets, target_cost, bounds,
     )  # fmt: skip
-    field = energy.reshape(*lattice.frame.shape, layers).min(axis=2)
+    field = (energy.reshape(-1, layers).min(axis=1) if turning else energy).reshape(lattice.frame.shape)
     if goal is None:
         return GridSearch(field, None, math.nan, expanded)
     if math.dist(start, goal) <= 1.0:  # both lean on the same cells: the way over a centre may be a detour

@@ -24,25 +24,24 @@ def _bound(bounds, row, col, z, target_row, target_col, target_z, target_rest, s
 
 
 @njit(cache=True)
-def _sift_up(heap, place, key, k):
-    node = heap[k]
-    value = key[node]
+def _sift_up(keys, nodes, place, k, key, node):
+    """Put (key, node) where slot k, or an ancestor of it, is. Keys lie beside each other: children share a line."""
     while k > 0:
         parent = (k - 1) >> 2
-        other = heap[parent]
-        if key[other] <= value:
+        if keys[parent] <= key:
             break
-        heap[k] = other
-        place[other] = k
+        keys[k] = keys[parent]
+        nodes[k] = nodes[parent]
+        place[nodes[k]] = k
         k = parent
-    heap[k] = node
+    keys[k] = key
+    nodes[k] = node
     place[node] = k
 
 
 @njit(cache=True)
-def _sift_down(heap, place, key, size):
-    node = heap[0]
-    value = key[node]
+def _sift_down(keys, nodes, place, size, key, node):
+    """Put (key, node) where the root, or a descendant of it, is."""
     k = 0
     while True:
         child = 4 * k + 1
@@ -50,15 +49,16 @@ def _sift_down(heap, place, key, size):
             break
         best = child
         for c in range(child + 1, min(child + 4, size)):
-            if key[heap[c]] < key[heap[best]]:
+            if keys[c] < keys[best]:
                 best = c
-        other = heap[best]
-        if key[other] >= value:
+        if keys[best] >= key:
             break
-        heap[k] = other
-        place[other] = k
+        keys[k] = keys[best]
+        nodes[k] = nodes[best]
+        place[nodes[k]] = k
         k = best
-    heap[k] = node
+    keys[k] = key
+    nodes[k] = node
     place[node] = k
 
 
@@ -74,10 +74,11 @@ def search_states(
     rows, cols, moves = move_energy.shape
     states = rows * cols * layers
     energy = np.full(states, np.inf)
-    key = np.empty(states)
     pred = np.zeros(states, dtype=np.uint16)
     place = np.full(states, -1, dtype=np.int32)
-    heap = np.empty(states, dtype=np.int32)
+    keys = np.empty(states)
+    nodes = np.empty(states, dtype=np.int32)
+    jump = offsets[:, 0] * cols + offsets[:, 1]
     target_row = np.empty(targets.size)
     target_col = np.empty(targets.size)
     target_z = np.empty(targets.size)
@@ -96,21 +97,18 @@ def search_states(
         for layer in range(layers):
             state = seeds[s] * layers + layer
             energy[state] = seed_cost[s, layer]
-            key[state] = energy[state] + ahead
-            heap[size] = state
-            _sift_up(heap, place, key, size)
+            _sift_up(keys, nodes, place, size, energy[state] + ahead, state)
             size += 1
     total = np.inf
     last = -1
     expanded = 0
     while size > 0:
-        state = heap[0]
-        if key[state] >= total:
+        state = nodes[0]
+        if keys[0] >= total:
             break
         size -= 1
         if size > 0:
-            heap[0] = heap[size]
-            _sift_down(heap, place, key, size)
+            _sift_down(keys, nodes, place, size, keys[size], nodes[size])
         place[state] = -1
         expanded += 1
         layer = state % layers
@@ -120,13 +118,13 @@ def search_states(
             total = energy[state] + target_cost[goal, layer]
             last = state
         row, col = cell // cols, cell % cols
+        so_far = energy[state]
         for n in range(moves):
             step = move_energy[row, col, n]
             if math.isnan(step):
                 continue
-            reached = energy[state] + step
-            r, c = row + offsets[n, 0], col + offsets[n, 1]
-            other = r * cols + c
+            reached = so_far + step
+            other = cell + jump[n]
             if layers > 1:
                 reached += turn[layer, n]
                 other = other * layers + n
@@ -134,18 +132,17 @@ def search_states(
                 if place[other] < 0:
                     if energy[other] < np.inf and reached > energy[other] - 1e-9 * (1.0 + abs(reached)):
                         continue  # settled before; the gain is rounding of the bounds
+                    r, c = row + offsets[n, 0], col + offsets[n, 1]
                     ahead = _bound(
                         bounds, r, c, elevation[r, c], target_row, target_col, target_z, target_rest, spacing
                     )
-                    place[other] = size
-                    heap[size] = other
+                    _sift_up(keys, nodes, place, size, reached + ahead, other)
                     size += 1
-                    key[other] = reached + ahead
                 else:
-                    key[other] += reached - energy[other]
+                    slot = place[other]
+                    _sift_up(keys, nodes, place, slot, keys[slot] + (reached - energy[other]), other)
                 energy[other] = reached
                 pred[other] = n * layers + layer + 1
-                _sift_up(heap, place, key, place[other])
     return energy, pred, last, total, expanded
 
 
