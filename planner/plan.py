@@ -125,7 +125,7 @@ class RoutePlanner:
         assert found.points is not None
         levels = LEVELS[:2] if distance else LEVELS  # a taut string needs no small zigzags
         points = refine_path(lattice, found.points, levels=levels) if refine else found.points
-        return points, {"expanded": found.expanded, "grid_energy_j": found.energy_to_goal_j}
+        return points, {"expanded": found.expanded, "grid_energy_j": found.energy_j}
 
     def _route(self, points: Points, notes: list[str]) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])

@@ -14,25 +14,22 @@ from planner.heuristics import dijkstra_bounds, energy_bounds
 from planner.kernels import turn_angle
 from planner.lattice import Blocked, CostLattice
 from planner.moves import MoveTable
-from planner.search_kernels import search_states, trace_cells
+from planner.search_kernels import search_states, trace_states
 
 PLANNERS = ("astar", "dijkstra")
 _NONE = -1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GridSearch:
-    """What a search knows when it stops.
+class GridPath:
+    """The answer of a grid search.
 
-    energy_j : (rows, cols) float64, least energy from the start to each cell centre, over all arrival headings; inf
-        where not reached, an upper bound where the search stopped before settling it.
-    points : (n, 2) (row, col) polyline from start to goal, None for a one-to-all field. energy_to_goal_j : its energy
-        as the search counted it. expanded : settled states.
+    points : (n, 2) (row, col) polyline from start to goal. energy_j : its energy as the search counted it.
+    expanded : settled states.
     """
 
-    energy_j: NDArray[np.float64]
-    points: Points | None
-    energy_to_goal_j: float
+    points: Points
+    energy_j: float
     expanded: int
 
 
@@ -78,9 +75,9 @@ def _connections(lattice: CostLattice, point: Points, *, outward: bool) -> tuple
 
 
 def grid_search(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points | None, *, planner: str = "astar"
-) -> GridSearch:
-    """Least energy from `start` to `goal` over grid moves, exactly; to every cell when `goal` is None.
+    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, planner: str = "astar"
+) -> GridPath:
+    """Least energy from `start` to `goal` over grid moves, exactly.
 
     start, goal : (2,) fractional (row, col), joined to the cell centres around them by straight legs. With a turn cost
     the state is (cell, heading of arrival) and every change of heading is paid for, at the first and last centre too.
@@ -88,26 +85,17 @@ def grid_search(
     """
     if planner not in PLANNERS:
         raise InputError(f"planner must be one of {', '.join(PLANNERS)}, got {planner!r}", planner=planner)
-    bounds = energy_bounds(table) if planner == "astar" and goal is not None else dijkstra_bounds(table)
-    turning = lattice.robot.turn_j_per_rad > 0.0
-    layers = len(table.offsets) if turning else 1
-    seeds, seed_cost = _terminals(lattice, table, start, layers, outward=True)
-    targets, target_cost = (
-        _terminals(lattice, table, goal, layers, outward=False)
-        if goal is not None
-        else (np.empty(0, dtype=np.int64), np.empty((0, layers)))
-    )
-    energy, pred, last, total, expanded = search_states(
+    bounds = energy_bounds(table) if planner == "astar" else dijkstra_bounds(table)
+    layers = layer_count(lattice, table)
+    cells, cost = terminals(lattice, table, start, layers, outward=True)
+    targets, target_cost = terminals(lattice, table, goal, layers, outward=False)
+    _, pred, last, total, expanded = search_states(
         table.energy, table.offsets, table.turn_j, layers, lattice.elevation_m, lattice.frame.resolution_m,
-        seeds, seed_cost, targets, target_cost, bounds,
+        seed_states(cells, layers), cost.ravel(), targets, target_cost, bounds, False,
     )  # fmt: skip
-    field = (energy.reshape(-1, layers).min(axis=1) if turning else energy).reshape(lattice.frame.shape)
-    if goal is None:
-        return GridSearch(field, None, math.nan, expanded)
-    if math.dist(start, goal) <= 1.0:  # both lean on the same cells: the way over a centre may be a detour
-        direct = leg_prices_between(lattice, start[None], goal[None])[0]
-        if direct <= total or (last == _NONE and np.isfinite(direct)):
-            return GridSearch(field, np.vstack([start, goal]), float(direct), expanded)
+    direct = direct_energy(lattice, start, goal)
+    if direct < math.inf and direct <= total:
+        return GridPath(np.vstack([start, goal]), direct, expanded)
     if last == _NONE:
         robot = lattice.robot
         raise NoRouteError(
@@ -115,13 +103,39 @@ def grid_search(
             f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
             reached=expanded,
         )
-    nodes = trace_cells(pred, table.offsets, last, layers, lattice.frame.cols)
-    points = np.vstack([start, nodes.astype(np.float64), goal])
+    states = trace_states(pred, table.offsets, last, layers, lattice.frame.cols, False)[::-1]
+    return GridPath(joined_points(lattice, start, states // layers, goal), float(total), expanded)
+
+
+def layer_count(lattice: CostLattice, table: MoveTable) -> int:
+    """Headings in a search state: all of the moves' where turning costs, else one."""
+    return len(table.offsets) if lattice.robot.turn_j_per_rad > 0.0 else 1
+
+
+def seed_states(cells: NDArray[np.int64], layers: int) -> NDArray[np.int64]:
+    """(S * layers,) states of the cells (S,) in every layer."""
+    return (cells[:, None] * layers + np.arange(layers)).ravel()
+
+
+def direct_energy(lattice: CostLattice, start: Points, goal: Points) -> float:
+    """Energy [J] of the straight leg between points a cell apart or less (the way over a centre may be a detour)."""
+    if math.dist(start, goal) > 1.0:
+        return math.inf
+    energy = float(leg_prices_between(lattice, start[None], goal[None])[0])
+    return energy if math.isfinite(energy) else math.inf
+
+
+def joined_points(lattice: CostLattice, start: Points, cells: NDArray[np.int64], goal: Points) -> Points:
+    """(n, 2) polyline from start over flat cell indices to goal, without repeated points."""
+    cols = lattice.frame.cols
+    points = np.vstack([start, np.column_stack([cells // cols, cells % cols]).astype(np.float64), goal])
     keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-12)
-    return GridSearch(field, np.ascontiguousarray(points[keep]), float(total), expanded)
+    return np.ascontiguousarray(points[keep])
 
 
-def _terminals(lattice, table, point, layers, *, outward):
+def terminals(
+    lattice: CostLattice, table: MoveTable, point: Points, layers: int, *, outward: bool
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Cells that join a point to the grid, as flat indices (S,), and the cost of joining per heading layer (S, L).
 
     The layer of a seed is the heading of the *next* move, as if the robot had arrived in it; that of a target is the

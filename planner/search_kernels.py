@@ -12,7 +12,7 @@ from numba import njit
 def _bound(bounds, row, col, z, target_row, target_col, target_z, target_rest, spacing):
     """Lower bound of the energy from a cell to the goal: over bounds the best, over targets the least."""
     if target_row.size == 0:
-        return -bounds[0, 1] * z
+        return -bounds[0, 1] * z  # a potential only; the caller turns its sign for a backward field
     least = np.inf
     for k in range(target_row.size):
         distance = math.hypot(target_row[k] - row, target_col[k] - col) * spacing
@@ -64,9 +64,13 @@ def _sift_down(keys, nodes, place, size, key, node):
 
 @njit(cache=True, nogil=True)
 def search_states(
-    move_energy, offsets, turn, layers, elevation, spacing, seeds, seed_cost, targets, target_cost, bounds
+    move_energy, offsets, turn, layers, elevation, spacing, seeds, seed_cost, targets, target_cost, bounds, backward
 ):  # fmt: skip
     """A* over states (cell, layer) with a 4-ary heap of decreasing keys; Dijkstra when `bounds` are flat.
+
+    Forward, the layer is the heading of arrival; backward, moves are run against their direction (each at its own
+    price), energies count towards the seeds, and the layer is the heading in which a cell is left. seeds : (S,) states;
+    seed_cost : (S,) [J]; targets : (T,) cells; target_cost : (T, layers) [J].
 
     Returns energy (states,), pred (states,) uint16 of move * layers + predecessor layer + 1 (0: a seed), the last state
     (-1: not reached), the energy to the goal, and the number of settled states.
@@ -78,6 +82,7 @@ def search_states(
     place = np.full(states, -1, dtype=np.int32)
     keys = np.empty(states)
     nodes = np.empty(states, dtype=np.int32)
+    sign = -1 if backward else 1
     jump = offsets[:, 0] * cols + offsets[:, 1]
     target_row = np.empty(targets.size)
     target_col = np.empty(targets.size)
@@ -92,13 +97,14 @@ def search_states(
         is_target[targets[k]] = k
     size = 0
     for s in range(seeds.size):
-        row, col = seeds[s] // cols, seeds[s] % cols
+        state = seeds[s]
+        row, col = state // layers // cols, state // layers % cols
         ahead = _bound(bounds, row, col, elevation[row, col], target_row, target_col, target_z, target_rest, spacing)
-        for layer in range(layers):
-            state = seeds[s] * layers + layer
-            energy[state] = seed_cost[s, layer]
-            _sift_up(keys, nodes, place, size, energy[state] + ahead, state)
-            size += 1
+        if seed_cost[s] < energy[state]:
+            slot = size if place[state] < 0 else place[state]
+            size += 1 if slot == size else 0
+            energy[state] = seed_cost[s]
+            _sift_up(keys, nodes, place, slot, energy[state] + ahead, state)
     total = np.inf
     last = -1
     expanded = 0
@@ -120,11 +126,17 @@ def search_states(
         row, col = cell // cols, cell % cols
         so_far = energy[state]
         for n in range(moves):
-            step = move_energy[row, col, n]
+            if backward:
+                r, c = row - offsets[n, 0], col - offsets[n, 1]
+                if not (0 <= r < rows and 0 <= c < cols):
+                    continue
+                step = move_energy[r, c, n]
+            else:
+                step = move_energy[row, col, n]
             if math.isnan(step):
                 continue
             reached = so_far + step
-            other = cell + jump[n]
+            other = cell + sign * jump[n]
             if layers > 1:
                 reached += turn[layer, n]
                 other = other * layers + n
@@ -132,7 +144,7 @@ def search_states(
                 if place[other] < 0:
                     if energy[other] < np.inf and reached > energy[other] - 1e-9 * (1.0 + abs(reached)):
                         continue  # settled before; the gain is rounding of the bounds
-                    r, c = row + offsets[n, 0], col + offsets[n, 1]
+                    r, c = row + sign * offsets[n, 0], col + sign * offsets[n, 1]
                     ahead = _bound(
                         bounds, r, c, elevation[r, c], target_row, target_col, target_z, target_rest, spacing
                     )
@@ -147,24 +159,25 @@ def search_states(
 
 
 @njit(cache=True, nogil=True)
-def trace_cells(pred, offsets, last, layers, cols):
-    """(n, 2) int64 cells from the first to the state `last`."""
+def trace_states(pred, offsets, last, layers, cols, backward):
+    """(n,) int64 states that lead from `last` to the seed it was reached from, `last` first."""
     count = 1
     state = last
     while pred[state] > 0:
-        code = pred[state] - 1
-        n = code // layers
-        cell = state // layers - offsets[n, 0] * cols - offsets[n, 1]
-        state = cell * layers + code % layers
+        state = _previous(pred[state] - 1, state, offsets, layers, cols, backward)
         count += 1
-    out = np.empty((count, 2), dtype=np.int64)
+    out = np.empty(count, dtype=np.int64)
     state = last
-    for k in range(count - 1, -1, -1):
-        out[k, 0] = (state // layers) // cols
-        out[k, 1] = (state // layers) % cols
-        if k > 0:
-            code = pred[state] - 1
-            n = code // layers
-            cell = state // layers - offsets[n, 0] * cols - offsets[n, 1]
-            state = cell * layers + code % layers
+    for k in range(count):
+        out[k] = state
+        if k < count - 1:
+            state = _previous(pred[state] - 1, state, offsets, layers, cols, backward)
     return out
+
+
+@njit(cache=True)
+def _previous(code, state, offsets, layers, cols, backward):
+    """The state that this one was reached from."""
+    n = code // layers
+    jump = offsets[n, 0] * cols + offsets[n, 1]
+    return (state // layers + (jump if backward else -jump)) * layers + code % layers

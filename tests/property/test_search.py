@@ -1,5 +1,7 @@
 """A* = Dijkstra = networkx on random lattices, with turning, regeneration, blocked cells and limits."""
 
+from contextlib import suppress
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 
 from model.errors import BlockedError, NegativeCycleError, NoRouteError
 from planner.edges import path_price
+from planner.fields import field_from, field_towards
 from planner.graph import lattice_graph
 from planner.moves import move_table
 from planner.refine import refine_path
@@ -60,11 +63,11 @@ def test_astar_equals_dijkstra_equals_networkx(seed, neighbours, regeneration, t
         assert not all(reference.has_node(e) for e in ends) or not nx.has_path(reference, *ends)
         return
     slow = 0.0 if a == b else nx.bellman_ford_path_length(reference, *ends, weight="energy_j")
-    assert found.energy_to_goal_j == pytest.approx(slow, rel=1e-6, abs=1e-4)
+    assert found.energy_j == pytest.approx(slow, rel=1e-6, abs=1e-4)
     other = grid_search(lattice, table, start.astype(float), goal.astype(float), planner="dijkstra")
-    assert other.energy_to_goal_j == pytest.approx(found.energy_to_goal_j, rel=1e-9, abs=1e-6)
+    assert other.energy_j == pytest.approx(found.energy_j, rel=1e-9, abs=1e-6)
     assert found.expanded <= other.expanded + 4 * (len(table.offsets) if turn else 1)
-    assert path_price(lattice, found.points) == pytest.approx(found.energy_to_goal_j, rel=1e-6, abs=1e-3)
+    assert path_price(lattice, found.points) == pytest.approx(found.energy_j, rel=1e-6, abs=1e-3)
     refined = refine_path(lattice, found.points)
     assert path_price(lattice, refined) <= path_price(lattice, found.points) + 1e-9
     np.testing.assert_array_equal(refined[[0, -1]], found.points[[0, -1]])
@@ -82,20 +85,51 @@ def test_any_start_and_goal_inside_the_map_are_priced_as_they_are_claimed(seed, 
     except (NoRouteError, BlockedError):
         return
     np.testing.assert_allclose(found.points[[0, -1]], [start, goal])
-    assert path_price(lattice, found.points) == pytest.approx(found.energy_to_goal_j, rel=1e-6)
+    assert path_price(lattice, found.points) == pytest.approx(found.energy_j, rel=1e-6)
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 10**6))
-def test_the_one_to_all_field_is_the_search_to_every_cell(seed):
+@given(seed=st.integers(0, 10**6), regeneration=st.sampled_from([0.0, 0.5]))
+def test_fields_are_networkx_from_one_cell_to_all_and_from_all_to_one(seed, regeneration):
     rng = np.random.default_rng(seed)
-    lattice = random_lattice(rng, 8, 8)
+    lattice = random_lattice(rng, 8, 8, regeneration=regeneration)
     lattice.blocked[0, 0] = 0
     table = move_table(lattice, neighbours=16)
-    field = grid_search(lattice, table, np.zeros(2), None).energy_j
-    lengths = nx.single_source_dijkstra_path_length(lattice_graph(lattice, neighbours=16), (0, 0), weight="energy_j")
-    for cell in np.ndindex(8, 8):
-        if cell in lengths:
-            assert field[cell] == pytest.approx(lengths[cell], rel=1e-6, abs=1e-4)
-        else:
-            assert np.isinf(field[cell])
+    graph = lattice_graph(lattice, neighbours=16)
+    for field, view in (
+        (field_from(lattice, table, np.zeros(2)), graph),
+        (field_towards(lattice, table, np.zeros((1, 2))), graph.reverse()),
+    ):
+        lengths = nx.single_source_bellman_ford_path_length(view, (0, 0), weight="energy_j")
+        for cell in np.ndindex(8, 8):
+            if cell in lengths:
+                assert field.energy_j[cell] == pytest.approx(lengths[cell], rel=1e-6, abs=1e-4)
+            else:
+                assert np.isinf(field.energy_j[cell])
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10**6), turn=st.sampled_from([0.0, 50.0]), regeneration=st.sampled_from([0.0, 0.5]))
+def test_a_field_towards_goals_answers_every_start_as_a_search_would(seed, turn, regeneration):
+    rng = np.random.default_rng(seed)
+    lattice = random_lattice(rng, 10, 10, turn_j_per_rad=turn, regeneration=regeneration)
+    table = move_table(lattice, neighbours=16)
+    goals = rng.uniform(0.0, 9.0, (int(rng.integers(1, 4)), 2))
+    try:
+        field = field_towards(lattice, table, goals)
+    except (BlockedError, NegativeCycleError):
+        return
+    for start in rng.uniform(-0.5, 9.5, (4, 2)):
+        found = []
+        for goal in goals:
+            with suppress(NoRouteError):
+                found.append(grid_search(lattice, table, start, goal).energy_j)
+        if not found:
+            with pytest.raises(NoRouteError):
+                field.path_from(start)
+            continue
+        path = field.path_from(start)
+        assert path.energy_j == pytest.approx(min(found), rel=1e-9, abs=1e-6)
+        assert path_price(lattice, path.points) <= path.energy_j * (1 + 1e-6) + 1e-3  # turns at a joint may be fewer
+        np.testing.assert_array_equal(path.points[0], start)
+        assert (path.points[-1] == goals).all(axis=1).any()

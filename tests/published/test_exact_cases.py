@@ -44,7 +44,7 @@ def test_uniform_directional_price_costs_the_gauge_of_its_hull(name, neighbours)
     for d_row, d_col in ((-60, 0), (60, 60), (0, -60)):
         start = np.array([64.0 - d_row // 2, 64.0 - d_col // 2])
         goal = start + np.array([d_row, d_col])
-        grid = grid_search(lattice, table, start, goal).energy_to_goal_j
+        grid = grid_search(lattice, table, start, goal).energy_j
         predicted = gauge(price, headings, [d_col, -d_row])
         assert grid == pytest.approx(predicted, rel=1e-6 if neighbours < 32 else 0.01)
         start_xy, goal_xy = (tuple(float(v) for v in lattice.frame.xy(*p)) for p in (start, goal))
@@ -65,7 +65,7 @@ def test_isotropic_worst_case_of_the_grids():
             goal = start + np.rint(110 * np.array([-np.cos(angle), np.sin(angle)]))
             found = grid_search(lattice, table, start, goal)
             straight = np.hypot(*(goal - start))
-            ratios.append(found.energy_to_goal_j / straight)
+            ratios.append(found.energy_j / straight)
             assert path_price(lattice, refine_path(lattice, found.points)) == pytest.approx(straight, rel=1e-9)
         assert max(ratios) == pytest.approx(worst, abs=1.5e-3)
 

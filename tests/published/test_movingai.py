@@ -42,7 +42,7 @@ def check(real_data: Path, name: str, scenarios: slice) -> None:
     began = time.perf_counter()
     for sx, sy, gx, gy, optimal in cases:
         found = grid_search(lattice, table, np.array([sy, sx]), np.array([gy, gx]))
-        assert found.energy_to_goal_j == pytest.approx(optimal, abs=1e-4 * max(1.0, optimal)), (sx, sy, gx, gy)
+        assert found.energy_j == pytest.approx(optimal, abs=1e-4 * max(1.0, optimal)), (sx, sy, gx, gy)
     print(f"{name}: {len(cases)} scenarios, {1e3 * (time.perf_counter() - began) / len(cases):.2f} ms each")
 
 
