@@ -25,10 +25,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from model.energy.predictor import load_predictor
 from model.energy.resnet import ResNetEnergy
+from model.errors import NoRouteError
 from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.patches import cut_patches
+from model.terrain.readers import read_heightmap
 from model.terrain.synthesis import TerrainRecipe, make_terrain
 from model.terrain.writers import write_geotiff
 from planner.fields import field_from, field_towards
@@ -182,12 +184,49 @@ def resnet_seconds_per_patch(heightmap: Heightmap) -> float:
         return seconds(lambda: network(patches), repeats=2) / RESNET_PATCHES
 
 
+CROSSINGS = (((0.10, 0.10), (0.90, 0.90)), ((0.92, 0.50), (0.05, 0.45)), ((0.70, 0.15), (0.40, 0.85)))
+"""Start and goal as shares of rows and columns."""
+
+
+def compare_planners(heightmap: Heightmap) -> Table:
+    """Energies of what each planner finds on one map, `physics` prices, over that of the any-angle route."""
+    lattice = build_lattice(heightmap, ROBOT, load_predictor("physics"))
+    planner = RoutePlanner(lattice)
+    table = Table(title=f"energy over the any-angle route's, {heightmap.source}")
+    table.add_column("found by")
+    columns = []
+    for k, ends in enumerate(CROSSINGS):
+        start, goal = (tuple(float(v) for v in lattice.frame.xy(*free_corner(lattice, end))) for end in ends)
+        best = planner.plan(start, goal)
+        energies = {
+            "any-angle route": best.route.energy_j,
+            "16 neighbours": best.details["grid_energy_j"],
+            "shortest path": best.shortest.energy_j,
+        }
+        for name in ("rrtstar", "informed_rrtstar", "bitstar"):
+            for limit in (3.0, 10.0):
+                try:
+                    found = planner.plan(start, goal, planner=name, time_limit_s=limit, refine=False)
+                    energies[f"{name}, {limit:g} s"] = found.route.energy_j
+                except NoRouteError:
+                    energies[f"{name}, {limit:g} s"] = np.nan
+        columns.append(energies)
+        table.add_column(f"crossing {k + 1}, {best.route.length_m:.0f} m", justify="right")
+    for name in columns[0]:
+        table.add_row(name, *(f"{c[name] / c['any-angle route']:.3f}" for c in columns))
+    return table
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--resolution", type=float, default=0.25, help="metres per pixel of the heightmaps")
     parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES), help="cells along a side, 1 m each")
     parser.add_argument("--json", type=Path, help="also write the rows here")
+    parser.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     options = parser.parse_args()
+    if options.heightmap:
+        Console(width=140).print(compare_planners(read_heightmap(options.heightmap)))
+        return
     machine = (
         f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     )
