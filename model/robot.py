@@ -22,8 +22,9 @@ GRAVITY_MPS2 = 9.80665
 class Robot:
     """A ground robot. The defaults describe the 4WD robot of Wei & Isler 2022 (28.8 V, 0.5 m/s).
 
-    rolling_resistance : mu of the paper's eq. 5 (dimensionless). regeneration : share of the energy released on a
-    descent that returns to the battery, 0..1 (1 excluded). turn_j_per_rad : energy of turning by one radian [J/rad].
+    rolling_resistance : mu of the paper's eq. 5 (dimensionless) as the battery sees it, drivetrain losses included.
+    regeneration : share of the energy released on a descent that returns to the battery, 0..1 (1 excluded).
+    turn_j_per_rad : energy of turning by one radian [J/rad].
     max_grade_deg holds up and down along the motion, max_cross_slope_deg across it.
     """
 
