@@ -113,7 +113,7 @@ def _field(
 ) -> EnergyField:  # fmt: skip
     bounds = dijkstra_bounds(table) * ([[1.0, -1.0]] if backward else [[1.0, 1.0]])  # potentials change sign
     energy, pred, _, _, _ = search_states(
-        table.energy, table.offsets, table.turn_j, layers, lattice.elevation_m, lattice.frame.resolution_m,
+        table.energy, table.offsets, table.turn_j, layers, table.surface, lattice.frame.resolution_m,
         seeds, cost, np.empty(0, dtype=np.int64), np.empty((0, layers)), bounds, backward,
     )  # fmt: skip
     field = (energy.reshape(-1, layers).min(axis=1) if layers > 1 else energy).reshape(lattice.frame.shape)

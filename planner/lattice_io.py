@@ -25,8 +25,8 @@ _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
 def save_lattice(lattice: CostLattice, path: str | Path) -> None:
     """Write `path` (a folder, usually NAME.zarr), whole or not at all: it is built beside and moved into place."""
     path = Path(path)
-    if path.exists() and not (path / "zarr.json").is_file():
-        raise InputError(f"{path} exists and is not a zarr folder: it will not be overwritten", path=str(path))
+    if path.exists() and not _is_lattice(path):
+        raise InputError(f"{path} exists and is not a cost lattice: it will not be overwritten", path=str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
@@ -38,6 +38,13 @@ def save_lattice(lattice: CostLattice, path: str | Path) -> None:
     group.attrs.update(_metadata(lattice))
     shutil.rmtree(path, ignore_errors=True)
     partial.rename(path)
+
+
+def _is_lattice(path: Path) -> bool:
+    if not (path / "zarr.json").is_file():
+        return False
+    node = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+    return str(node.get("attributes", {}).get("format", "")).startswith(FORMAT.split("/")[0])
 
 
 def load_lattice(path: str | Path) -> CostLattice:

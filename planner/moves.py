@@ -9,13 +9,15 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from model.errors import InputError
+from model.errors import InputError, NegativeCycleError
 from model.frames import heading_of, heading_vector, wrap_angle
 from planner.edges import interpolation_matrix, price_terms
 from planner.kernels import mean_response
 from planner.lattice import CostLattice
 
 NEIGHBOURS = (8, 16, 32)
+MAX_SWEEPS = 200
+"""Sweeps (there and back over the map) after which `least_potential` is taken to have no end."""
 HEIGHT_RATES = 9
 """How many rates [J per metre of climb] the bounds of `MoveTable.bound_per_m` are known for."""
 
@@ -27,9 +29,11 @@ class MoveTable:
     offsets : (N, 2) int64 (drow, dcol), clockwise from north. heading_rad, length_m : (N,).
     energy : (rows, cols, N) float32 [J] of the move that leaves a cell; NaN where it may not be driven.
     turn_j : (N, N) float64 [J] of turning from one move's heading into another's.
-    rate_j_per_m : (B,) float64, rates b [J per metre of climb], ascending.
+    surface : (rows, cols) float64, what climbs are counted on: the elevation [m], unless regeneration asks for more
+        (see `heuristics`).
+    rate_j_per_m : (B,) float64, rates b [J per unit of climb], ascending.
     bound_per_m : (B,) float64 [J/m], the largest a with energy >= a * length + b * climb for every move of the map
-        (climb by `elevation_m`, up positive): the heuristics and the potential for negative prices rest on it.
+        (up positive): the heuristics and the potential for negative prices rest on it.
     """
 
     offsets: NDArray[np.int64]
@@ -37,8 +41,28 @@ class MoveTable:
     length_m: NDArray[np.float64]
     energy: NDArray[np.float32]
     turn_j: NDArray[np.float64]
+    surface: NDArray[np.float64]
     rate_j_per_m: NDArray[np.float64]
     bound_per_m: NDArray[np.float64]
+
+
+def least_potential(energy: NDArray[np.float32], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(rows, cols) float64 [J]: a surface p with energy >= p(end) - p(begin) for every move (Johnson 1977).
+
+    The least energy with which any free way can end at a cell, 0 at most, by Bellman-Ford sweeps over the map. Raises
+    NegativeCycleError where it has no end: some loop returns more than it costs.
+    """
+    potential = np.zeros(energy.shape[:2])
+    for _ in range(MAX_SWEEPS):
+        changed = _sweep(energy, offsets, potential)
+        if changed < 0:
+            return potential
+    row, col = divmod(changed, energy.shape[1])
+    raise NegativeCycleError(
+        f"regeneration returns more than driving costs: loops near row {row}, column {col} would fill the battery; "
+        "lower the robot's `regeneration`",
+        row=row, col=col,
+    )  # fmt: skip
 
 
 def distance_table(table: MoveTable) -> MoveTable:
@@ -80,7 +104,10 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
         price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
     )  # fmt: skip
     turn = lattice.robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
-    return MoveTable(offsets, headings, length_m, energy, turn, rates, bounds)
+    surface = lattice.elevation_m.astype(np.float64)
+    if not (bounds >= 0.0).any() and np.isfinite(bounds).any():  # no share of the height explains what comes back
+        surface, rates, bounds = least_potential(energy, offsets), np.ones(1), np.zeros(1)
+    return MoveTable(offsets, headings, length_m, energy, turn, surface, rates, bounds)
 
 
 def _height_rates(lattice: CostLattice) -> NDArray[np.float64]:
@@ -142,6 +169,26 @@ def _stack_pieces(pieces):
         for k, (part, cells, weights) in enumerate(move):
             share[n, k], cell[n, k], blend[n, k] = part, cells, weights
     return share, cell, blend
+
+
+@njit(cache=True, nogil=True)
+def _sweep(energy, offsets, potential):
+    """Lower `potential` along all moves, once in raster order and once against it; a flat index it changed, or -1."""
+    rows, cols, moves = energy.shape
+    changed = -1
+    for turn in range(2):
+        for k in range(rows * cols):
+            cell = k if turn == 0 else rows * cols - 1 - k
+            i, j = cell // cols, cell % cols
+            for n in range(moves):
+                step = energy[i, j, n]
+                if not math.isnan(step):
+                    r, c = i + offsets[n, 0], j + offsets[n, 1]
+                    low = potential[i, j] + step
+                    if low < potential[r, c] - 1e-9:
+                        potential[r, c] = low
+                        changed = cell
+    return changed
 
 
 @njit(cache=True, parallel=True)

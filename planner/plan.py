@@ -112,8 +112,9 @@ class RoutePlanner:
             if lattice.robot.turn_j_per_rad > 0.0:
                 notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
         details |= found
-        if refine and path_price(lattice, shortest) < path_price(lattice, points):
-            points = refine_path(lattice, shortest)  # as good a start, and the route never costs more than the shortest
+        details["from_shortest"] = path_price(lattice, shortest) < path_price(lattice, points)
+        if details["from_shortest"]:  # the route never costs more than the shortest path
+            points = refine_path(lattice, shortest) if refine else shortest
         details["seconds"] = time.perf_counter() - began
         return Plan(self._route(points, notes), self._route(shortest, notes), planner, details)
 

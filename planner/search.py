@@ -90,7 +90,7 @@ def grid_search(
     cells, cost = terminals(lattice, table, start, layers, outward=True)
     targets, target_cost = terminals(lattice, table, goal, layers, outward=False)
     _, pred, last, total, expanded = search_states(
-        table.energy, table.offsets, table.turn_j, layers, lattice.elevation_m, lattice.frame.resolution_m,
+        table.energy, table.offsets, table.turn_j, layers, table.surface, lattice.frame.resolution_m,
         seed_states(cells, layers), cost.ravel(), targets, target_cost, bounds, False,
     )  # fmt: skip
     direct = direct_energy(lattice, start, goal)

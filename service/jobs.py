@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 
 from model.errors import BusyError
@@ -94,12 +95,13 @@ class CostmapJobs:
                     raise JobStopped
 
         if self._store.update_costmap(costmap_id, status=RUNNING, progress=0.0):
-            self._build(costmap_id, progress)
+            with suppress(JobStopped):
+                self._build(costmap_id, progress)
 
     def _settle(self, costmap_id: str, future: Future[None]) -> None:
         """After a job: keep with the cost map whatever went wrong, then let waiters go."""
         error = None if future.cancelled() else future.exception()
-        if error is not None and not isinstance(error, JobStopped):
+        if error is not None:
             problem = problem_of(error, costmap_id)
             if problem["status"] >= 500:
                 _LOG.error("cost map %s failed", costmap_id, exc_info=error)

@@ -12,7 +12,7 @@ from typing import Any
 import anyio
 from fastapi import Request
 
-from model.errors import BusyError, ConflictError, JoulemapError
+from model.errors import BusyError, ConflictError, JoulemapError, NegativeCycleError
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
 from planner.plan import RoutePlanner
@@ -123,7 +123,10 @@ class Service:
             **summarise(lattice),
         }
         planner = RoutePlanner(lattice)
-        planner.prepare()
+        try:
+            planner.prepare()
+        except NegativeCycleError as error:  # the map is good to look at, every question will say the same
+            lattice.provenance["warnings"].append(error.message)
         self.store.save_lattice(costmap_id, lattice, summary)
         self.maps.keep(costmap_id, planner)
 

@@ -75,8 +75,9 @@ class Domain:
             )
         share = steep_share(heightmap, self.max_slope_deg)
         if share > _SHARE_TOLD:
+            digits = 0 if share > 0.1 else 1
             found.append(
-                f"{100.0 * share:.2g} % of the map is steeper than the {self.max_slope_deg:.3g} degrees "
+                f"{100.0 * share:.{digits}f} % of the map is steeper than the {self.max_slope_deg:.3g} degrees "
                 "the network learned"
             )
         return found
@@ -100,4 +101,4 @@ def steep_share(heightmap: Heightmap, limit_deg: float) -> float:
     known = np.isfinite(slope)
     if not known.any():
         return 0.0
-    return float((slope[known] > math.tan(math.radians(limit_deg))).mean())
+    return float((slope[known] > math.tan(math.radians(limit_deg)) * (1.0 + _TOLERANCE)).mean())

@@ -27,7 +27,7 @@ from service.workflows import check_lattice, find_predictor
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])
 ServiceDep = Annotated[Service, Depends(get_service)]
 MAX_WAIT_S = 300.0
-_WAIT = re.compile(r"(?:^|[,;])\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:$|[,;])", re.IGNORECASE)
+_WAIT = re.compile(r"(?:^|[,;])\s*wait\s*=\s*\"?(\d{1,18})\"?\s*(?:$|[,;])", re.IGNORECASE)
 
 
 class CostmapList(BaseModel):

@@ -207,7 +207,7 @@ def compare_planners(heightmap: Heightmap) -> Table:
             for limit in (3.0, 10.0):
                 try:
                     found = planner.plan(start, goal, planner=name, time_limit_s=limit, refine=False)
-                    energies[f"{name}, {limit:g} s"] = found.route.energy_j
+                    energies[f"{name}, {limit:g} s"] = found.details["sampled_energy_j"]
                 except NoRouteError:
                     energies[f"{name}, {limit:g} s"] = np.nan
         columns.append(energies)

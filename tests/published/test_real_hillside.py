@@ -1,5 +1,7 @@
 """A real heightmap (Malaga rescue area, 200 x 200 m): the searches agree, and no sampling planner beats them."""
 
+from dataclasses import replace
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from model.energy.physics import PhysicsPredictor
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
 from planner.edges import path_price, price_world_path, world_points
+from planner.fields import field_from
 from planner.graph import lattice_graph
 from planner.lattice_build import build_lattice
 from planner.moves import move_table
@@ -43,6 +46,40 @@ def test_astar_equals_dijkstra_equals_networkx_on_16_neighbours(hillside):
         assert fast.expanded < plain.expanded
 
 
+def bellman_ford(table, shape, source):
+    """Least energies from a cell over a move table, by whole-array relaxation until nothing changes."""
+    least = np.full(shape, np.inf)
+    least[source] = 0.0
+    rows, cols = shape
+    for _ in range(rows * cols):
+        before = least.copy()
+        for n, (d_row, d_col) in enumerate(table.offsets):
+            to = np.s_[max(d_row, 0) : rows + min(d_row, 0), max(d_col, 0) : cols + min(d_col, 0)]
+            came = np.s_[max(-d_row, 0) : rows + min(-d_row, 0), max(-d_col, 0) : cols + min(-d_col, 0)]
+            reached = least[came] + table.energy[(*came, n)].astype(np.float64)
+            least[to] = np.fmin(least[to], reached)
+        if (least == before).all():
+            return least
+    raise AssertionError("a negative cycle")
+
+
+@pytest.mark.parametrize("regeneration", [0.3, 0.5])
+def test_regeneration_on_rough_ground_is_bellman_fords_answer(hillside, regeneration):
+    lattice, crossings = hillside
+    lattice = replace(lattice, robot=replace(lattice.robot, regeneration=regeneration))
+    table = move_table(lattice, neighbours=16)
+    assert np.nanmin(table.energy) < 0.0
+    start, goal = crossings[0]
+    cells = [lattice.frame.cell_of(*p) for p in (start, goal)]
+    ends = [np.array(c, dtype=float) for c in cells]
+    slow = bellman_ford(table, lattice.frame.shape, cells[0])
+    for planner in ("astar", "dijkstra"):
+        assert grid_search(lattice, table, *ends, planner=planner).energy_j == pytest.approx(slow[cells[1]], rel=1e-9)
+    np.testing.assert_allclose(field_from(lattice, table, ends[0]).energy_j, slow, rtol=1e-9, atol=1e-6)
+    plan = RoutePlanner(lattice).plan(start, goal)
+    assert plan.route.energy_j <= plan.details["grid_energy_j"]
+
+
 def test_routes_are_priced_as_claimed_both_ways_and_beat_the_shortest(hillside):
     lattice, crossings = hillside
     planner = RoutePlanner(lattice)
@@ -73,5 +110,7 @@ def test_sampling_planners_never_beat_the_improved_grid_path_by_a_hundredth(hill
     best = planner.plan(start, goal).route
     sampled = planner.plan(start, goal, planner=sampler, time_limit_s=6.0, refine=False).route
     assert sampled.energy_j == pytest.approx(price_world_path(lattice, sampled.points), rel=1e-9)
+    hasty = planner.plan(start, goal, planner="bitstar", time_limit_s=6.0, refine=False)
+    assert hasty.saving_j >= 0.0  # however little time: the shortest path is an answer too
     np.testing.assert_allclose(world_points(lattice, sampled.points)[[0, -1]], world_points(lattice, [start, goal]))
     assert 0.99 * best.energy_j <= sampled.energy_j <= 1.5 * best.energy_j

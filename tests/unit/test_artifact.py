@@ -89,7 +89,7 @@ def test_warnings_name_the_value_and_the_limits():
         "the heightmap's resolution of 2 m/pixel is outside the 0.05..1 the network learned"
     ]
     assert DOMAIN.warnings(slope(35.0), inside) == [
-        "1e+02 % of the map is steeper than the 30 degrees the network learned"
+        "100 % of the map is steeper than the 30 degrees the network learned"
     ]
 
 

@@ -6,6 +6,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 import rasterio
+import zarr
 
 from model.energy.physics import PhysicsPredictor
 from model.errors import HeightmapError, InputError, TooLargeError
@@ -134,6 +135,10 @@ def test_what_is_not_a_lattice_is_refused(tmp_path):
     with pytest.raises(InputError, match="will not be overwritten"):
         save_lattice(build_lattice(surface(rolling), ROBOT, PhysicsPredictor()), tmp_path / "mine")
     assert (tmp_path / "mine" / "precious.txt").read_text() == "keep"
+    zarr.open_group(tmp_path / "other.zarr", mode="w").create_array("precious", data=np.arange(3))
+    with pytest.raises(InputError, match="will not be overwritten"):
+        save_lattice(build_lattice(surface(rolling), ROBOT, PhysicsPredictor()), tmp_path / "other.zarr")
+    assert zarr.open_group(tmp_path / "other.zarr", mode="r")["precious"][2] == 2
     save_lattice(build_lattice(surface(rolling), ROBOT, PhysicsPredictor()), tmp_path / "b.zarr")
     for chunk in (tmp_path / "b.zarr" / "gradient").rglob("*"):
         if chunk.is_file():

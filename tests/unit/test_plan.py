@@ -1,16 +1,18 @@
 """Plans: what is asked, what is refused, and what comes back beside the route."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from model.errors import BlockedError, InputError, NoRouteError, PointError
+from model.errors import BlockedError, InputError, NegativeCycleError, NoRouteError, PointError
 from model.robot import Battery, Robot
 from planner.budget import judge
 from planner.edges import price_world_path
 from planner.plan import PLANNERS, RoutePlanner
 from planner.route import geojson, price_route
 from planner.sampling import price_floor_per_m
-from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice
+from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice, uniform_lattice
 
 ROOM = """
     ..........
@@ -125,6 +127,13 @@ def test_turning_is_planned_for_not_only_paid():
     assert radians(dear.route.points) <= radians(free.route.points) + 1e-9
     assert radians(dear.route.points) < 0.5  # one bend between two moves
     assert dear.details["grid_energy_j"] == pytest.approx(dear.route.energy_j, rel=1e-6)
+
+
+def test_a_loop_that_fills_the_battery_is_refused_with_its_place():
+    lattice = uniform_lattice(12, 12, lambda heading: -10.0)
+    lattice = replace(lattice, robot=replace(lattice.robot, regeneration=0.5))
+    with pytest.raises(NegativeCycleError, match="lower the robot's `regeneration`"):
+        RoutePlanner(lattice).plan((2.5, 2.5), (9.5, 9.5))
 
 
 def test_the_price_floor_is_below_every_price():
