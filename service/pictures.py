@@ -59,7 +59,7 @@ def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: floa
     figure, axes = _map_figure(lattice.frame, extra_in=1.5)
     priced = shown[np.isfinite(shown)]
     low, high = (float(q) for q in np.quantile(priced, [0.02, 0.98])) if priced.size else (0.0, 1.0)
-    high = max(high, low + 1e-6 * max(1.0, abs(low)))
+    high = max(high, low + 0.01 * max(1.0, abs(low)))  # an even map is one colour, not its rounding
     norm = Normalize(low, high)
     below, above = (priced < low).any(), (priced > high).any()
     extend = "both" if below and above else "min" if below else "max" if above else "neither"

@@ -28,6 +28,10 @@ Point = Annotated[
     list[float],
     Field(min_length=2, max_length=3, description="world [x, y] in the map's CRS [m], east and north; z is ignored"),
 ]
+PathPoint = Annotated[
+    list[float | None],
+    Field(min_length=2, max_length=3, description="world [x, y] or [x, y, z] [m]; z, which may be null, is ignored"),
+]
 Point3 = Annotated[
     list[float | None], Field(min_length=3, max_length=3, description="world [x, y, z] [m]; z null where unknown")
 ]
@@ -100,6 +104,9 @@ class UploadOptions(BaseModel):
     )
     scale_m: float | None = Field(default=None, description="metres per stored count; a PNG needs it")
     offset_m: float = Field(default=0.0, description="height of stored count 0 [m]")
+    nodata: float | None = Field(
+        default=None, description="stored value that means unknown, where the file does not declare it"
+    )
 
 
 class HeightmapOut(Answer):
@@ -305,7 +312,7 @@ class PathOut(RouteOut):
 class FeasibilityRequest(Request):
     """A task, either a path or start and goal, and a battery."""
 
-    path: list[Point] | None = Field(
+    path: list[PathPoint] | None = Field(
         default=None, min_length=2, max_length=100_000, description="world points [m], in order"
     )
     start: Point | None = Field(default=None, examples=[[12.5, 40.5]])
