@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
@@ -66,7 +67,7 @@ def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: Kernel
     """Whether a battery lasts for a given path, or for the best one from start to goal; on request there and back."""
     row = service.done_costmap(costmap_id)
     robot = _same_robot(row, wanted.robot)
-    path = [point[:2] for point in wanted.path] if wanted.path is not None else None
+    path = np.array([point[:2] for point in wanted.path], dtype=np.float64) if wanted.path is not None else None
     with service.maps.use(costmap_id) as planner:
         assessment = assess(
             planner,
