@@ -59,8 +59,8 @@ def least_potential(energy: NDArray[np.float32], offsets: NDArray[np.int64]) -> 
             return potential
     row, col = divmod(changed, energy.shape[1])
     raise NegativeCycleError(
-        f"regeneration returns more than driving costs: loops near row {row}, column {col} would fill the battery; "
-        "lower the robot's `regeneration`",
+        "regeneration returns more than driving costs: some loop would fill the battery, and the energy to reach row "
+        f"{row}, column {col} by way of it has no least; lower the robot's `regeneration`",
         row=row, col=col,
     )  # fmt: skip
 
