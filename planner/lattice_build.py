@@ -5,39 +5,20 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from model.errors import InputError, TooLargeError
-from model.frames import GridFrame, heading_bins
+from model.frames import heading_bins
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from model.traction import TractionSource
 from planner.lattice import Blocked, CostLattice
 from planner.limits import ground_limits
 
 DEFAULT_HEADINGS = 16
 MAX_LATTICE_VALUES = 400_000_000
 """Largest rows * cols * headings held in memory (1.6 GB of float32)."""
-
-
-class TractionSource(Protocol):
-    """What a lattice needs of a predictor. `model.energy` has the implementations."""
-
-    @property
-    def name(self) -> str: ...
-
-    def provenance(self) -> dict[str, Any]:
-        """JSON-able: what the predictor is and how it was made."""
-
-    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """In words, every way in which this map or robot lies outside what the predictor knows."""
-
-    def traction_per_m(
-        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """(rows, cols, headings) [J/m] at the cell centres of `frame`; NaN where the map does not tell."""
 
 
 def build_lattice(

@@ -13,7 +13,7 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
 from model.energy.compact import PIXEL_M, SQUARE, STRIDE, CompactNet, heading_basis, robot_features
-from model.energy.domain import Domain
+from model.energy.domain import Domain, Learned
 from model.energy.physics import tan_grade, tan_grade_lattice
 from model.frames import GridFrame
 from model.robot import Robot
@@ -30,7 +30,7 @@ _BATCH = 2048  # squares of one pass
 _PASSES = 8  # a spacing of 1/k m up to this k is answered by k x k dense passes
 
 
-class CompactPredictor:
+class CompactPredictor(Learned):
     """Traction demand from a trained compact network.
 
     A cell is NaN where the 2 m square around it touches an unknown height. At the edge of the map the ground is
@@ -38,18 +38,8 @@ class CompactPredictor:
     """
 
     def __init__(self, net: CompactNet, domain: Domain, provenance: Mapping[str, Any], *, name: str) -> None:
-        self.name = name
-        self.domain = domain
+        super().__init__(name, domain, provenance)
         self.net = net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self._provenance = dict(provenance)
-
-    def provenance(self) -> dict[str, Any]:
-        """What the predictor is, JSON-able."""
-        return {"name": self.name, **self._provenance}
-
-    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """In words, every way in which this map or robot lies outside what the network learned."""
-        return self.domain.warnings(heightmap, robot)
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -81,6 +82,23 @@ class Domain:
                 "the network learned"
             )
         return found
+
+
+class Learned:
+    """The part that all predictors of a trained network share: a name, its record, and where it may be believed."""
+
+    def __init__(self, name: str, domain: Domain, provenance: Mapping[str, Any]) -> None:
+        self.name = name
+        self.domain = domain
+        self._provenance = dict(provenance)
+
+    def provenance(self) -> dict[str, Any]:
+        """What the predictor is, JSON-able."""
+        return {"name": self.name, **self._provenance}
+
+    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
+        """In words, every way in which this map or robot lies outside what the network learned."""
+        return self.domain.warnings(heightmap, robot)
 
 
 def steep_share(heightmap: Heightmap, limit_deg: float) -> float:

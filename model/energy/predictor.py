@@ -4,40 +4,26 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.energy.physics import PhysicsPredictor
 from model.errors import ModelError
-from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from model.traction import TractionSource
 
 MODEL_NAMES = ("physics", "default")
 """Models known by name; anything else is a trained model's folder."""
 
 
-class Predictor(Protocol):
-    """Traction demand [J per horizontal metre] of a place and a heading; `Robot.price_per_m` makes energy of it.
+class Predictor(TractionSource, Protocol):
+    """A traction source that also answers for single segments.
 
     Both ways to ask answer the same for the same place and heading, to float32 rounding.
     """
-
-    @property
-    def name(self) -> str: ...
-
-    def provenance(self) -> dict[str, Any]:
-        """JSON-able: name, kind, version, config."""
-
-    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """In words, with value and limit, every way in which this map or robot lies outside what was learned."""
-
-    def traction_per_m(
-        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """(rows, cols, headings) [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

@@ -18,7 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from model.energy.domain import Domain
+from model.energy.domain import Domain, Learned
 from model.energy.physics import SEGMENT_M
 from model.errors import ModelError
 from model.frames import GridFrame, heading_vector
@@ -125,7 +125,7 @@ def load_backbone(path: str | Path) -> ResNet18Backbone:
     return backbone
 
 
-class ResNetPredictor:
+class ResNetPredictor(Learned):
     """The paper's network on any map: a patch per place and heading (slow: the yardstick, not the working horse).
 
     The network gives battery energy; its traction is that energy without the robot's hotel load, so that the price is
@@ -135,19 +135,9 @@ class ResNetPredictor:
     def __init__(
         self, net: ResNetEnergy, domain: Domain, provenance: Mapping[str, Any], *, size: int, name: str
     ) -> None:  # fmt: skip
-        self.name = name
-        self.domain = domain
+        super().__init__(name, domain, provenance)
         self.net = net.eval()
         self.size = size
-        self._provenance = dict(provenance)
-
-    def provenance(self) -> dict[str, Any]:
-        """What the predictor is, JSON-able."""
-        return {"name": self.name, **self._provenance}
-
-    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """In words, every way in which this map or robot lies outside what the network learned."""
-        return self.domain.warnings(heightmap, robot)
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray

@@ -111,6 +111,6 @@ def test_sampling_planners_never_beat_the_improved_grid_path_by_a_hundredth(hill
     sampled = planner.plan(start, goal, planner=sampler, time_limit_s=6.0, refine=False).route
     assert sampled.energy_j == pytest.approx(price_world_path(lattice, sampled.points), rel=1e-9)
     hasty = planner.plan(start, goal, planner="bitstar", time_limit_s=6.0, refine=False)
-    assert hasty.saving_j >= 0.0  # however little time: the shortest path is an answer too
+    assert hasty.saving_j >= 0.0  # the shortest path is an answer too
     np.testing.assert_allclose(world_points(lattice, sampled.points)[[0, -1]], world_points(lattice, [start, goal]))
     assert 0.99 * best.energy_j <= sampled.energy_j <= 1.5 * best.energy_j

@@ -1,0 +1,30 @@
+"""What a cost lattice needs of a predictor: the only thing about models that the planner knows."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.frames import GridFrame
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+
+class TractionSource(Protocol):
+    """Traction demand [J per horizontal metre] of a place and a heading; `Robot.price_per_m` makes energy of it."""
+
+    @property
+    def name(self) -> str: ...
+
+    def provenance(self) -> dict[str, Any]:
+        """JSON-able: name, kind, version, config."""
+
+    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
+        """In words, with value and limit, every way in which this map or robot lies outside what was learned."""
+
+    def traction_per_m(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """(rows, cols, headings) [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
