@@ -33,10 +33,11 @@ def shape_features(
     """What a person would measure of the ground under a segment centred at (x, y), in the order of `FEATURES`.
 
     Returns (n, 11), NaN throughout where a height is unknown. grade : rise over the metre, > 0 uphill; steepness : its
-    size. cross_grade : of the fitted plane, > 0 with the right side higher; cross_steepness : its size. roughness : rms about
-    that plane [m]. Of both wheel tracks: track_bend, rms of second differences [m]; track_roughness, mean departure of a
-    step from the mean step [m]; track_climb, sum of all rises [m]. curvature, cross_curvature : second-order
-    coefficient along the centre line and across [1/m]. twist : spread of the height of left over right track [m].
+    size. cross_grade : of the fitted plane, > 0 with the right side higher; cross_steepness : its size. roughness :
+    rms about that plane [m]. Of both wheel tracks: track_bend, rms of second differences [m]; track_roughness, mean
+    departure of a step from the mean step [m]; track_climb, sum of all rises [m]. curvature, cross_curvature :
+    second-order coefficient along the centre line and across [1/m]. twist : spread of the height of left over right
+    track [m].
     """
     xs, ys, heading = (np.asarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
     side = _TRACK_SHARE * robot.width_m
