@@ -68,14 +68,14 @@ def drive_along(
         x, y = _resample(x, y)
     if rng is not None and wander_m > 0:
         heading = _track_heading(x, y)
-        aside = _smooth_noise(rng, x.size, wander_length_m / STEP_M) * wander_m
+        aside = smooth_noise(rng, x.size, wander_length_m / STEP_M) * wander_m
         x, y = _resample(x + aside * np.cos(heading), y - aside * np.sin(heading))
     heading = _track_heading(x, y)
     drive = Drive(x, y, heading, np.full(x.size, float(speed_mps)))
     turning = gaussian_filter1d(np.abs(drive.curvature), 2.0, mode="nearest")
     speed = speed_mps / np.sqrt(1.0 + (turning / 1.5) ** 2)
     if rng is not None and speed_spread > 0:
-        speed = speed * np.exp(speed_spread * _smooth_noise(rng, x.size, 1.5 / STEP_M))
+        speed = speed * np.exp(speed_spread * smooth_noise(rng, x.size, 1.5 / STEP_M))
     return Drive(x, y, heading, gaussian_filter1d(speed, 2.0, mode="nearest"))
 
 
@@ -152,7 +152,7 @@ def _track_heading(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.concatenate([heading[:1], heading])
 
 
-def _smooth_noise(rng: np.random.Generator, n: int, sigma: float) -> FloatArray:
+def smooth_noise(rng: np.random.Generator, n: int, sigma: float) -> FloatArray:
     """Gaussian noise of unit variance, smooth over `sigma` samples. Shape (n,)."""
     pad = _pad(sigma)
     rough = rng.standard_normal(n + 2 * pad)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from model.field.conditions import Conditions
 from model.field.drives import Drive
+from model.field.effects import Effect
 from model.field.electrics import Pack, motor_temperature_c, terminals
 from model.field.robots import FieldRobot
 from model.field.simulation import Trace, simulate_trace
@@ -58,17 +62,20 @@ class Logger:
 
 @dataclass(frozen=True)
 class RunLog:
-    """A log as recorded. columns : name -> (n,) float64 in the units of the run format, NaN is "not recorded"."""
+    """A log as recorded. columns : name -> (n,) float64 in the units of the run format, NaN is "not recorded".
+
+    terrain : (n,) what the operator calls the ground.
+    """
 
     columns: dict[str, FloatArray]
-    terrain: str
+    terrain: NDArray[np.str_]
 
     def write_csv(self, path: str | Path) -> Path:
         """Write the run format; a NaN becomes a blank."""
         texts = []
         for name in COLUMNS:
             if name == "terrain":
-                texts.append([self.terrain] * len(self.columns["t"]))
+                texts.append(self.terrain.tolist())
                 continue
             digits = _DECIMALS[name]
             texts.append(["" if v != v else f"{v:.{digits}f}" for v in self.columns[name].tolist()])
@@ -88,10 +95,16 @@ def simulate_run(
     logger: Logger | None = None,
     pack: Pack | None = None,
     start_s: float = 0.0,
+    effects: Sequence[Effect] = (),
+    conditions: Conditions | None = None,
 ) -> RunLog:
-    """Drive and log: the one entry point from a site, a robot and a drive to a run."""
-    trace = simulate_trace(site, robot, drive, rng=rng)
-    return log_trace(trace, robot, rng=rng, logger=logger, pack=pack, terrain=site.ground.name, start_s=start_s)
+    """Drive and log: the one entry point from a site, a robot and a drive to a run, with effects if there are any."""
+    trace = simulate_trace(site, robot, drive, rng=rng, effects=effects, conditions=conditions)
+    gain = math.prod(effect.reading() for effect in effects)
+    return log_trace(
+        trace, robot, rng=rng, logger=logger, pack=pack, terrain=site.words_at(trace.x, trace.y), start_s=start_s,
+        conditions=conditions, current_gain=gain,
+    )  # fmt: skip
 
 
 def log_trace(
@@ -101,11 +114,20 @@ def log_trace(
     rng: np.random.Generator,
     logger: Logger | None = None,
     pack: Pack | None = None,
-    terrain: str = "",
+    terrain: str | NDArray[np.str_] = "",
     start_s: float = 0.0,
+    conditions: Conditions | None = None,
+    current_gain: float = 1.0,
 ) -> RunLog:
-    """The log of a trace. Raises InputError where the battery cannot deliver what the drive needs."""
+    """The log of a trace; terrain : one word, or one for each station. Conditions bring their own stamps and battery.
+
+    Raises InputError where the battery cannot deliver what the drive needs.
+    """
     logger = logger or Logger()
+    if conditions is not None:
+        start_s = conditions.start_s
+        air = float(conditions.temperature_c(trace.t).mean())
+        pack = pack or Pack.of(robot, charge=conditions.charge, temperature_c=air)
     pack = pack or Pack.of(robot, temperature_c=float(rng.uniform(8.0, 28.0)))
     duration = np.diff(trace.t, prepend=trace.t[0])
     volts, amps, _ = terminals(trace.power_w, duration, pack)
@@ -146,9 +168,27 @@ def log_trace(
         "motor_temperature": at(warmth) + 0.2 * (logger.angle_deg > 0) * rng.standard_normal(n),
         "gps_error": np.abs(0.012 + 0.002 * rng.standard_normal(n)),
     }
+    columns["current"] *= current_gain
+    if conditions is not None:
+        columns.update(_weather(conditions, t, quiet=logger.angle_deg == 0.0))
     _disturb(columns, logger, rng)
     keep = _kept_rows(n, logger, rng)
-    return RunLog({name: values[keep] for name, values in columns.items()}, terrain)
+    words = np.broadcast_to(np.asarray(terrain), trace.t.shape)[step]
+    return RunLog({name: values[keep] for name, values in columns.items()}, words[keep])
+
+
+def _weather(conditions: Conditions, t: FloatArray, *, quiet: bool) -> dict[str, FloatArray]:
+    """Columns of what the run was driven in, as its instruments tell it; their noise has a generator of its own."""
+    rng = np.random.default_rng([conditions.seed, 3])
+    noise = (0.0 if quiet else 1.0) * rng.standard_normal((3, t.size))
+    speed, source = conditions.wind.at(t)
+    blank = 0.0 if conditions.wind_logged else np.nan
+    return {
+        "temperature": conditions.temperature_c(t) + 0.1 * noise[0],
+        "wind_speed": np.maximum(speed + 0.2 * noise[1], 0.0) + blank,
+        "wind_from": np.mod(np.degrees(source) + 4.0 * noise[2], 360.0) + blank,
+        "payload": np.full(t.size, conditions.payload_kg if conditions.payload_logged else np.nan),
+    }
 
 
 def _rtk(rng: np.random.Generator, n: int, sigma_m: float, rate_hz: float) -> FloatArray:

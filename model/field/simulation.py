@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from model.errors import InputError
+from model.field.conditions import Conditions
 from model.field.drives import Drive
+from model.field.effects import Effect, Ride
 from model.field.electrics import wheel_power_w
-from model.field.robot_dynamics import Motion, move
+from model.field.robot_dynamics import move
 from model.field.robots import FieldRobot
 from model.field.sites import Site
 from model.frames import heading_of
-from model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
@@ -73,19 +75,57 @@ class TrueSegments:
         return float(np.mean(np.abs(self.explained_j - self.energy_j) / self.energy_j))
 
 
-def simulate_trace(site: Site, robot: FieldRobot, drive: Drive, *, rng: np.random.Generator) -> Trace:
-    """Drive over the true terrain of `site`. Raises PointError where a wheel would leave it."""
-    motion, wheels = _drives_w(site, site.mu_factor, robot, drive)
-    _, explained = _drives_w(site, site.mu_factor_explained, robot, drive)
+def simulate_trace(
+    site: Site,
+    robot: FieldRobot,
+    drive: Drive,
+    *,
+    rng: np.random.Generator,
+    effects: Sequence[Effect] = (),
+    conditions: Conditions | None = None,
+) -> Trace:
+    """Drive over the true terrain of `site`, with hidden effects if there are any.
+
+    Raises PointError where a wheel would leave the terrain.
+    """
+    ride, wheels = take_ride(site, robot, drive, effects=effects, conditions=conditions)
+    _, explained = take_ride(
+        replace(site, mu_factor=site.mu_factor_explained), robot, drive, effects=effects, conditions=conditions
+    )
+    factor = _spread(ride.path_m, site.ground.spread, site.ground.spread_length_m, rng)
+    power, wheels = _battery_w(ride, factor * wheels, effects)
+    return Trace(
+        t=ride.t, x=ride.drive.x, y=ride.drive.y, z=ride.motion.z, heading_rad=ride.drive.heading_rad,
+        speed_mps=ride.drive.speed_mps, pitch_rad=ride.motion.pitch_rad, roll_rad=ride.motion.roll_rad, power_w=power,
+        explained_w=_battery_w(ride, explained, effects)[0], wheels_w=wheels,
+    )  # fmt: skip
+
+
+def take_ride(
+    site: Site,
+    robot: FieldRobot,
+    drive: Drive,
+    *,
+    effects: Sequence[Effect] = (),
+    conditions: Conditions | None = None,
+) -> tuple[Ride, FloatArray]:
+    """How the drive goes, and the power of both drives [W], (n,), before the losses that an effect adds to it."""
+    conditions = conditions or Conditions()
+    for effect in effects:
+        site = effect.on_site(site)
+        robot = effect.on_robot(robot, conditions)
+        drive = effect.on_drive(drive, conditions)
+    motion = move(
+        site.terrain, site.mu_factor, site.ground, robot,
+        x=drive.x, y=drive.y, heading_rad=drive.heading_rad, speed_mps=drive.speed_mps,
+    )  # fmt: skip
     surface = np.sqrt(np.diff(drive.x) ** 2 + np.diff(drive.y) ** 2 + np.diff(motion.z) ** 2)
     t = np.concatenate([[0.0], np.cumsum(surface / drive.speed_mps[1:])])
-    path = np.concatenate([[0.0], np.cumsum(surface)])
-    factor = _spread(path, site.ground.spread, site.ground.spread_length_m, rng)
-    return Trace(
-        t=t, x=drive.x, y=drive.y, z=motion.z, heading_rad=drive.heading_rad, speed_mps=drive.speed_mps,
-        pitch_rad=motion.pitch_rad, roll_rad=motion.roll_rad, power_w=robot.idle_w + factor * wheels,
-        explained_w=robot.idle_w + explained, wheels_w=factor * wheels,
-    )  # fmt: skip
+    ride = Ride(drive, motion, robot, conditions, t, np.concatenate([[0.0], np.cumsum(surface)]))
+    if effects:
+        half = 0.5 * np.sum([np.broadcast_to(effect.force_n(ride), t.shape) for effect in effects], axis=0)
+        motion = replace(motion, force_left_n=motion.force_left_n + half, force_right_n=motion.force_right_n + half)
+    return ride, wheel_power_w(motion, robot, drive.speed_mps, drive.curvature)
 
 
 def simulate_segments(
@@ -105,28 +145,27 @@ def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 
     at = _cut(trace.x, trace.y, length_m)  # fractional station of every end
     station = np.arange(trace.x.size, dtype=np.float64)
 
-    def ends(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        there = np.interp(at, station, values)
-        return there[:-1], there[1:]
+    def gained(cumulated: FloatArray) -> FloatArray:
+        return np.diff(np.interp(at, station, cumulated))
 
-    (px, qx), (py, qy), (pt, qt) = ends(trace.x), ends(trace.y), ends(trace.t)
-    (pe, qe), (pk, qk) = ends(trace.energy_j()), ends(trace.energy_j(trace.explained_w))
-    path = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(trace.x), np.diff(trace.y)))])
-    ps, qs = ends(path)
-    ph, qh = ends(np.unwrap(trace.heading_rad))
-    keep = (qs - ps) <= max_driven_m * length_m
-    heading = heading_of(qx - px, qy - py)
-    columns = ((px + qx) / 2, (py + qy) / 2, heading, qe - pe, qk - pk, qt - pt, qs - ps, qh - ph)
+    x, y = np.interp(at, station, trace.x), np.interp(at, station, trace.y)
+    driven = gained(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(trace.x), np.diff(trace.y)))]))
+    columns = (
+        (x[:-1] + x[1:]) / 2, (y[:-1] + y[1:]) / 2, heading_of(np.diff(x), np.diff(y)), gained(trace.energy_j()),
+        gained(trace.energy_j(trace.explained_w)), gained(trace.t), driven, gained(np.unwrap(trace.heading_rad)),
+    )  # fmt: skip
+    keep = driven <= max_driven_m * length_m
     return TrueSegments(*(np.ascontiguousarray(c[keep]) for c in columns))
 
 
-def _drives_w(site: Site, mu_factor: Heightmap, robot: FieldRobot, drive: Drive) -> tuple[Motion, FloatArray]:
-    """Motion over the site with this rolling loss, and the power of both drives [W]."""
-    motion = move(
-        site.terrain, mu_factor, site.ground, robot,
-        x=drive.x, y=drive.y, heading_rad=drive.heading_rad, speed_mps=drive.speed_mps,
-    )  # fmt: skip
-    return motion, wheel_power_w(motion, robot, drive.speed_mps, drive.curvature)
+def _battery_w(ride: Ride, wheels_w: FloatArray, effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:
+    """Power at the battery and of the drives [W], (n,) each, after every effect has had its say."""
+    for effect in effects:
+        wheels_w = effect.wheels_w(ride, wheels_w)
+    power = ride.robot.idle_w + wheels_w
+    for effect in effects:
+        power = effect.power_w(ride, power)
+    return power, wheels_w
 
 
 def _spread(path_m: FloatArray, sigma: float, length_m: float, rng: np.random.Generator) -> FloatArray:

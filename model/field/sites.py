@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from model.errors import NotFoundError
@@ -40,7 +40,8 @@ class Site:
     """A place to drive.
 
     terrain : the truth, 5 cm. survey : the heightmap that is given to a model. mu_factor : what multiplies the ground's
-    rolling loss from place to place; mu_factor_explained : its part that follows from the terrain (hollows).
+    rolling loss from place to place; mu_factor_explained : its part that follows from the terrain (hollows). words :
+    what an operator calls the ground, where `word_map` is below and above one half; without a map, the ground's name.
     """
 
     name: str
@@ -49,12 +50,36 @@ class Site:
     ground: Ground
     mu_factor: Heightmap
     mu_factor_explained: Heightmap
+    words: tuple[str, str] = ("", "")
+    word_map: Heightmap | None = None
 
     @property
     def drivable(self) -> tuple[float, float, float, float]:
         """(west, south, east, north) [m] in which waypoints may lie."""
         west, south, east, north = self.terrain.frame.bounds
         return west + _MARGIN_M, south + _MARGIN_M, east - _MARGIN_M, north - _MARGIN_M
+
+    def words_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.str_]:
+        """What an operator calls the ground at world points [m], in their shape."""
+        if self.word_map is None:
+            return np.full(np.broadcast(x, y).shape, self.ground.name)
+        return np.where(self.word_map.sample(x, y) < 0.5, *self.words)
+
+    def with_words(self, words: tuple[str, str], rng: np.random.Generator) -> Site:
+        """This site with two kinds of ground by name, in stretches of about 10 m; the ground itself stays as it is."""
+        frame = self.mu_factor.frame
+        noise = gaussian_filter(rng.standard_normal(frame.shape), 5.0 / _SOIL_M, mode="nearest")
+        share = np.asarray(noise > np.quantile(noise, rng.uniform(0.35, 0.65)), dtype=np.float32)
+        return replace(self, words=words, word_map=Heightmap(share, frame))
+
+    def with_rolling_loss(self, factor: NDArray[np.float64]) -> Site:
+        """This site with its rolling loss multiplied by a factor for each cell of `mu_factor`."""
+        times = np.asarray(factor, dtype=np.float32)
+        return replace(
+            self,
+            mu_factor=replace(self.mu_factor, heights=self.mu_factor.heights * times),
+            mu_factor_explained=replace(self.mu_factor_explained, heights=self.mu_factor_explained.heights * times),
+        )
 
 
 @dataclass(frozen=True)

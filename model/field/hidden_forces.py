@@ -1,0 +1,235 @@
+"""Hidden effects that push back: scrub, air, speed, rotors, cold grease, side slip, mud, furrows, load, soft ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.field.conditions import Conditions
+from model.field.drives import STEP_M, Drive, smooth_noise
+from model.field.effects import Effect, Ride
+from model.field.robots import FieldRobot
+from model.field.sites import Site
+
+FloatArray = NDArray[np.float64]
+
+_AIR_KG_PER_M3 = 1.2
+
+
+@dataclass(frozen=True)
+class Turning(Effect):
+    """Tyres scrub sideways: a moment of `scrub` x load x half the wheelbase, full once they slide (`sliding_rad_s`)."""
+
+    scrub: float
+    sliding_rad_s: float = 0.05
+    name: ClassVar[str] = "turning"
+    unit: ClassVar[str] = "J/rad"
+    unsigned: ClassVar[bool] = True
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        rate = np.abs(ride.turn_rate)
+        moment = self.scrub * ride.motion.loads_n.sum(axis=1) * 0.5 * ride.robot.wheelbase_m
+        return moment * np.tanh(rate / self.sliding_rad_s) * rate / ride.drive.speed_mps
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return np.unwrap(ride.drive.heading_rad)
+
+
+@dataclass(frozen=True)
+class AirDrag(Effect):
+    """Drag of the air as it meets the moving robot; drag_area_m2 : drag coefficient times area."""
+
+    drag_area_m2: float
+    name: ClassVar[str] = "wind"
+    unit: ClassVar[str] = "m2"
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        return self.drag_area_m2 * self._pressure(ride)
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.along_path(self._pressure(ride))
+
+    @staticmethod
+    def _pressure(ride: Ride) -> FloatArray:
+        """Along the motion, > 0 from ahead [N/m2]."""
+        wind, source = ride.conditions.wind.at(ride.t)
+        ahead = ride.drive.speed_mps + wind * np.cos(ride.drive.heading_rad - source)
+        aside = wind * np.sin(ride.drive.heading_rad - source)
+        return 0.5 * _AIR_KG_PER_M3 * np.hypot(ahead, aside) * ahead
+
+
+@dataclass(frozen=True)
+class Payload(Effect):
+    """What the conditions say is carried truly has mass, and lifts the centre of mass."""
+
+    name: ClassVar[str] = "payload"
+    unit: ClassVar[str] = "kg/kg"
+
+    def on_robot(self, robot: FieldRobot, conditions: Conditions) -> FieldRobot:
+        mass = robot.mass_kg + conditions.payload_kg
+        deck = 2.2 * robot.com_height_m
+        height = (robot.mass_kg * robot.com_height_m + conditions.payload_kg * deck) / mass
+        return replace(robot, mass_kg=mass, com_height_m=height)
+
+    def stated(self) -> float:
+        return 1.0
+
+
+@dataclass(frozen=True)
+class Speed(Effect):
+    """The driver keeps no steady speed (`spread`, log), and a viscous loss grows with it (s/m, times the weight)."""
+
+    viscous_s_per_m: float
+    spread: float
+    name: ClassVar[str] = "speed"
+    unit: ClassVar[str] = "J/m per m/s"
+
+    def on_drive(self, drive: Drive, conditions: Conditions) -> Drive:
+        rng = np.random.default_rng([conditions.seed, 1])
+        factor = self.spread * (0.6 * rng.standard_normal() + 0.8 * smooth_noise(rng, drive.x.size, 4.0 / STEP_M))
+        return replace(drive, speed_mps=drive.speed_mps * np.exp(np.clip(factor, -0.7, 0.7)))
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        return self.viscous_s_per_m * ride.weight_n * ride.drive.speed_mps
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.along_path(ride.drive.speed_mps)
+
+
+@dataclass(frozen=True)
+class Acceleration(Effect):
+    """Stop-and-go every few metres, with rotors behind the gears that must be spun up (kg, as felt at the ground)."""
+
+    rotors_kg: float
+    every_m: float = 5.0
+    name: ClassVar[str] = "acceleration"
+    unit: ClassVar[str] = "kg"
+
+    def on_drive(self, drive: Drive, conditions: Conditions) -> Drive:
+        rng = np.random.default_rng([conditions.seed, 2])
+        at = np.arange(drive.x.size) * STEP_M
+        halts = np.cumsum(rng.uniform(0.5, 1.5, max(int(at[-1] / self.every_m), 1)) * self.every_m)
+        near = np.abs(at[:, None] - halts[None, :]).min(axis=1)
+        return replace(drive, speed_mps=drive.speed_mps * (1.0 - 0.75 * np.exp(-0.5 * (near / 0.5) ** 2)))
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        gained = 0.5 * np.diff(ride.drive.speed_mps**2, prepend=ride.drive.speed_mps[0] ** 2)
+        step = np.maximum(np.diff(ride.path_m, prepend=ride.path_m[0]), 1e-6)
+        return self.rotors_kg * gained / step
+
+    def amount(self, ride: Ride) -> FloatArray:
+        gained = 0.5 * np.diff(ride.drive.speed_mps**2, prepend=ride.drive.speed_mps[0] ** 2)
+        return np.cumsum(np.maximum(gained, 0.0))
+
+
+@dataclass(frozen=True)
+class ColdGrease(Effect):
+    """Grease that stiffens in the cold: a drag of `share` of the weight at 0 degC, gone at `warm_c`, Arrhenius-like."""
+
+    share: float
+    warm_c: float = 20.0
+    scale_k: float = 18.0
+    name: ClassVar[str] = "temperature"
+    unit: ClassVar[str] = "J/m/K"
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        stiff = np.expm1((self.warm_c - ride.conditions.temperature_c(ride.t)) / self.scale_k)
+        return self.share * ride.weight_n * stiff / math.expm1(self.warm_c / self.scale_k)
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.along_path(ride.conditions.temperature_c(ride.t) - self.warm_c)
+
+
+@dataclass(frozen=True)
+class SideSlip(Effect):
+    """Wet ground that holds no tyre sideways: crabbing across a slope costs side force times slip (force / grip)."""
+
+    grip: float
+    name: ClassVar[str] = "cross_slope"
+    unit: ClassVar[str] = "J/m"
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        side = np.abs(np.sin(ride.motion.roll_rad))
+        return ride.weight_n * side * np.minimum(side / self.grip, 0.8)
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.along_path(np.sin(ride.motion.roll_rad) ** 2)
+
+
+@dataclass(frozen=True)
+class SoftClass(Effect):
+    """Rolling loss times `factor` wherever the ground is called `word`."""
+
+    word: str
+    factor: float
+    name: ClassVar[str] = "terrain_class"
+
+    def stated(self) -> float:
+        return self.factor
+
+    def on_site(self, site: Site) -> Site:
+        x, y = site.mu_factor.frame.centres()
+        soft = site.words_at(*np.meshgrid(x, y)) == self.word
+        return site.with_rolling_loss(np.where(soft, self.factor, 1.0))
+
+
+@dataclass(frozen=True)
+class WetPatch(Effect):
+    """Rolling loss times `factor` in a soft spot, fading at radius_m; east, north : its middle, 0..1 of the site."""
+
+    factor: float
+    radius_m: float
+    east: float
+    north: float
+    name: ClassVar[str] = "local_friction"
+
+    def stated(self) -> float:
+        return self.factor
+
+    def on_site(self, site: Site) -> Site:
+        west, south, east, north = site.terrain.frame.bounds
+        x, y = np.meshgrid(*site.mu_factor.frame.centres())
+        away = np.hypot(x - west - self.east * (east - west), y - south - self.north * (north - south))
+        return site.with_rolling_loss(1.0 + (self.factor - 1.0) * np.exp(-0.5 * (away / self.radius_m) ** 4))
+
+
+@dataclass(frozen=True)
+class Drift(Effect):
+    """Mud gathers over the metres, or tyres lose air over the hours: a drag of this share of the load, growing."""
+
+    share_per_unit: float
+    over: Literal["km", "h"] = "km"
+    name: ClassVar[str] = "drift"
+    unit: ClassVar[str] = "J/m/km or J/m/h"
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        return self.share_per_unit * ride.motion.loads_n.sum(axis=1) * self._age(ride)
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.along_path(self._age(ride))
+
+    def _age(self, ride: Ride) -> FloatArray:
+        if self.over == "km":
+            return (ride.conditions.driven_m + ride.path_m) / 1000.0
+        return ((ride.conditions.start_s + ride.t) % 86400.0) / 3600.0 - 8.0
+
+
+@dataclass(frozen=True)
+class Furrows(Effect):
+    """Ground that was ploughed: driving across the furrows costs `share` of the load, along them nothing."""
+
+    share: float
+    along_rad: float
+    name: ClassVar[str] = "learned:heading"
+    unit: ClassVar[str] = "J/m"
+
+    def force_n(self, ride: Ride) -> FloatArray:
+        across = np.sin(ride.drive.heading_rad - self.along_rad) ** 2
+        return self.share * ride.motion.loads_n.sum(axis=1) * across
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.along_path(np.sin(ride.drive.heading_rad - self.along_rad) ** 2)

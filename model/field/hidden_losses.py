@@ -1,0 +1,96 @@
+"""Hidden effects that only the battery or the meter feels: loads, retarder, connector, hot motors, a wrong reading."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.field.effects import Effect, Ride
+from model.field.electrics import motor_temperature_c
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HotelLoad(Effect):
+    """Something that nobody declared draws power all the time."""
+
+    extra_w: float
+    name: ClassVar[str] = "hotel_load"
+    unit: ClassVar[str] = "W"
+
+    def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
+        return power_w + self.extra_w
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.t
+
+
+@dataclass(frozen=True)
+class Braking(Effect):
+    """A retarder: going down, the controller holds the robot back with current, `share` of the power released."""
+
+    share: float
+    name: ClassVar[str] = "braking"
+    unit: ClassVar[str] = "J/m"
+
+    def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
+        down = np.maximum(-np.sin(np.radians(ride.grade_deg)), 0.0)
+        return power_w + self.share * ride.weight_n * down * ride.drive.speed_mps
+
+    def amount(self, ride: Ride) -> FloatArray:
+        return ride.along_path(np.maximum(-np.sin(np.radians(ride.grade_deg)), 0.0))
+
+
+@dataclass(frozen=True)
+class SensorGain(Effect):
+    """The current meter reads `gain` times what flows."""
+
+    gain: float
+    name: ClassVar[str] = "sensor_gain"
+    unit: ClassVar[str] = ""
+
+    def reading(self) -> float:
+        return self.gain
+
+    def stated(self) -> float:
+        return self.gain
+
+
+@dataclass(frozen=True)
+class Connector(Effect):
+    """A corroded connector behind the meter turns current into heat."""
+
+    resistance_ohm: float
+    volts: float
+    name: ClassVar[str] = "battery"
+    unit: ClassVar[str] = "ohm"
+
+    def stated(self) -> float:
+        return self.resistance_ohm
+
+    def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
+        # I^2 R + P = V I: the smaller current
+        return self.volts * (self.volts - np.sqrt(self.volts**2 - 4.0 * self.resistance_ohm * power_w)) / (
+            2.0 * self.resistance_ohm
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class HotMotors(Effect):
+    """Motors that weaken with their warmth: the drives draw `share_per_k` more per kelvin above `from_c`."""
+
+    share_per_k: float
+    from_c: float
+    name: ClassVar[str] = "learned:motor_temperature"
+
+    def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:
+        air = float(ride.conditions.temperature_c(ride.t).mean())
+        drawn = wheels_w
+        for _ in range(4):  # more power makes more warmth
+            warmth = motor_temperature_c(drawn, ride.duration_s, air)
+            drawn = wheels_w * (1.0 + self.share_per_k * np.maximum(warmth - self.from_c, 0.0))
+        return drawn
