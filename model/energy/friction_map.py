@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,7 @@ class FrictionMap:
         Lengths and variances are those of greatest likelihood on up to 500 of them; up to 2,500 are kept as data.
         Raises InputError for fewer than five.
         """
+        from sklearn.exceptions import ConvergenceWarning
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -57,7 +59,9 @@ class FrictionMap:
         kernel = ConstantKernel(0.5 * spread**2, (1e-4 * spread**2, 1e2 * spread**2)) * RBF(
             5.0, (0.5, 100.0)
         ) + WhiteKernel(0.5 * spread**2, (1e-4 * spread**2, 1e2 * spread**2))
-        learner = GaussianProcessRegressor(kernel).fit(places[:_LEARNED], mu[:_LEARNED] - mean)
+        with warnings.catch_warnings():  # a limit that is reached is an answer: no patches, or no noise
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            learner = GaussianProcessRegressor(kernel).fit(places[:_LEARNED], mu[:_LEARNED] - mean)
         process = GaussianProcessRegressor(learner.kernel_, optimizer=None).fit(places, mu - mean)
         return cls(process, mean)
 

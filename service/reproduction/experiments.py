@@ -1,0 +1,325 @@
+"""The paper's section V, experiment by experiment: what every method says of the same measured segments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.energy.evaluation import errors
+from model.energy.friction_map import FrictionMap
+from model.energy.physics import (
+    PhysicsPredictor,
+    eq5_traction_per_m,
+    fit_rolling_resistance,
+    local_rolling_resistance,
+    tan_grade,
+)
+from model.energy.predictor import Predictor, load_predictor
+from model.energy.shape_regression import RidgeBaseline
+from model.loop.segments import concatenate
+from model.robot import Robot
+from service.reproduction import networks
+from service.reproduction.fieldwork import HEIGHTMAPS, Measured, make_field, more_examples, read_measured
+from service.reproduction.profiles import STRATEGIES, Profile
+
+FloatArray = NDArray[np.float64]
+
+ROWS = ("V-A", "V-B", "V-C", "V-D", "V-E", "V-E shifted", "V-E rest", "V-E other")
+"""Test sets. V-D is the rest of site A again, for friction fitted to five metres and used on the next five."""
+
+_DRIVE_OF = {"V-B": "a_waypoints", "V-C": "b_waypoints", "V-E": "dirt_lawnmower", "V-E other": "dirt_waypoints"}
+_FAR_M = {"grass_a": 0.0, "grass_b": 2000.0, "dirt": 4000.0}  # all simulated sites have the same coordinates
+_PAPER_SHARE = 3  # a third of a site is trained on
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where a reproduction is kept and how much of it is run. weights : an ImageNet file for the paper's network."""
+
+    folder: Path
+    profile: Profile
+    heightmap_from: str = "survey"
+    weights: Path | None = None
+
+    def field(self, seed: int) -> Path:
+        return self.folder / "field" / str(seed)
+
+    def model(self, name: str, seed: int) -> Path:
+        return self.folder / "models" / f"{name}_{seed}"
+
+    @property
+    def other_heightmap(self) -> str:
+        """The kind of heightmap that this reproduction does not use."""
+        return next(kind for kind in HEIGHTMAPS if kind != self.heightmap_from)
+
+
+class Scores:
+    """What methods said, judged: `methods` is JSON-able, `arrays` keeps every prediction by "method/row"."""
+
+    def __init__(self) -> None:
+        self.methods: dict[str, dict[str, Any]] = {}
+        self.arrays: dict[str, FloatArray] = {}
+
+    def add(self, method: str, row: str, predicted: FloatArray, measured: Measured) -> None:
+        """Judge one method's energies of every segment of a test set."""
+        self.methods.setdefault(method, {})[row] = judged(predicted, measured)
+        self.arrays[f"{method}/{row}"] = predicted
+
+    def add_shifted(self, method: str, predicted: FloatArray, measured: Measured) -> None:
+        """V-E's mean shift: e_hat - mean(e_hat) + mean(e)."""
+        known = np.isfinite(predicted) & measured.straight
+        off = float(np.mean(measured.segments.energy_j[known] - predicted[known]))
+        self.add(method, "V-E shifted", predicted + off, measured)
+
+
+def judged(predicted: FloatArray, measured: Measured) -> dict[str, Any]:
+    """`errors` on the straight segments; whole routes (route_relative_error and the whole set's) and
+    `with_turns`, the mean relative error, on all of them."""
+    energy, run = measured.segments.energy_j, measured.segments.run
+    known = np.isfinite(predicted)
+    straight = known & measured.straight
+    found = errors(predicted[straight], energy[straight], run[straight])
+    whole = errors(predicted[known], energy[known], run[known])
+    return found | {
+        "route_relative_error": whole["route_relative_error"],
+        "route_relative_errors": whole["route_relative_errors"],
+        "site_relative_error": float(abs(predicted[known].sum() / energy[known].sum() - 1.0)),
+        "with_turns": whole["mean_relative_error"],
+        "unknown": int((~known).sum()),
+    }
+
+
+class Field:
+    """The measured drives of one seed, split as in the paper."""
+
+    def __init__(self, setting: Setting, seed: int, *, heightmap_from: str | None = None) -> None:
+        self.folder = setting.field(seed)
+        self.robot = Robot.from_toml(self.folder / "robot.toml")
+        self._kind = heightmap_from or setting.heightmap_from
+        self._west = setting.profile.west_strips
+        self._kept: dict[str, Measured] = {}
+
+    def drive(self, name: str) -> Measured:
+        """All of a drive. Drives of one site share their heightmap."""
+        if name not in self._kept:
+            site = name.split("_")[0]
+            known = next((m.heightmap for key, m in self._kept.items() if key.split("_")[0] == site), None)
+            self._kept[name] = read_measured(self.folder, name, self.robot, heightmap_from=self._kind, heightmap=known)
+        return self._kept[name]
+
+    def west(self, drive: str) -> Measured:
+        """The west third: what is trained on."""
+        return self.drive(drive).of_runs(0, self._west)
+
+    def test(self, row: str) -> Measured:
+        """What a row is judged on."""
+        if row in ("V-A", "V-D"):
+            return self.drive("a_lawnmower").of_runs(self._west)
+        if row == "V-E rest":
+            return self.drive("dirt_lawnmower").of_runs(self._west)
+        return self.drive(_DRIVE_OF[row.removesuffix(" shifted")])
+
+
+def baselines(setting: Setting, seed: int) -> Scores:
+    """Physics, friction as a Gaussian process, ridge on shape, and the noise floor, on every row."""
+    field, scores = Field(setting, seed), Scores()
+    for row in ROWS:
+        test = field.test(row)
+        scores.arrays[f"measured/{row}"] = test.segments.energy_j
+        scores.arrays[f"straight/{row}"] = test.straight.astype(np.float64)
+        if row != "V-E shifted":
+            scores.add("noise_floor", row, test.explained_j, test)
+    for method, fit in (("physics", _global_friction), ("gp", _friction_map), ("ridge", _ridge)):
+        grass = fit(field.west("a_lawnmower"), field.robot, seed)
+        for row in ("V-A", "V-B", "V-C", "V-E"):
+            scores.add(method, row, grass(field.test(row)), field.test(row))
+        scores.add_shifted(method, scores.arrays[f"{method}/V-E"], field.test("V-E"))
+        dirt = fit(field.west("dirt_lawnmower"), field.robot, seed)
+        for row in ("V-E rest", "V-E other"):
+            scores.add(method, row, dirt(field.test(row)), field.test(row))
+    near = field.test("V-D")
+    scores.add("physics", "V-D", _local_friction(near, field.robot), near)
+    return scores
+
+
+def compact(setting: Setting, seed: int) -> Scores:
+    """The compact network from the shipped weights and from scratch, on grass and then fine-tuned on dirt."""
+    field, scores = Field(setting, seed), Scores()
+    for method, start in (("compact", networks.SHIPPED), ("compact_scratch", None)):
+        here = setting.model(method, seed)
+        trained = networks.trained_compact(
+            field.west("a_lawnmower"), field.robot, out=here, start_from=start, seed=seed,
+            epochs=setting.profile.compact_epochs,
+        )  # fmt: skip
+        _grass_rows(scores, method, field, trained)
+        tuned = networks.trained_compact(
+            field.west("dirt_lawnmower"), field.robot, out=setting.model(f"{method}_dirt", seed), start_from=here,
+            seed=seed, epochs=setting.profile.compact_epochs,
+        )  # fmt: skip
+        _dirt_rows(scores, method, field, tuned)
+    return scores
+
+
+def resnet(strategy: str, setting: Setting, seed: int) -> Scores:
+    """The paper's network in one of its three strategies; the one it calls best goes on to dirt."""
+    field, scores, profile = Field(setting, seed), Scores(), setting.profile
+    method = f"resnet_{strategy}"
+    here = setting.model(method, seed)
+    trained = networks.trained_resnet(
+        field.west("a_lawnmower"), field.robot, out=here, strategy=strategy, size=profile.resnet_size,
+        epochs=profile.resnet_epochs[STRATEGIES.index(strategy)], seed=seed,
+        backbone=setting.weights or setting.model("backbone", 0) / networks.BACKBONE_FILE,
+    )  # fmt: skip
+    _grass_rows(scores, method, field, trained)
+    if strategy == "finetuned":
+        tuned = networks.trained_resnet(
+            field.west("dirt_lawnmower"), field.robot, out=setting.model(f"{method}_dirt", seed), strategy=strategy,
+            size=profile.resnet_size, epochs=profile.dirt_epochs, seed=seed, start_from=here,
+        )  # fmt: skip
+        _dirt_rows(scores, method, field, tuned)
+    return scores
+
+
+def map_floor(setting: Setting, seed: int) -> Scores:
+    """What the heightmap can tell at all: the compact network with many times the data of the same robot on sites of
+    the test's own kind, surveyed alike."""
+    field, scores, profile = Field(setting, seed, heightmap_from="survey"), Scores(), setting.profile
+    paper = len(field.drive("a_lawnmower").segments) // _PAPER_SHARE
+    for site, rows in (("grass_a", ("V-A", "V-B")), ("grass_b", ("V-C",)), ("dirt", ("V-E rest", "V-E other"))):
+        out = setting.model(f"map_floor_{site}", seed)
+        examples = more_examples(site, seed, profile, segments=profile.more * paper)
+        trained = networks.compact_on_more(examples, out=out, seed=seed, epochs=profile.more_epochs)
+        for row in rows:
+            scores.add("map_floor", row, networks.predicted_j(trained, field.test(row), field.robot), field.test(row))
+    return scores
+
+
+def learning_curve(setting: Setting, seed: int) -> Scores:
+    """Error on random drives over site A and site B after so many driven metres on site A: rows "metres V-B", "V-C"."""
+    field, scores = Field(setting, seed), Scores()
+    for method, start in (("curve_shipped", networks.SHIPPED), ("curve_scratch", None)):
+        for metres in setting.profile.curve_m:
+            model: Predictor
+            if metres == 0:
+                model = load_predictor("default") if start is not None else PhysicsPredictor()
+            else:
+                model = networks.trained_compact(
+                    _driven(field, setting.profile, metres), field.robot,
+                    out=setting.model(f"{method}_{metres}", seed), start_from=start, seed=seed,
+                    epochs=setting.profile.compact_epochs,
+                )  # fmt: skip
+            for row in ("V-B", "V-C"):
+                test = field.test(row)
+                scores.add(method, f"{metres} {row}", networks.predicted_j(model, test, field.robot), test)
+    return scores
+
+
+def other_heightmap(setting: Setting, seed: int) -> Scores:
+    """V-A once more, on the kind of heightmap that the other experiments do not use."""
+    kind = setting.other_heightmap
+    field, scores = Field(setting, seed, heightmap_from=kind), Scores()
+    west, test = field.west("a_lawnmower"), field.test("V-A")
+    for method, fit in (("physics", _global_friction), ("gp", _friction_map), ("ridge", _ridge)):
+        scores.add(f"{method}_{kind}", "V-A", fit(west, field.robot, seed)(test), test)
+    trained = networks.trained_compact(
+        west, field.robot, out=setting.model(f"compact_{kind}", seed), start_from=networks.SHIPPED, seed=seed,
+        epochs=setting.profile.compact_epochs,
+    )  # fmt: skip
+    scores.add(f"compact_{kind}", "V-A", networks.predicted_j(trained, test, field.robot), test)
+    return scores
+
+
+def field_of(setting: Setting, seed: int) -> dict[str, Any]:
+    """Drive the field of a seed: metres by drive."""
+    return make_field(setting.field(seed), seed, setting.profile)
+
+
+EXPERIMENTS: Mapping[str, Callable[[Setting, int], Scores]] = {
+    "baselines": baselines,
+    "compact": compact,
+    "resnet_frozen": lambda setting, seed: resnet("frozen", setting, seed),
+    "resnet_scratch": lambda setting, seed: resnet("scratch", setting, seed),
+    "resnet_finetuned": lambda setting, seed: resnet("finetuned", setting, seed),
+    "map_floor": map_floor,
+    "learning_curve": learning_curve,
+    "other_heightmap": other_heightmap,
+}
+
+
+def _grass_rows(scores: Scores, method: str, field: Field, trained: Predictor) -> None:
+    for row in ("V-A", "V-B", "V-C", "V-E"):
+        scores.add(method, row, networks.predicted_j(trained, field.test(row), field.robot), field.test(row))
+    scores.add_shifted(method, scores.arrays[f"{method}/V-E"], field.test("V-E"))
+
+
+def _dirt_rows(scores: Scores, method: str, field: Field, tuned: Predictor) -> None:
+    for row in ("V-E rest", "V-E other"):
+        scores.add(method, row, networks.predicted_j(tuned, field.test(row), field.robot), field.test(row))
+
+
+def _driven(field: Field, profile: Profile, metres: int) -> Measured:
+    """About so many metres on site A, always at least two runs."""
+    if metres <= len(field.drive("a_short").files) * profile.short_m:
+        return field.drive("a_short").of_runs(0, max(2, round(metres / profile.short_m)))
+    lanes = field.drive("a_lawnmower")
+    each = len(lanes.segments) / len(lanes.files)
+    count = min(max(2, round(metres / each)), len(lanes.files))
+    spread = np.linspace(0, len(lanes.files) - 1, count).round().astype(int).tolist()
+    parts = [lanes.of_runs(k, k + 1) for k in spread]
+    return replace(
+        lanes, files=tuple(part.files[0] for part in parts), segments=concatenate([part.segments for part in parts]),
+        explained_j=np.concatenate([part.explained_j for part in parts]),
+    )  # fmt: skip
+
+
+Said = Callable[[Measured], FloatArray]
+
+
+def _grade(measured: Measured) -> FloatArray:
+    s = measured.segments
+    return tan_grade(measured.heightmap, s.x, s.y, s.heading_rad)
+
+
+def _global_friction(west: Measured, robot: Robot, seed: int) -> Said:
+    here = west.straight
+    traction = (west.segments.energy_j - robot.hotel_per_m)[here]
+    mu = fit_rolling_resistance(traction, _grade(west)[here], weight_n=robot.weight_n)
+    return lambda test: robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
+
+
+def _friction_map(west: Measured, robot: Robot, seed: int) -> Said:
+    s = west.segments.take(west.straight)
+    process = FrictionMap.fit(
+        s.x + _FAR_M[west.site], s.y, s.energy_j - robot.hotel_per_m, _grade(west)[west.straight],
+        weight_n=robot.weight_n, seed=seed,
+    )  # fmt: skip
+
+    def said(test: Measured) -> FloatArray:
+        mu = process.rolling_resistance(test.segments.x + _FAR_M[test.site], test.segments.y)
+        return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
+
+    return said
+
+
+def _ridge(west: Measured, robot: Robot, seed: int) -> Said:
+    s = west.segments.take(west.straight)
+    model = RidgeBaseline.fit(west.heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=s.run)
+    return lambda test: model.predict_j(
+        test.heightmap, robot, test.segments.x, test.segments.y, test.segments.heading_rad
+    )
+
+
+def _local_friction(test: Measured, robot: Robot) -> FloatArray:
+    """Five metres of driving for the next five, run by run."""
+    mu = np.full(len(test.segments), np.nan)
+    grade = _grade(test)
+    for run in np.unique(test.segments.run):
+        mine = test.segments.run == run
+        traction = test.segments.energy_j[mine] - robot.hotel_per_m
+        mu[mine] = local_rolling_resistance(traction, grade[mine], weight_n=robot.weight_n)
+    return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, grade))
