@@ -29,6 +29,9 @@ FloatArray = NDArray[np.float64]
 ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
 """Columns [deg] whose mean over a segment is the mean direction."""
 
+CURVATURES_PER_M = (0.1, 0.2, 0.4, 0.8, 1.6)
+"""Limits [1/m] up to which `Segments.gentle_turn_rad` counts the curvature of a track."""
+
 _LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
 _SMOOTHING_S = 0.3  # or one interval
 _STAND_S = 1.0
@@ -40,8 +43,11 @@ class Segments:
 
     x, y : the centre [m]. heading_rad : of p -> q. energy_j : drawn from the battery [J], or charge [A s] if `charge`.
     duration_s. driven_m : horizontal length of the track. heading_change_rad : of the track from p to q, > 0 to the
-    right. t0 : stamp at p. run : index into `runs`. extras : mean of each further numeric column (NaN where blank);
-    texts : text columns at the middle. left_out : reason -> count.
+    right. turned_abs_rad : turns to both sides added up. gentle_turn_rad : (n, 5), the same where every curvature
+    counts up to the limits `CURVATURES_PER_M` only. start_mps, end_mps : speeds at p and q. voltage_v (NaN where it was
+    not recorded), current_a : means. t0 : stamp at p. run : index into `runs`. extras : mean of each further numeric
+    column (NaN where blank); texts : text columns at the middle. stands : (run, seconds, energy) of every stand of the
+    robot for 2 s or more, its first and last half second left out. left_out : reason -> count.
     """
 
     x: FloatArray
@@ -51,6 +57,12 @@ class Segments:
     duration_s: FloatArray
     driven_m: FloatArray
     heading_change_rad: FloatArray
+    turned_abs_rad: FloatArray
+    gentle_turn_rad: FloatArray
+    start_mps: FloatArray
+    end_mps: FloatArray
+    voltage_v: FloatArray
+    current_a: FloatArray
     t0: FloatArray
     run: NDArray[np.int64]
     runs: tuple[str, ...]
@@ -58,6 +70,7 @@ class Segments:
     charge: bool = False
     extras: dict[str, FloatArray] = field(default_factory=dict)
     texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
+    stands: tuple[tuple[int, float, float], ...] = ()
     left_out: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -70,7 +83,7 @@ class Segments:
         return int(self.x.size)
 
     def take(self, which: ArrayLike) -> Segments:
-        """The segments of a mask or of indices; `runs` and `left_out` stay."""
+        """The segments of a mask or of indices; `runs`, `stands` and `left_out` stay."""
         index = np.asarray(which)
         per_segment = {f.name: getattr(self, f.name) for f in fields(self)}
         changed: dict[str, Any] = {k: v[index] for k, v in per_segment.items() if isinstance(v, np.ndarray)}
@@ -119,12 +132,17 @@ def cut_segments(
 
     (px, qx), (py, qy), (pt, qt) = at(x), at(y), at(t)
     ps, qs = at(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))]))
-    turned = _turned(vx, vy, ends)
+    turned, turned_abs, gentle = _turned(x, y, vx, vy, ends)
+    start_mps, end_mps = at(speed)
     power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
     energy = _integral(run.t, power, qt) - _integral(run.t, power, pt)
+    first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
+    voltage = np.full(pt.size, np.nan) if run.voltage_v is None else _mean(run.voltage_v, first, last, False)
     columns = {
         "x": (px + qx) / 2, "y": (py + qy) / 2, "heading_rad": heading_of(qx - px, qy - py), "energy_j": energy,
         "duration_s": qt - pt, "driven_m": qs - ps, "heading_change_rad": turned, "t0": pt,
+        "turned_abs_rad": turned_abs, "gentle_turn_rad": gentle, "start_mps": start_mps, "end_mps": end_mps,
+        "voltage_v": voltage, "current_a": _mean(run.current_a, first, last, False),
     }  # fmt: skip
     bent = (qs - ps) > max_driven_ratio * length_m
     slow = ~bent & ((qt - pt) * usual > max_duration_ratio * length_m)
@@ -132,7 +150,6 @@ def cut_segments(
     for key, mask in (("bent", bent), ("slow", slow), ("not_positive", dead)):
         _count(left_out, key, int(mask.sum()))
     keep = ~(bent | slow | dead)
-    first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
     middle = np.clip(np.searchsorted(run.t, (pt + qt) / 2), 0, len(run) - 1)
     return Segments(
         **{key: np.ascontiguousarray(values[keep]) for key, values in columns.items()},
@@ -142,6 +159,7 @@ def cut_segments(
         charge=charge,
         extras={key: _mean(values, first, last, key in ANGLE_COLUMNS)[keep] for key, values in run.extras.items()},
         texts={key: values[middle][keep] for key, values in run.texts.items()},
+        stands=_stands(t, piece, run.t, power),
         left_out=left_out,
     )
 
@@ -158,7 +176,7 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
     offsets = np.cumsum([0] + [len(p.runs) for p in parts])
     names = sorted({key for p in parts for key in p.extras})
     words = sorted({key for p in parts for key in p.texts})
-    plain = ("x", "y", "heading_rad", "energy_j", "duration_s", "driven_m", "heading_change_rad", "t0")
+    plain = [f.name for f in fields(Segments) if isinstance(getattr(parts[0], f.name), np.ndarray) and f.name != "run"]
     left_out: dict[str, int] = {}
     for part in parts:
         for key, count in part.left_out.items():
@@ -171,6 +189,7 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
         charge=parts[0].charge,
         extras={k: np.concatenate([p.extras.get(k, np.full(len(p), np.nan)) for p in parts]) for k in names},
         texts={k: np.concatenate([p.texts.get(k, np.full(len(p), "")) for p in parts]) for k in words},
+        stands=tuple((r + int(o), t, e) for p, o in zip(parts, offsets, strict=False) for r, t, e in p.stands),
         left_out=left_out,
     )
 
@@ -212,12 +231,35 @@ def _mean(values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64],
     return np.where(n > 0, centre + (sums[last] - sums[first]) / np.maximum(n, 1), np.nan)
 
 
-def _turned(vx: FloatArray, vy: FloatArray, ends: FloatArray) -> FloatArray:
-    """Heading change along the track between fractional positions, followed through every sample; > 0 to the right."""
-    heading = heading_of(vx, vy)
-    total = np.concatenate([[0.0], np.cumsum(wrap_angle(np.diff(heading)))])
+def _turned(
+    x: FloatArray, y: FloatArray, vx: FloatArray, vy: FloatArray, ends: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Heading change along the track between fractional positions, followed through every sample: signed (> 0 to the
+    right), absolute, and absolute with every curvature up to the limits only (n, limits)."""
+    step = wrap_angle(np.diff(heading_of(vx, vy)))
+    driven = np.hypot(np.diff(x), np.diff(y))
     station = np.arange(vx.size, dtype=np.float64)
-    return np.interp(ends[:, 1], station, total) - np.interp(ends[:, 0], station, total)
+
+    def between(steps: FloatArray) -> FloatArray:
+        total = np.concatenate([[0.0], np.cumsum(steps)])
+        return np.interp(ends[:, 1], station, total) - np.interp(ends[:, 0], station, total)
+
+    gentle = [between(np.minimum(np.abs(step), limit * driven)) for limit in CURVATURES_PER_M]
+    return between(step), between(np.abs(step)), np.stack(gentle, axis=1)
+
+
+def _stands(
+    t: FloatArray, piece: NDArray[np.int64], stamps: FloatArray, power: FloatArray
+) -> tuple[tuple[int, float, float], ...]:
+    """(0, seconds, energy) of every stand, without its first and last half second."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[1], (piece != 0).astype(int), [1]])))
+    found = []
+    for first, after in zip(edges[::2], edges[1::2], strict=True):
+        start, end = float(t[first]) + 0.5, float(t[after - 1]) - 0.5
+        if end - start >= 1.0:
+            ends = _integral(stamps, power, np.array([start, end]))
+            found.append((0, end - start, float(ends[1] - ends[0])))
+    return tuple(found)
 
 
 @njit(cache=True)

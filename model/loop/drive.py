@@ -1,0 +1,187 @@
+"""What can be said of driven segments apart from what they cost: path, ground, time, weather and whatever was logged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.frames import heading_vector
+from model.loop.segments import Segments
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+FloatArray = NDArray[np.float64]
+
+_REACH_M = 0.5  # the square metre that a segment's ground is judged on
+_SIDE = 5  # samples along its sides
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Segments and stands as columns of (n,), the only thing an effect's formula sees.
+
+    length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
+    turned_rad, turned_abs_rad, gentle_turn_rad, start_mps, end_mps : as in `Segments`. grade, cross : tangents of the
+    ground along the heading (> 0 uphill) and across it (> 0 down to the right). roughness_m : departure of the square
+    metre from its plane. elevation_m. since_s, driven_m : since the start of the run; clock_s : since that of the first
+    run. run : number of the run. columns, words : what else was logged (NaN, "" : not recorded). robot : as declared.
+    unit_j : joules of one unit of energy here (1, or the nominal voltage for charge in ampere seconds).
+    """
+
+    robot: Robot
+    run: NDArray[np.int64]
+    x: FloatArray
+    y: FloatArray
+    heading_rad: FloatArray
+    length_m: FloatArray
+    duration_s: FloatArray
+    traction_per_m: FloatArray
+    turned_rad: FloatArray
+    turned_abs_rad: FloatArray
+    gentle_turn_rad: FloatArray
+    start_mps: FloatArray
+    end_mps: FloatArray
+    grade: FloatArray
+    cross: FloatArray
+    roughness_m: FloatArray
+    elevation_m: FloatArray
+    since_s: FloatArray
+    driven_m: FloatArray
+    clock_s: FloatArray
+    columns: dict[str, FloatArray] = field(default_factory=dict)
+    words: dict[str, NDArray[np.str_]] = field(default_factory=dict)
+    unit_j: float = 1.0
+
+    def __len__(self) -> int:
+        return int(self.x.size)
+
+    def take(self, which: ArrayLike) -> Drive:
+        """The rows of a mask or of indices."""
+        index = np.asarray(which)
+        changed: dict[str, Any] = {
+            f.name: getattr(self, f.name)[index] for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)
+        }
+        changed["columns"] = {key: values[index] for key, values in self.columns.items()}
+        changed["words"] = {key: values[index] for key, values in self.words.items()}
+        return replace(self, **changed)
+
+    @property
+    def standing(self) -> NDArray[np.bool_]:
+        return self.length_m == 0.0
+
+    @property
+    def speed_mps(self) -> FloatArray:
+        """Mean speed over a segment; the robot's own for a stand."""
+        moving = ~self.standing & (self.duration_s > 0)
+        return np.where(moving, self.length_m / np.where(moving, self.duration_s, 1.0), self.robot.speed_mps)
+
+    @property
+    def hotel_part(self) -> FloatArray:
+        """Declared idle power over the time it took [J, or A s]."""
+        return self.robot.idle_power_w * self.duration_s / self.unit_j
+
+    @property
+    def motion_part(self) -> FloatArray:
+        """What the base model says of the motion [J, or A s]: traction, or what braking returns of it."""
+        t = self.traction_per_m
+        return self.length_m * (np.maximum(t, 0.0) + self.robot.regeneration * np.minimum(t, 0.0)) / self.unit_j
+
+    @property
+    def predicted(self) -> FloatArray:
+        """The base prediction [J, or A s]: both parts."""
+        return self.hotel_part + self.motion_part
+
+
+def describe_segments(
+    segments: Segments, heightmap: Heightmap, robot: Robot, traction_per_m: ArrayLike, *, with_stands: bool = True
+) -> tuple[Drive, FloatArray]:
+    """The segments, and after them the stands, as a `Drive`; and what was measured over each [J, or A s]."""
+    n = len(segments)
+    ground = _ground(heightmap, segments.x, segments.y, segments.heading_rad)
+    first = np.array([segments.t0[segments.run == k].min(initial=math.inf) for k in range(len(segments.runs))])
+    start = first[segments.run] if n else np.zeros(0)
+    driven = np.zeros(n)
+    for k in range(len(segments.runs)):
+        mine = np.flatnonzero(segments.run == k)
+        driven[mine] = np.cumsum(segments.driven_m[mine])
+    drive = Drive(
+        robot=robot,
+        run=segments.run,
+        x=segments.x,
+        y=segments.y,
+        heading_rad=segments.heading_rad,
+        length_m=np.full(n, segments.length_m),
+        duration_s=segments.duration_s,
+        traction_per_m=np.asarray(traction_per_m, dtype=np.float64),
+        turned_rad=segments.heading_change_rad,
+        turned_abs_rad=segments.turned_abs_rad,
+        gentle_turn_rad=segments.gentle_turn_rad,
+        start_mps=segments.start_mps,
+        end_mps=segments.end_mps,
+        **ground,
+        since_s=segments.t0 - start,
+        driven_m=driven,
+        clock_s=segments.t0 - float(first.min()) if n else np.zeros(0),
+        columns=dict(segments.extras),
+        words=dict(segments.texts),
+        unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
+    )
+    if not with_stands or not segments.stands:
+        return drive, segments.energy_j
+    run, seconds, energy = (np.array(values) for values in zip(*segments.stands, strict=True))
+    return _with_stands(drive, run.astype(np.int64), seconds), np.concatenate([segments.energy_j, energy])
+
+
+def _with_stands(drive: Drive, run: NDArray[np.int64], seconds: FloatArray) -> Drive:
+    """Stands after the segments: they take time and have no path, no ground and no logged column."""
+    m = run.size
+
+    def longer(values: FloatArray) -> FloatArray:
+        return np.concatenate([values, np.zeros((m, *values.shape[1:]), dtype=values.dtype)])
+
+    changed: dict[str, Any] = {
+        f.name: longer(getattr(drive, f.name)) for f in fields(drive) if isinstance(getattr(drive, f.name), np.ndarray)
+    }
+    changed["run"] = np.concatenate([drive.run, run])
+    changed["duration_s"] = np.concatenate([drive.duration_s, seconds])
+    changed["columns"] = {key: np.concatenate([v, np.full(m, np.nan)]) for key, v in drive.columns.items()}
+    changed["words"] = {key: np.concatenate([v, np.full(m, "")]) for key, v in drive.words.items()}
+    return replace(drive, **changed)
+
+
+def concatenate_drives(parts: Sequence[Drive]) -> Drive:
+    """Several drives of one robot in one value; a column that some part lacks is NaN (or empty text) there."""
+    names = sorted({key for p in parts for key in p.columns})
+    words = sorted({key for p in parts for key in p.words})
+    changed: dict[str, Any] = {
+        f.name: np.concatenate([getattr(p, f.name) for p in parts])
+        for f in fields(parts[0])
+        if isinstance(getattr(parts[0], f.name), np.ndarray)
+    }
+    changed["columns"] = {k: np.concatenate([p.columns.get(k, np.full(len(p), np.nan)) for p in parts]) for k in names}
+    changed["words"] = {k: np.concatenate([p.words.get(k, np.full(len(p), "")) for p in parts]) for k in words}
+    return replace(parts[0], **changed)
+
+
+def _ground(heightmap: Heightmap, x: FloatArray, y: FloatArray, heading_rad: FloatArray) -> dict[str, FloatArray]:
+    """Slopes, roughness and height of the square metre around each centre, along its heading; NaN where unknown."""
+    dx, dy = heading_vector(heading_rad)
+    along, right = np.meshgrid(*[np.linspace(-_REACH_M, _REACH_M, _SIDE)] * 2, indexing="ij")
+    a, r = along.ravel(), right.ravel()
+    heights = heightmap.sample(
+        x[:, None] + np.outer(dx, a) + np.outer(dy, r), y[:, None] + np.outer(dy, a) - np.outer(dx, r)
+    )  # (n, 25)
+    plane = np.stack([np.ones_like(a), a, r], axis=1)
+    coefficients = heights @ np.linalg.pinv(plane).T  # (n, 3)
+    rest = heights - coefficients @ plane.T
+    return {
+        "grade": coefficients[:, 1],
+        "cross": -coefficients[:, 2],
+        "roughness_m": np.sqrt(np.mean(rest**2, axis=1)),
+        "elevation_m": coefficients[:, 0],
+    }
