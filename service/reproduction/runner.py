@@ -15,6 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 
 from model.errors import InputError
 from service.reproduction import networks
@@ -158,15 +159,18 @@ def _claim(setting: Setting) -> None:
 def _keep_to_one_thread() -> None:
     torch.set_num_threads(1)
     numba.set_num_threads(1)
+    threadpool_limits(1)  # of the linear algebra
 
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
     """A worker to a core: threads that wait for each other across workers only lose time."""
     before = torch.get_num_threads(), numba.get_num_threads()
-    _keep_to_one_thread()
     try:
-        yield
+        with threadpool_limits(1):
+            torch.set_num_threads(1)
+            numba.set_num_threads(1)
+            yield
     finally:
         torch.set_num_threads(before[0])
         numba.set_num_threads(before[1])
