@@ -30,10 +30,10 @@ class Turning(Effect):
     unit: ClassVar[str] = "J/rad"
     unsigned: ClassVar[bool] = True
 
-    def force_n(self, ride: Ride) -> FloatArray:
+    def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:
         rate = np.abs(ride.turn_rate)
         moment = self.scrub * ride.motion.loads_n.sum(axis=1) * 0.5 * ride.robot.wheelbase_m
-        return moment * np.tanh(rate / self.sliding_rad_s) * rate / ride.drive.speed_mps
+        return wheels_w + moment * np.tanh(rate / self.sliding_rad_s) * rate / ride.robot.gear_efficiency
 
     def amount(self, ride: Ride) -> FloatArray:
         return np.unwrap(ride.drive.heading_rad)

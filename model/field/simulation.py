@@ -135,6 +135,13 @@ def simulate_segments(
     return true_segments(simulate_trace(site, robot, drive, rng=rng), max_driven_m=max_driven_m)
 
 
+def segment_gains(trace: Trace, *cumulated: FloatArray, length_m: float = 1.0) -> list[FloatArray]:
+    """What quantities cumulated along the path, (n,) each, gain over consecutive segments."""
+    at = _cut(trace.x, trace.y, length_m)  # fractional station of every end
+    station = np.arange(trace.x.size, dtype=np.float64)
+    return [np.diff(np.interp(at, station, values)) for values in cumulated]
+
+
 def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 1.05) -> TrueSegments:
     """Consecutive segments whose ends lie `length_m` apart in a straight horizontal line.
 
@@ -142,18 +149,16 @@ def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 
     """
     if length_m <= 0:
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=length_m)
-    at = _cut(trace.x, trace.y, length_m)  # fractional station of every end
+    at = _cut(trace.x, trace.y, length_m)
     station = np.arange(trace.x.size, dtype=np.float64)
-
-    def gained(cumulated: FloatArray) -> FloatArray:
-        return np.diff(np.interp(at, station, cumulated))
-
     x, y = np.interp(at, station, trace.x), np.interp(at, station, trace.y)
-    driven = gained(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(trace.x), np.diff(trace.y)))]))
-    columns = (
-        (x[:-1] + x[1:]) / 2, (y[:-1] + y[1:]) / 2, heading_of(np.diff(x), np.diff(y)), gained(trace.energy_j()),
-        gained(trace.energy_j(trace.explained_w)), gained(trace.t), driven, gained(np.unwrap(trace.heading_rad)),
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(trace.x), np.diff(trace.y)))])
+    energy, explained, duration, driven, turned = segment_gains(
+        trace, trace.energy_j(), trace.energy_j(trace.explained_w), trace.t, path, np.unwrap(trace.heading_rad),
+        length_m=length_m,
     )  # fmt: skip
+    heading = heading_of(np.diff(x), np.diff(y))
+    columns = ((x[:-1] + x[1:]) / 2, (y[:-1] + y[1:]) / 2, heading, energy, explained, duration, driven, turned)
     keep = driven <= max_driven_m * length_m
     return TrueSegments(*(np.ascontiguousarray(c[keep]) for c in columns))
 

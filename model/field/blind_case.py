@@ -1,0 +1,322 @@
+"""Blind cases: folders of measured runs with something at work that nobody declared, and the truth kept apart.
+
+A case's folder holds dem.tif, robot.toml, base/ (runs without any effect), new/ (another day at the same site, with
+the effects) and other_site/ (another heightmap, the same effects). `site_seed` alone decides sites, robot and base/, so
+that many cases can share one base model; `seed` decides the effects' strength and the runs of the other two.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.errors import InputError
+from model.field.conditions import Conditions, Day
+from model.field.drives import Drive, drive_along, lawnmower, random_waypoints
+from model.field.effects import Effect
+from model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
+from model.field.logger import Logger, log_trace
+from model.field.robots import FieldRobot
+from model.field.simulation import Trace, segment_gains, simulate_trace, take_ride
+from model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
+from model.frames import GridFrame
+from model.terrain.synthesis import TerrainRecipe
+from model.terrain.writers import write_geotiff
+
+FloatArray = NDArray[np.float64]
+
+BASE_RUNS, NEW_RUNS, OTHER_RUNS = 6, 6, 2
+_BASE_M = 4400.0
+_PATTERNS = ("lawnmower", "waypoints", "winding")
+_DAY_S = 86400.0
+
+
+@dataclass(frozen=True)
+class RunTruth:
+    """What truly happened in a run, per station (n,): stamps on the log's clock [s], and energies since its start [J].
+
+    drawn_j : as a perfect meter of this robot would have read it. known_j : what knowing the terrain and the effects
+    says of it; without_j : what knowing the terrain alone says.
+    """
+
+    t: FloatArray
+    drawn_j: FloatArray
+    known_j: FloatArray
+    without_j: FloatArray
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """Of an effect, as the battery feels it: least squares of what it cost the segments of new/ on its amount."""
+
+    effect: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class BlindTruth:
+    """What a case hides. floor_known, floor_without : folder -> mean relative error of a perfect model per segment."""
+
+    seed: int
+    site_seed: int
+    effects: tuple[Effect, ...]
+    coefficients: tuple[Coefficient, ...]
+    runs: dict[str, RunTruth]
+    floor_known: dict[str, float]
+    floor_without: dict[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(effect.name for effect in self.effects)
+
+
+@dataclass(frozen=True)
+class _Driven:
+    """One run: what was driven in which conditions, what came of it, and what would have come of it without effects."""
+
+    site: Site
+    drive: Drive
+    conditions: Conditions
+    trace: Trace
+    plain: Trace
+
+
+def make_blind_case(
+    seed: int,
+    effects: Sequence[str | Effect],
+    out: str | Path,
+    *,
+    site_seed: int = 0,
+    twins: str | Path | None = None,
+) -> BlindTruth:
+    """Write a case's folder and return its truth. effects : names of `hidden_draws`, or effects as they are.
+
+    twins : folder for new/ and other_site/ as the same drives would have been without effects. Same arguments, same
+    files. Raises NotFoundError for an unknown effect and InputError for a folder that holds runs already.
+    """
+    out = Path(out)
+    if any(out.glob("*/*.csv")):
+        raise InputError(f"{out} holds runs already", path=str(out))
+    home, other, robot = place(site_seed)
+    rng = np.random.default_rng([seed, site_seed, 2])
+    hidden = tuple(e if isinstance(e, Effect) else draw_effect(e, rng, robot) for e in effects)
+    write_base(site_seed, out)
+    (out / "other_site").mkdir()
+    write_geotiff(out / "other_site" / "dem.tif", other.survey)
+    runs: dict[str, RunTruth] = {}
+    known: dict[str, float] = {}
+    without: dict[str, float] = {}
+    first: list[_Driven] = []
+    for folder, site, count, day in (("new", home, NEW_RUNS, 11), ("other_site", other, OTHER_RUNS, 12)):
+        lengths = rng.uniform(300.0, 400.0, count)
+        driven = _drive_day(site, robot, lengths, hidden, rng, day=day)
+        first = first or driven
+        errors = []
+        for number, run in enumerate(driven, start=1):
+            name = f"{folder}/run_{number:02d}.csv"
+            noise = int(rng.integers(2**31))
+            _log(run.trace, run, robot, hidden, noise, out / name)
+            if twins is not None:
+                _log(run.plain, run, robot, (), noise, Path(twins) / name)
+            runs[name] = _truth(run, hidden)
+            errors.append(_errors(run.trace, runs[name]))
+        total = np.concatenate(errors, axis=1)
+        known[folder], without[folder] = (float(total[k].mean()) for k in range(2))
+    return BlindTruth(seed, site_seed, hidden, _coefficients(first, robot, hidden), runs, known, without)
+
+
+def write_base(site_seed: int, out: str | Path) -> Path:
+    """Write dem.tif, robot.toml and base/ of a site: a day without effects, about 4,400 m."""
+    home, _, robot = place(site_seed)
+    rng = np.random.default_rng([site_seed, 3])
+    out = Path(out)
+    (out / "base").mkdir(parents=True, exist_ok=True)
+    write_geotiff(out / "dem.tif", home.survey)
+    declared = robot.declared.as_dict()
+    keys = ("name", "mass_kg", "width_m", "length_m", "wheel_radius_m", "nominal_voltage_v", "speed_mps", "battery_wh",
+            "idle_power_w")  # fmt: skip
+    text = "".join(f"{key} = {json.dumps(declared[key])}\n" for key in keys)  # JSON's texts and numbers are TOML's too
+    (out / "robot.toml").write_text(text, encoding="utf-8")
+    lengths = np.full(BASE_RUNS, _BASE_M / BASE_RUNS)
+    for number, run in enumerate(_drive_day(home, robot, lengths, (), rng, day=1), start=1):
+        _log(run.trace, run, robot, (), int(rng.integers(2**31)), out / "base" / f"run_{number:02d}.csv")
+    return out
+
+
+@lru_cache(maxsize=2)
+def place(site_seed: int) -> tuple[Site, Site, FieldRobot]:
+    """Two sites of one ground, 60 x 40 m with slopes up to 5 to 12 degrees, and the robot that drives there."""
+    rng = np.random.default_rng([site_seed, 1])
+    robot = FieldRobot.random(rng)
+    declared = replace(
+        robot.declared,
+        name=f"blind-{site_seed}",
+        mass_kg=round(robot.declared.mass_kg, 1),
+        width_m=round(robot.declared.width_m, 2),
+        length_m=round(robot.declared.length_m, 2),
+        wheel_radius_m=round(robot.declared.wheel_radius_m, 3),
+        speed_mps=round(float(rng.uniform(0.4, 0.8)), 2),
+        battery_wh=round(12.0 * robot.declared.mass_kg),
+        idle_power_w=round(robot.declared.idle_power_w, 1),
+    )
+    robot = replace(robot, declared=declared, copper_w_per_n2=1.4 * declared.speed_mps / declared.weight_n)
+    ground = random_ground(rng)
+    sites = []
+    for name in ("home", "other"):
+        relief = Relief(
+            TerrainRecipe(
+                max_slope_deg=float(rng.uniform(5.0, 12.0)),
+                relief_shortest_m=float(rng.uniform(5.0, 10.0)),
+                roughness_rms_m=float(rng.uniform(0.008, 0.02)),
+                roughness_longest_m=5.0,
+                roughness_exponent=4.0,
+            ),
+            rough_m=float(rng.uniform(0.006, 0.014)),
+            tussocks_per_m2=float(rng.uniform(0.3, 2.0)),
+            tussock_m=float(rng.uniform(0.04, 0.07)),
+            unevenness=float(rng.uniform(0.7, 1.2)),
+        )
+        cells = round(40.0 / TRUE_RESOLUTION_M), round(60.0 / TRUE_RESOLUTION_M)
+        east = 500000.0 + float(rng.integers(0, 2000))
+        frame = GridFrame(east, 4980000.0 + float(rng.integers(0, 2000)), TRUE_RESOLUTION_M, *cells, "EPSG:32615")
+        sites.append(make_site(name, relief, ground, frame, rng, survey_m=0.1).with_words(WORDS, rng))
+    return sites[0], sites[1], robot
+
+
+def _drive_day(
+    site: Site,
+    robot: FieldRobot,
+    lengths_m: FloatArray,
+    effects: Sequence[Effect],
+    rng: np.random.Generator,
+    *,
+    day: int,
+) -> list[_Driven]:
+    """The runs of a day one after another, on one battery."""
+    weather: Day = day_for(effects, rng)
+    payload_logged = bool(rng.random() < 0.7)
+    pattern = int(rng.integers(len(_PATTERNS)))
+    clock = day * _DAY_S + float(rng.uniform(7.5, 9.0)) * 3600.0
+    metres, charge = 0.0, 0.97
+    driven = []
+    for number, length in enumerate(lengths_m):
+        drive = _drive(_PATTERNS[(pattern + number) % len(_PATTERNS)], site, robot, float(length), rng)
+        drawn = Conditions.drawn(rng, start_s=clock, driven_m=metres, charge=charge, day=weather)
+        conditions = conditions_for(effects, drawn, robot, rng, payload_logged=payload_logged)
+        chance = int(rng.integers(2**31))
+        trace = simulate_trace(
+            site, robot, drive, rng=np.random.default_rng(chance), effects=effects, conditions=conditions
+        )
+        plain = trace
+        if effects:
+            plain = simulate_trace(site, robot, drive, rng=np.random.default_rng(chance), conditions=conditions)
+        driven.append(_Driven(site, drive, conditions, trace, plain))
+        metres += drive.length_m
+        charge -= float(trace.energy_j()[-1]) / 3600.0 / robot.declared.battery_wh
+        clock += float(trace.t[-1]) + float(rng.uniform(0.3, 1.6)) * 3600.0
+    return driven
+
+
+def _drive(pattern: str, site: Site, robot: FieldRobot, length_m: float, rng: np.random.Generator) -> Drive:
+    """A drive of about this length: lines in any direction, straight legs, or one long bend after another."""
+    west, south, east, north = site.drivable
+    inside = (west + 1.0, south + 1.0, east - 1.0, north - 1.0)
+    if pattern == "lawnmower":
+        spacing = (inside[2] - inside[0]) * (inside[3] - inside[1]) / length_m
+        points = lawnmower(inside, spacing_m=spacing, heading_rad=float(rng.uniform(0.0, math.pi)))
+        while _length(points) < length_m:
+            points += points[-2::-1]
+    else:
+        least = 5.0 if pattern == "winding" else 8.0
+        points = random_waypoints(inside, 4 + int(length_m / 8.0), rng, least_leg_m=least)
+    corner = 1.7 if pattern == "winding" else 0.5
+    return drive_along(
+        _cut_to(points, length_m * (1.25 if pattern == "winding" else 1.0)),
+        speed_mps=robot.declared.speed_mps, rng=rng, corner_m=corner,
+    )  # fmt: skip
+
+
+def _length(points: Sequence[tuple[float, float]]) -> float:
+    return sum(math.dist(a, b) for a, b in zip(points, points[1:], strict=False))
+
+
+def _cut_to(points: Sequence[tuple[float, float]], length_m: float) -> list[tuple[float, float]]:
+    """The first `length_m` of a polyline, to the node before."""
+    kept = [points[0]]
+    left = length_m
+    for a, b in zip(points, points[1:], strict=False):
+        left -= math.dist(a, b)
+        if left < 0 and len(kept) > 1:
+            break
+        kept.append(b)
+    return kept
+
+
+def _log(trace: Trace, run: _Driven, robot: FieldRobot, effects: Sequence[Effect], seed: int, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    words = run.site.words_at(trace.x, trace.y)
+    log = log_trace(
+        trace, robot, rng=np.random.default_rng(seed), terrain=words, conditions=run.conditions,
+        current_gain=_gain(effects),
+    )  # fmt: skip
+    log.write_csv(path)
+
+
+def _gain(effects: Sequence[Effect]) -> float:
+    return math.prod(effect.reading() for effect in effects)
+
+
+def _truth(run: _Driven, effects: Sequence[Effect]) -> RunTruth:
+    gain = _gain(effects)
+    return RunTruth(
+        t=run.trace.t + Logger().standing_s + run.conditions.start_s,
+        drawn_j=gain * run.trace.energy_j(),
+        known_j=gain * run.trace.energy_j(run.trace.explained_w),
+        without_j=run.plain.energy_j(run.plain.explained_w),
+    )
+
+
+def _errors(trace: Trace, truth: RunTruth) -> FloatArray:
+    """Relative errors per segment (2, n): knowing the effects, and not."""
+    drawn, known, without = segment_gains(trace, truth.drawn_j, truth.known_j, truth.without_j)
+    return np.abs(np.stack([known, without]) - drawn) / drawn
+
+
+def _coefficients(runs: Sequence[_Driven], robot: FieldRobot, effects: Sequence[Effect]) -> tuple[Coefficient, ...]:
+    found = []
+    for effect in effects:
+        value = effect.stated()
+        if value is None:
+            value = _fitted(runs, robot, effect, alone=len(effects) == 1)
+        if value is not None:
+            found.append(Coefficient(effect.name, value, effect.unit))
+    return tuple(found)
+
+
+def _fitted(runs: Sequence[_Driven], robot: FieldRobot, effect: Effect, *, alone: bool) -> float | None:
+    """What the effect costs alone, per unit of its amount: least squares through the origin over all segments."""
+    cost, amount = [], []
+    for run in runs:
+        ride, _ = take_ride(run.site, robot, run.drive, effects=[effect], conditions=run.conditions)
+        counted = effect.amount(ride)
+        if counted is None:
+            return None
+        trace = run.trace
+        if not alone:
+            trace = simulate_trace(
+                run.site, robot, run.drive, rng=np.random.default_rng(0), effects=[effect], conditions=run.conditions
+            )
+        extra = trace.energy_j(trace.explained_w) - run.plain.energy_j(run.plain.explained_w)
+        gained, units = segment_gains(trace, extra, counted)
+        cost.append(gained)
+        amount.append(np.abs(units) if effect.unsigned else units)
+    units, gained = np.concatenate(amount), np.concatenate(cost)
+    return float(units @ gained / (units @ units))
