@@ -24,7 +24,8 @@ class TractionSource(Protocol):
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """In words, with value and limit, every way in which this map or robot lies outside what was learned."""
 
-    def traction_per_m(
+    def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """(rows, cols, headings) [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """(rows, cols, headings) float32 at the cell centres of `frame`, NaN where the map is unknown: traction [J/m], and
+        the standard deviation of a 1 m segment's energy [J], None from a source that does not know it."""

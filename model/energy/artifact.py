@@ -13,15 +13,17 @@ from typing import Any
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
-from model.energy.compact import PIXEL_M, SQUARE, CompactConfig, CompactNet
+from model.energy.compact import CompactConfig, CompactNet
 from model.energy.dense import CompactPredictor
 from model.energy.domain import Domain
 from model.energy.resnet import ResNetEnergy, ResNetPredictor
+from model.energy.tracks import PIXEL_M, SQUARE
+from model.energy.uncertainty import Spread
 from model.errors import ModelError
 
 WEIGHTS_FILE = "weights.safetensors"
 CONFIG_FILE = "config.json"
-FORMAT = 1
+FORMAT = 2
 
 Network = CompactNet | ResNetEnergy
 
@@ -30,13 +32,15 @@ Network = CompactNet | ResNetEnergy
 class Artifact:
     """A trained network and how it was made.
 
-    domain : what it learned. size : rows and columns of what it reads. training : JSON-able facts: seed, data_hash,
+    domain : what it learned. size : rows and columns of what it reads. spread : how far off it was on runs it had not
+    seen. training : JSON-able facts: seed, data_hash,
     held_out (errors of whole runs that were not trained on), command, parent (the version it was fine-tuned from).
     """
 
     net: Network
     domain: Domain
     size: int = SQUARE
+    spread: Spread = Spread()
     training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -65,6 +69,7 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
         "size": artifact.size,
         "network": network,
         "domain": artifact.domain.as_dict(),
+        "spread": artifact.spread.as_dict(),
         "training": dict(artifact.training),
     }
     (folder / CONFIG_FILE).unlink(missing_ok=True)
@@ -108,7 +113,8 @@ def read_artifact(folder: str | Path) -> Artifact:
     size = config.get("size")
     if not isinstance(size, int):
         raise ModelError(f"{folder / CONFIG_FILE} does not say the size of a patch", size=str(size))
-    return Artifact(net.eval(), Domain.from_dict(config.get("domain") or {}), size, config.get("training") or {})
+    domain, spread = Domain.from_dict(config.get("domain") or {}), Spread.from_dict(config.get("spread") or {})
+    return Artifact(net.eval(), domain, size, spread, config.get("training") or {})
 
 
 def load_artifact(folder: str | Path, *, name: str | None = None) -> CompactPredictor | ResNetPredictor:
@@ -119,8 +125,10 @@ def load_artifact(folder: str | Path, *, name: str | None = None) -> CompactPred
     provenance = {"kind": artifact.architecture, "version": config["version"], "config": config}
     name = name or folder.resolve().name
     if isinstance(artifact.net, CompactNet):
-        return CompactPredictor(artifact.net, artifact.domain, provenance, name=name)
-    return ResNetPredictor(artifact.net, artifact.domain, provenance, size=artifact.size, name=name)
+        return CompactPredictor(artifact.net, artifact.domain, provenance, name=name, spread=artifact.spread)
+    return ResNetPredictor(
+        artifact.net, artifact.domain, provenance, size=artifact.size, name=name, spread=artifact.spread
+    )
 
 
 def _read_config(folder: Path) -> dict[str, Any]:

@@ -1,10 +1,12 @@
-"""The compact dense network: slopes of the unrotated ground in, a Fourier series over headings out.
+"""The compact dense network: the unrotated ground is read once, a small head answers for every heading.
 
-What is known is not learned: traction = m g (a mu + c tan theta + S(heading)), with mu the declared rolling resistance,
-tan theta the grade of the 1 m segment (exactly as physics has it), a and c gains that depend on the robot alone, and S
-a short Fourier series whose coefficients the network reads off the two metres of ground around the place.
-Every convolution is valid and their strides multiply to 1 m, so that one square of `SQUARE` heights gives one answer
-and a raster of a whole window gives every cell's answer in one pass.
+What is known is not learned: traction = m g (a mu + c tan theta + r), with mu the declared rolling resistance, tan
+theta the grade of the 1 m segment (exactly as physics has it), and a and c gains that depend on the robot alone. The
+rest r comes in two steps. The *ground* part, convolutions over the two metres around a place, gives every hidden unit
+of the head a short Fourier series over headings. The *head* evaluates those series at a heading, adds what the wheel
+tracks meet there (`tracks`), and answers r and how far off it may be. Every convolution is valid and their strides
+multiply to 1 m, so that one square of `SQUARE` heights gives one answer and a raster of a whole window gives every
+cell's answer in one pass.
 """
 
 from __future__ import annotations
@@ -18,15 +20,13 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
+from model.energy.tracks import PIXEL_M, TRACKS
+from model.energy.uncertainty import USUAL_SPREAD
 from model.errors import ModelError
 from model.robot import Robot
 
-PIXEL_M = 0.125
-"""Side of a working pixel [m]: eight to the metre."""
 STRIDE = 8
 """Working pixels between neighbouring answers."""
-SQUARE = 17
-"""Heights along a side of the square that one answer sees: 16 pixels, 2 m."""
 
 FEATURES = (
     "log_mass_kg",
@@ -40,17 +40,21 @@ FEATURES = (
 )
 
 _SLOPE_SCALE = 4.0  # brings slopes of rough ground to about one
-_SERIES_SCALE = 0.1  # and what the series has to say to a tenth of the weight
+_REST_SCALE = 0.1  # and what is left to learn to a tenth of the weight
+SPREAD_RANGE = (math.log(0.01), math.log(2.0))
+"""Logarithms of the relative standard deviations that the head can answer."""
 
 
 @dataclass(frozen=True)
 class CompactConfig:
-    """Widths of the network. channels : of the three strided convolutions; hidden : of the two layers after them;
-    order : highest harmonic of the heading; robot_hidden : of the layer that reads the robot."""
+    """Widths of the network. channels : of the three strided convolutions; hidden : of the layer after them;
+    order : highest harmonic of the heading; head : of the head's two layers; robot_hidden : of the layer that reads the
+    robot."""
 
-    channels: tuple[int, int, int] = (24, 64, 128)
-    hidden: tuple[int, int] = (96, 64)
-    order: int = 4
+    channels: tuple[int, int, int] = (16, 32, 64)
+    hidden: int = 64
+    order: int = 2
+    head: tuple[int, int] = (24, 16)
     robot_hidden: int = 32
 
     def as_dict(self) -> dict[str, Any]:
@@ -99,8 +103,19 @@ def slopes_of_squares(squares: Tensor) -> Tensor:
     return torch.stack([east, north, twist], dim=1) * (0.5 / PIXEL_M)
 
 
+@dataclass(frozen=True)
+class RobotCode:
+    """What a robot (or each of B robots) makes of the network. ground : scale and shift of the third convolution and of
+    the hidden layer, (B, 2 (third + hidden), 1, 1); tracks : scale and shift of the head's first layer, (B, 2 head[0]);
+    gains : a and c, (B, 2)."""
+
+    ground: Tensor
+    tracks: Tensor
+    gains: Tensor
+
+
 class CompactNet(nn.Module):
-    """Slopes and robot in; series and gains out. See the module's docstring.
+    """Slopes, wheel tracks and robot in; traction and its spread out. See the module's docstring.
 
     The ranges of the robot's features are buffers: features are normalised by them and clamped to them, so that a robot
     outside what was learned gets the answer of the nearest one inside (and a warning, elsewhere).
@@ -113,20 +128,25 @@ class CompactNet(nn.Module):
         super().__init__()
         self.config = config = config or CompactConfig()
         first, second, third = config.channels
+        units, last = config.head
         self.conv0 = nn.Conv2d(3, first, 4, stride=2)
         self.conv1 = nn.Conv2d(first, second, 3, stride=2)
         self.conv2 = nn.Conv2d(second, third, 3, stride=2)
-        self.hidden0 = nn.Conv2d(third, config.hidden[0], 1)
-        self.hidden1 = nn.Conv2d(config.hidden[0], config.hidden[1], 1)
-        self.series = nn.Conv2d(config.hidden[1], 2 * config.order + 1, 1)
+        self.hidden = nn.Conv2d(third, config.hidden, 1)
+        self.series = nn.Conv2d(config.hidden, units * (2 * config.order + 1), 1)
+        self.tracks = nn.Linear(len(TRACKS), units, bias=False)
+        self.head = nn.Linear(units, last)
+        self.rest = nn.Linear(last, 1)
+        self.spread = nn.Linear(last, 1)
         self.robot = nn.Linear(len(FEATURES), config.robot_hidden)
-        self.film = nn.Linear(config.robot_hidden, 2 * (third + config.hidden[0]))
+        self.film = nn.Linear(config.robot_hidden, 2 * (third + config.hidden + units))
         self.gains = nn.Linear(config.robot_hidden, 2)
         self.register_buffer("feature_low", torch.zeros(len(FEATURES)))
         self.register_buffer("feature_high", torch.ones(len(FEATURES)))
-        for layer in (self.series, self.film, self.gains):  # an untrained network is equation 5
+        for layer in (self.rest, self.spread, self.film, self.gains):  # an untrained network is equation 5
             for parameter in layer.parameters():
                 nn.init.zeros_(parameter)
+        nn.init.constant_(self.spread.bias, math.log(USUAL_SPREAD))
 
     def set_feature_ranges(self, low: ArrayLike, high: ArrayLike) -> None:
         """The ranges (8,) of the features in the training data; an empty range is widened a little."""
@@ -135,31 +155,59 @@ class CompactNet(nn.Module):
             self.feature_low.copy_(torch.minimum(low_t, high_t - 1e-3))
             self.feature_high.copy_(high_t)
 
-    def read_robot(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """features (B, 8) -> FiLM (B, 2 * (third + hidden), 1, 1) and the gains (a, c) (B, 2)."""
+    def read_robot(self, features: Tensor) -> RobotCode:
+        """features : (B, 8), as `robot_features`."""
         inside = torch.maximum(torch.minimum(features, self.feature_high), self.feature_low)
         unit = 2.0 * (inside - self.feature_low) / (self.feature_high - self.feature_low) - 1.0
         code = torch.tanh(self.robot(unit))
-        return self.film(code)[:, :, None, None], 1.0 + self.gains(code)
+        film = self.film(code)
+        split = 2 * (self.config.channels[2] + self.config.hidden)
+        return RobotCode(film[:, :split, None, None], film[:, split:], 1.0 + self.gains(code))
 
-    def read_ground(self, slopes: Tensor, film: Tensor) -> Tensor:
-        """Coefficients (B, 2 order + 1, r, c) of the series, over the weight.
+    def read_ground(self, slopes: Tensor, robot: RobotCode) -> Tensor:
+        """Series of the head's units, (B, units * (2 order + 1), r, c): all coefficients of a unit together.
 
-        slopes : (B, 3, 8 r + 8, 8 c + 8). film : as from `read_robot`, for B robots or one.
+        slopes : (B, 3, 8 r + 8, 8 c + 8), for the B robots of `robot` or its one.
         """
-        third, hidden = self.config.channels[2], self.config.hidden[0]
-        scale0, shift0, scale1, shift1 = film.split([third, third, hidden, hidden], dim=1)
+        third, hidden = self.config.channels[2], self.config.hidden
+        scale0, shift0, scale1, shift1 = robot.ground.split([third, third, hidden, hidden], dim=1)
         z = torch.relu_(self.conv0(slopes * _SLOPE_SCALE))
         z = torch.relu_(self.conv1(z))
         z = torch.relu_(self.conv2(z) * (1.0 + scale0) + shift0)
-        z = torch.relu_(self.hidden0(z) * (1.0 + scale1) + shift1)
-        z = torch.relu_(self.hidden1(z))
-        return _SERIES_SCALE * self.series(z)
+        z = torch.relu_(self.hidden(z) * (1.0 + scale1) + shift1)
+        return self.series(z)
+
+    def ask(self, series: Tensor, basis: Tensor, tracks: Tensor, robot: RobotCode) -> tuple[Tensor, Tensor]:
+        """(r, logarithm of the relative spread), (B,) each, at one heading of each place.
+
+        series : (B, units * C). basis : (B, C), as `heading_basis`. tracks : (B, 9), as `track_features`.
+        The spread learns from what the head sees, but does not teach it.
+        """
+        scale, shift = robot.tracks.chunk(2, dim=1)
+        units = torch.einsum("buc,bc->bu", series.unflatten(1, (-1, basis.shape[1])), basis)  # (B, units)
+        z = torch.relu(units + self.tracks(tracks) * (1.0 + scale) + shift)
+        z = torch.relu(self.head(z))
+        rest = _REST_SCALE * self.rest(z)[:, 0]
+        return rest, self.spread(z.detach())[:, 0].clamp(*SPREAD_RANGE)
 
     def forward(
-        self, squares: Tensor, features: Tensor, basis: Tensor, tan_grade: Tensor, rolling_resistance: Tensor
-    ) -> Tensor:
-        """Traction over weight, (B,). squares : (B, 17, 17) [m]. features : (B, 8). basis : (B, 2 order + 1)."""
-        film, gains = self.read_robot(features)
-        coefficients = self.read_ground(slopes_of_squares(squares), film)[:, :, 0, 0]  # (B, 2 order + 1)
-        return gains[:, 0] * rolling_resistance + gains[:, 1] * tan_grade + (coefficients * basis).sum(dim=1)
+        self, squares: Tensor, features: Tensor, basis: Tensor, tracks: Tensor, tan_grade: Tensor, resistance: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """(traction over weight, logarithm of the relative spread), (B,) each.
+
+        squares : (B, 17, 17) [m]. features : (B, 8). basis, tracks : as in `ask`. tan_grade, resistance : (B,).
+        """
+        robot = self.read_robot(features)
+        series = self.read_ground(slopes_of_squares(squares), robot)[:, :, 0, 0]
+        rest, spread = self.ask(series, basis, tracks, robot)
+        return robot.gains[:, 0] * resistance + robot.gains[:, 1] * tan_grade + rest, spread
+
+    def folded_head(self, robot: RobotCode) -> tuple[NDArray[np.float32], ...]:
+        """The head's weights for one robot: tracks (units, 9) and shift (units,), head (last, units) and bias, rest and
+        spread (2, last) and their biases (2,), scaled as `ask` answers. What the compiled loop over a lattice takes."""
+        with torch.no_grad():
+            scale, shift = robot.tracks[0].chunk(2)
+            final = torch.cat([_REST_SCALE * self.rest.weight, self.spread.weight])
+            bias = torch.cat([_REST_SCALE * self.rest.bias, self.spread.bias])
+            parts = (self.tracks.weight * (1.0 + scale)[:, None], shift, self.head.weight, self.head.bias, final, bias)
+            return tuple(np.ascontiguousarray(p.numpy(), dtype=np.float32) for p in parts)

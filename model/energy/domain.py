@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from model.energy.uncertainty import Spread
 from model.errors import ModelError
+from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -84,12 +88,16 @@ class Domain:
         return found
 
 
-class Learned:
-    """The part that all predictors of a trained network share: a name, its record, and where it may be believed."""
+class Learned(ABC):
+    """The part that all predictors of a trained network share: a name, its record, where it may be believed, and what
+    its held-out runs said of it."""
 
-    def __init__(self, name: str, domain: Domain, provenance: Mapping[str, Any]) -> None:
+    def __init__(
+        self, name: str, domain: Domain, provenance: Mapping[str, Any], *, spread: Spread | None = None
+    ) -> None:  # fmt: skip
         self.name = name
         self.domain = domain
+        self.spread = spread or Spread()
         self._provenance = dict(provenance)
 
     def provenance(self) -> dict[str, Any]:
@@ -99,6 +107,28 @@ class Learned:
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """In words, every way in which this map or robot lies outside what the network learned."""
         return self.domain.warnings(heightmap, robot)
+
+    def traction_per_m(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """(rows, cols, headings) [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
+        return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
+
+    def segment_traction(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> NDArray[np.float64]:
+        """(n,) [J/m] of 1 m segments centred at (x, y); NaN where the map is unknown."""
+        return self.segment_traction_and_std(heightmap, robot, x, y, heading_rad)[0]
+
+    @abstractmethod
+    def traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+
+    @abstractmethod
+    def segment_traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 
 
 def steep_share(heightmap: Heightmap, limit_deg: float) -> float:

@@ -10,10 +10,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.compact import FEATURES, PIXEL_M, SQUARE, robot_features
-from model.energy.dense import REACH_M
+from model.energy.compact import FEATURES, robot_features
 from model.energy.domain import Domain
 from model.energy.physics import SEGMENT_M, tan_grade
+from model.energy.tracks import PIXEL_M, REACH_M, SQUARE
 from model.errors import InputError, ModelError
 from model.frames import heading_vector
 from model.robot import Robot

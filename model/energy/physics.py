@@ -100,7 +100,7 @@ def tan_grade(heightmap: Heightmap, x: ArrayLike, y: ArrayLike, heading_rad: Arr
 def tan_grade_lattice(heightmap: Heightmap, frame: GridFrame, headings_rad: FloatArray) -> NDArray[np.float32]:
     """`tan_grade` at the cell centres of `frame`. Returns (rows, cols, headings) float32, NaN where unknown."""
     headings = np.ascontiguousarray(headings_rad, dtype=np.float64)
-    own, sign = _antipodes(headings)
+    own, sign = antipodes(headings)
     x, y = frame.centres()
     row, _ = heightmap.frame.rowcol(0.0, y)
     _, col = heightmap.frame.rowcol(x, 0.0)
@@ -111,7 +111,7 @@ def tan_grade_lattice(heightmap: Heightmap, frame: GridFrame, headings_rad: Floa
     return out
 
 
-def _antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+def antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """For each heading the earlier one that looks the opposite way (sign -1), else itself (+1)."""
     own = np.arange(headings.size)
     sign = np.ones(headings.size)
@@ -167,9 +167,21 @@ class PhysicsPredictor:
         traction *= np.float32(robot.weight_n)
         return traction
 
+    def traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
+    ) -> tuple[NDArray[np.float32], None]:
+        """`traction_per_m`, and no word of how far off it may be: eq. 5 has none."""
+        return self.traction_per_m(heightmap, robot, frame, headings_rad), None
+
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> FloatArray:
         """The same for 1 m segments centred at (x, y). (n,) float64 [J/m]."""
         grade = np.atleast_1d(tan_grade(heightmap, x, y, heading_rad))
         return eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, grade)
+
+    def segment_traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> tuple[FloatArray, None]:
+        """`segment_traction`, and no word of how far off it may be."""
+        return self.segment_traction(heightmap, robot, x, y, heading_rad), None

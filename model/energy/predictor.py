@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from model.energy.physics import PhysicsPredictor
 from model.errors import ModelError
+from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from model.traction import TractionSource
@@ -25,10 +26,20 @@ class Predictor(TractionSource, Protocol):
     Both ways to ask answer the same for the same place and heading, to float32 rounding.
     """
 
+    def traction_per_m(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """The traction of `traction_and_std` alone."""
+
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> NDArray[np.float64]:
         """(n,) [J/m] of 1 m segments centred at (x, y) [m]; NaN where the map is unknown."""
+
+    def segment_traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """`segment_traction`, and the standard deviation of each segment's energy [J] where the model knows it."""
 
 
 def load_predictor(spec: str | Path) -> Predictor:

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from model.energy.domain import Domain, Learned
 from model.energy.physics import SEGMENT_M
+from model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from model.errors import ModelError
 from model.frames import GridFrame, heading_vector
 from model.robot import Robot
@@ -133,25 +134,29 @@ class ResNetPredictor(Learned):
     """
 
     def __init__(
-        self, net: ResNetEnergy, domain: Domain, provenance: Mapping[str, Any], *, size: int, name: str
+        self, net: ResNetEnergy, domain: Domain, provenance: Mapping[str, Any], *, size: int, name: str,
+        spread: Spread | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(name, domain, provenance)
+        super().__init__(name, domain, provenance, spread=spread)
         self.net = net.eval()
         self.size = size
 
-    def traction_per_m(
+    def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
-    ) -> NDArray[np.float32]:
-        """(rows, cols, headings) float32 [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at the
+        cell centres of `frame`; NaN where the map is unknown."""
         x, y = frame.centres()
         shape = frame.rows, frame.cols, len(headings_rad)
         places = np.broadcast_arrays(x[None, :, None], y[:, None, None], np.asarray(headings_rad)[None, None, :])
-        return self.segment_traction(heightmap, robot, *places).reshape(shape).astype(np.float32)
+        traction, std = self.segment_traction_and_std(heightmap, robot, *places)
+        return traction.reshape(shape).astype(np.float32), std.reshape(shape).astype(np.float32)
 
-    def segment_traction(
+    def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
-    ) -> FloatArray:
-        """The same for 1 m segments centred at (x, y). (n,) float64 [J/m]."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """The same for 1 m segments centred at (x, y). (n,) float64 each. The network knows no spread of its own: the
+        deviation is the share of the energy that held-out runs showed."""
         places = np.broadcast_arrays(x, y, heading_rad)
         xs, ys, heading = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in places)
         dx, dy = heading_vector(heading)
@@ -167,4 +172,5 @@ class ResNetPredictor(Learned):
                 if known.any():
                     scaled = self.net(torch.from_numpy(patches[known])).numpy().astype(np.float64)
                     out[part][known] = scaled * robot.nominal_voltage_v / SEGMENT_M - robot.hotel_per_m
-        return out
+        price, level = robot.price_per_m(out), robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
+        return out, segment_std(price, USUAL_SPREAD, level, factor=self.spread.factor)

@@ -16,16 +16,18 @@ from torch import Tensor, nn
 from model.energy.compact import CompactNet, heading_basis
 from model.energy.examples import ARCHITECTURES, Examples
 from model.energy.resnet import ResNetEnergy
+from model.energy.tracks import SQUARE, track_features
+from model.energy.uncertainty import LEAST_SHARE
 from model.errors import InputError, ModelError
 
 Network = CompactNet | ResNetEnergy
 
 _LEAK = 0.02
 """Slope of the price below zero traction in training, so that a segment wrongly held for braking can be corrected."""
-_LEAST_SHARE = 0.2
-"""Errors are relative to the energy, but at least to this share of hotel + m g mu (regeneration can make it zero)."""
 _HUBER = 0.3
 """Relative error below which the loss is quadratic."""
+_SPREAD_SHARE = 0.01
+"""Weight of the spread's likelihood: it has weights of its own, so this only keeps it out of the gradient's norm."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def predicted_energy(net: Network, examples: Examples, *, batch: int = 2048) -> 
     with torch.inference_mode():
         for k in range(0, len(examples), batch):
             part = torch.arange(k, min(k + batch, len(examples)))
-            out[k : k + batch] = data.energy(net, part, leak=0.0)[0].numpy()
+            out[k : k + batch] = data.answer(net, part, leak=0.0).energy.numpy()
     return out
 
 
@@ -165,6 +167,16 @@ def _prepared(examples: Examples, architecture: str, start_from: Network | None)
     return fresh
 
 
+@dataclass(frozen=True)
+class _Answer:
+    """What a network says of B segments. energy [J]. scale [J] : what errors are relative to. spread : logarithm of the
+    standard deviation over the energy, None where the network has none."""
+
+    energy: Tensor
+    scale: Tensor
+    spread: Tensor | None
+
+
 class _Tensors:
     """Examples as tensors, and the energy a network gives them."""
 
@@ -179,8 +191,15 @@ class _Tensors:
         self.regeneration = torch.from_numpy(examples.regeneration)
         self.voltage = torch.from_numpy(examples.voltage_v)
         self.measured = torch.from_numpy(examples.energy_j)
+        self.tracks = torch.empty(0)
+        if examples.inputs.shape[1] == SQUARE:  # turning and mirroring the ground leaves them as they are
+            self.tracks = torch.from_numpy(
+                track_features(
+                    examples.inputs, examples.heading_rad.astype(np.float64), examples.features[:, 1].astype(np.float64)
+                )
+            )
 
-    def energy(
+    def answer(
         self,
         net: Network,
         part: Tensor,
@@ -189,8 +208,8 @@ class _Tensors:
         quarter_turns: int = 0,
         mirror: bool = False,
         jitter: float = 0.0,
-    ) -> tuple[Tensor, Tensor]:
-        """(predicted energy, scale of the relative error) of the segments `part`, (B,) each, in joules.
+    ) -> _Answer:
+        """What the network says of the segments `part`.
 
         The ground is turned clockwise by quarter turns after being mirrored east to west; headings go with it.
         """
@@ -199,7 +218,7 @@ class _Tensors:
         if mirror:
             inputs = inputs.flip(2)
         if isinstance(net, ResNetEnergy):
-            return net(inputs) * self.voltage[part], measured.abs().clamp_min(1e-6)
+            return _Answer(net(inputs) * self.voltage[part], measured.abs().clamp_min(1e-6), None)
         heading = -self.heading[part] if mirror else self.heading[part]
         if quarter_turns:
             inputs = torch.rot90(inputs, -quarter_turns, (1, 2))
@@ -210,11 +229,12 @@ class _Tensors:
             noise[:, -1] = 0.0  # the map's resolution is no trait of a robot
             features = features + noise
         basis = torch.from_numpy(heading_basis(heading.numpy(), net.config.order))
-        traction = self.weight[part] * net(inputs, features, basis, self.grade[part], self.rolling[part])
+        over_weight, spread = net(inputs, features, basis, self.tracks[part], self.grade[part], self.rolling[part])
+        traction = self.weight[part] * over_weight
         hotel = self.hotel[part]
         down = torch.clamp_max(traction, 0.0) * torch.clamp_min(self.regeneration[part], leak)
-        least = _LEAST_SHARE * (hotel + self.weight[part] * self.rolling[part])
-        return hotel + torch.relu(traction) + down, torch.maximum(measured.abs(), least)
+        least = LEAST_SHARE * (hotel + self.weight[part] * self.rolling[part])
+        return _Answer(hotel + torch.relu(traction) + down, torch.maximum(measured.abs(), least), spread)
 
 
 class _Trainer:
@@ -275,10 +295,10 @@ class _Trainer:
                 group["lr"] = options.learning_rate * warm * (0.02 + 0.49 * (1.0 + math.cos(math.pi * done)))
             turns = int(rng.integers(4)) if options.augment else 0
             mirror = bool(rng.integers(2)) if options.augment else False
-            energy, scale = self.data.energy(
+            answer = self.data.answer(
                 self.net, part, leak=_LEAK, quarter_turns=turns, mirror=mirror, jitter=options.feature_jitter
             )
-            loss = self._loss(energy, part, scale)
+            loss = self._loss(answer, part)
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()
             nn.utils.clip_grad_norm_(self.net.parameters(), 1.0)
@@ -286,22 +306,28 @@ class _Trainer:
             total += float(loss.detach()) * len(part)
         return total / len(self.train)
 
-    def _loss(self, energy: Tensor, part: Tensor, scale: Tensor) -> Tensor:
+    def _loss(self, answer: _Answer, part: Tensor) -> Tensor:
+        measured = self.data.measured[part]
         if self.options.loss == "mse":
-            return torch.mean(((energy - self.data.measured[part]) / self.data.voltage[part]) ** 2)
+            return torch.mean(((answer.energy - measured) / self.data.voltage[part]) ** 2)
         # Relative to the mean of both: relative to the measured energy alone, predicting too little would pay, since
         # the noise of a small measurement then weighs more than that of a large one, and whole routes came out short.
-        middle = torch.maximum(0.5 * (scale + energy.detach()), 0.5 * scale)
-        error = (energy - self.data.measured[part]) / middle
-        return nn.functional.smooth_l1_loss(error, torch.zeros_like(error), beta=_HUBER)
+        middle = torch.maximum(0.5 * (answer.scale + answer.energy.detach()), 0.5 * answer.scale)
+        error = (answer.energy - measured) / middle
+        loss = nn.functional.smooth_l1_loss(error, torch.zeros_like(error), beta=_HUBER)
+        if answer.spread is None:
+            return loss
+        # Laplace's likelihood, robust against outliers; sqrt(2) mean |error| is its standard deviation.
+        likelihood = answer.spread + math.sqrt(2.0) * error.detach().abs() * torch.exp(-answer.spread)
+        return loss + _SPREAD_SHARE * likelihood.mean()
 
     def _held_out_error(self) -> float:
         self.net.eval()
         total = 0.0
         with torch.inference_mode():
             for part in self.held.split(2048):
-                energy, scale = self.data.energy(self.net, part, leak=0.0)
-                total += float(((energy - self.data.measured[part]).abs() / scale).sum())
+                answer = self.data.answer(self.net, part, leak=0.0)
+                total += float(((answer.energy - self.data.measured[part]).abs() / answer.scale).sum())
         return total / len(self.held)
 
     def _save(self, checkpoint: Path) -> None:
