@@ -18,6 +18,7 @@ from model.field.sites import Site
 FloatArray = NDArray[np.float64]
 
 _AIR_KG_PER_M3 = 1.2
+_FIRST_HOUR = 7.5  # tyres are pumped up in the morning
 
 
 @dataclass(frozen=True)
@@ -204,7 +205,9 @@ class Drift(Effect):
     share_per_unit: float
     over: Literal["km", "h"] = "km"
     name: ClassVar[str] = "drift"
-    unit: ClassVar[str] = "J/m/km or J/m/h"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", f"J/m/{self.over}")
 
     def force_n(self, ride: Ride) -> FloatArray:
         return self.share_per_unit * ride.motion.loads_n.sum(axis=1) * self._age(ride)
@@ -215,7 +218,7 @@ class Drift(Effect):
     def _age(self, ride: Ride) -> FloatArray:
         if self.over == "km":
             return (ride.conditions.driven_m + ride.path_m) / 1000.0
-        return ((ride.conditions.start_s + ride.t) % 86400.0) / 3600.0 - 8.0
+        return np.maximum(((ride.conditions.start_s + ride.t) % 86400.0) / 3600.0 - _FIRST_HOUR, 0.0)
 
 
 @dataclass(frozen=True)

@@ -73,10 +73,7 @@ class Connector(Effect):
         return self.resistance_ohm
 
     def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
-        # I^2 R + P = V I: the smaller current
-        return self.volts * (self.volts - np.sqrt(self.volts**2 - 4.0 * self.resistance_ohm * power_w)) / (
-            2.0 * self.resistance_ohm
-        )  # fmt: skip
+        return power_w + self.resistance_ohm * (power_w / self.volts) ** 2
 
 
 @dataclass(frozen=True)
