@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,7 +101,7 @@ def read_measured(
 ) -> Measured:
     """A drive of a field that `make_field` wrote. heightmap : the site's, where it is at hand already."""
     site = SITE_OF[drive]
-    files = tuple(sorted(folder.glob(f"{drive}_*.csv")))
+    files = _logs(folder, drive)
     if heightmap is None:
         heightmap = read_site_heightmap(folder, site, heightmap_from)
     _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
@@ -161,8 +160,8 @@ def roughness_m3(terrain: Heightmap) -> float:
     return float(np.exp(np.mean(np.log(mean[band] * (frequency[band] / 0.1) ** 2))))
 
 
-def _logs(folder: Path, drive: str) -> Sequence[Path]:
-    return sorted(folder.glob(f"{drive}_*.csv"))
+def _logs(folder: Path, drive: str) -> tuple[Path, ...]:
+    return tuple(sorted(folder.glob(f"{drive}_*.csv")))
 
 
 def _routes(drive: str, site: Site, profile: Profile, rng: np.random.Generator) -> list[list[tuple[float, float]]]:

@@ -46,14 +46,15 @@ class Measured:
 
 
 def judged(predicted: FloatArray, measured: Measured) -> dict[str, Any]:
-    """`errors` on the straight segments; whole routes (route_relative_error and the whole set's) and
-    `with_turns`, the mean relative error, on all of them."""
+    """`errors` on the straight segments; whole routes (route_relative_error, site_relative_error of the whole set) and
+    `with_turns`, the mean relative error, on all of them; straight_route_relative_error on the straight ones."""
     energy, run = measured.segments.energy_j, measured.segments.run
     known = np.isfinite(predicted)
     straight = known & measured.straight
     found = errors(predicted[straight], energy[straight], run[straight])
     whole = errors(predicted[known], energy[known], run[known])
     return found | {
+        "straight_route_relative_error": found["route_relative_error"],
         "route_relative_error": whole["route_relative_error"],
         "route_relative_errors": whole["route_relative_errors"],
         "site_relative_error": float(abs(predicted[known].sum() / energy[known].sum() - 1.0)),
