@@ -38,11 +38,11 @@ WORDS = ("grass", "gravel")
 
 
 def _turning(rng: np.random.Generator, robot: FieldRobot) -> Effect:
-    return Turning(scrub=float(rng.uniform(0.8, 2.0)))
+    return Turning(scrub=float(rng.uniform(0.5, 1.5)))
 
 
 def _turning_uphill(rng: np.random.Generator, robot: FieldRobot) -> Effect:
-    return Within(Turning(scrub=float(rng.uniform(1.8, 3.0))), "grade_deg", above=float(rng.uniform(0.0, 1.5)))
+    return Within(Turning(scrub=float(rng.uniform(1.2, 2.4))), "grade_deg", above=float(rng.uniform(0.0, 1.5)))
 
 
 def _speed(rng: np.random.Generator, robot: FieldRobot) -> Effect:

@@ -46,21 +46,21 @@ class AirDrag(Effect):
 
     drag_area_m2: float
     name: ClassVar[str] = "wind"
-    unit: ClassVar[str] = "m2"
+    unit: ClassVar[str] = "J/m per (m/s)^2"
 
     def force_n(self, ride: Ride) -> FloatArray:
-        return self.drag_area_m2 * self._pressure(ride)
+        return 0.5 * _AIR_KG_PER_M3 * self.drag_area_m2 * self._met(ride)
 
     def amount(self, ride: Ride) -> FloatArray:
-        return ride.along_path(self._pressure(ride))
+        return ride.along_path(self._met(ride))
 
     @staticmethod
-    def _pressure(ride: Ride) -> FloatArray:
-        """Along the motion, > 0 from ahead [N/m2]."""
+    def _met(ride: Ride) -> FloatArray:
+        """Speed of the air against the robot times its part along the motion [m2/s2], > 0 from ahead."""
         wind, source = ride.conditions.wind.at(ride.t)
         ahead = ride.drive.speed_mps + wind * np.cos(ride.drive.heading_rad - source)
         aside = wind * np.sin(ride.drive.heading_rad - source)
-        return 0.5 * _AIR_KG_PER_M3 * np.hypot(ahead, aside) * ahead
+        return np.hypot(ahead, aside) * ahead
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,6 @@ class Payload(Effect):
     """What the conditions say is carried truly has mass, and lifts the centre of mass."""
 
     name: ClassVar[str] = "payload"
-    unit: ClassVar[str] = "kg/kg"
 
     def on_robot(self, robot: FieldRobot, conditions: Conditions) -> FieldRobot:
         mass = robot.mass_kg + conditions.payload_kg
@@ -151,7 +150,7 @@ class SideSlip(Effect):
 
     grip: float
     name: ClassVar[str] = "cross_slope"
-    unit: ClassVar[str] = "J/m"
+    unit: ClassVar[str] = "J/m per squared sine"
 
     def force_n(self, ride: Ride) -> FloatArray:
         side = np.abs(np.sin(ride.motion.roll_rad))
@@ -228,7 +227,7 @@ class Furrows(Effect):
     share: float
     along_rad: float
     name: ClassVar[str] = "learned:heading"
-    unit: ClassVar[str] = "J/m"
+    unit: ClassVar[str] = "J/m across"
 
     def force_n(self, ride: Ride) -> FloatArray:
         across = np.sin(ride.drive.heading_rad - self.along_rad) ** 2
