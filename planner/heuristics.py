@@ -8,12 +8,19 @@ telescope to z_m - z_n and the lengths are at least the straight distance, so fo
 
 and for a move n -> k, h_b(n) - h_b(k) <= a_b * length + b * climb <= energy                             (consistent).
 
-The maximum of consistent bounds is consistent, and so is the minimum over several goal cells of the bound to each plus
-what remains from there. b = 0 is the plain cheapest-metre bound; a large b counts the climb to a higher goal in full;
-and where some prices are negative (regeneration), any b with a_b >= 0 is the height potential that makes
-energy - b * climb >= 0 on every move, which is what Dijkstra needs (Johnson 1977; Sachenbacher et al., AAAI-11). Prices
-come from metre-long slopes blended between cells, so on rough ground no b may do; then `moves.least_potential` takes
-the place of the elevation, with a = 0 and b = 1, and the same proofs hold.
+A goal g joined to several cells m, each with r_m still to drive, has one bound for all: with
+c_b = min over m of (r_m + b z_m - a_b |m - g|),
+
+    h_b(n) = a_b * |n - g| - b z_n + c_b  <=  a_b * |n - m| + b * (z_m - z_n) + r_m  for every m  (triangle inequality).
+
+A landmark L (`landmarks.py`) with least energies d gives d(n, L) - d(m, L) <= d(n, m) and d(L, m) - d(L, n) <= d(n, m),
+for which the least over m of r_m and the part of m may be taken at once too (Goldberg & Harrelson 2005).
+
+The maximum of consistent bounds is consistent. b = 0 is the plain cheapest-metre bound; a large b counts the climb to a
+higher goal in full; and where some prices are negative (regeneration), any b with a_b >= 0 is the height potential that
+makes energy - b * climb >= 0 on every move, which is what Dijkstra needs (Johnson 1977; Sachenbacher et al., AAAI-11).
+Prices come from metre-long slopes blended between cells, so on rough ground no b may do; then `moves.least_potential`
+takes the place of the elevation, with a = 0 and b = 1, and the same proofs hold.
 """
 
 from __future__ import annotations
@@ -21,7 +28,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.buckets import Guide
+from planner.edges import Points
 from planner.moves import MoveTable
+
+_NO_MARKS = np.empty((0, 0), dtype=np.float32)
 
 
 def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
@@ -35,3 +46,29 @@ def dijkstra_bounds(table: MoveTable) -> NDArray[np.float64]:
     """(1, 2) the pair (0, b) that turns A* into Dijkstra: b = 0, or the least height potential that is needed."""
     usable = energy_bounds(table)
     return np.array([[0.0, usable[:, 1].min()]])
+
+
+def guide_towards(
+    table: MoveTable, bounds: NDArray[np.float64], goal: Points, targets: NDArray[np.int64],
+    rest: NDArray[np.float64], spacing_m: float, marks: NDArray[np.float32] | None = None, slack_j: float = 0.0,
+) -> Guide:  # fmt: skip
+    """What leads a search to `goal` (2,) (row, col), which is joined to the cells `targets` (T,) at `rest` (T,) [J].
+
+    bounds : (B, 2) from above; marks : (cells, M) of `Landmarks`, each known to within slack_j / 2.
+    """
+    surface = table.surface.ravel()
+    pairs = bounds * [[spacing_m, 1.0]]  # [J per cell length]
+    row, col = np.divmod(targets, table.energy.shape[1])
+    apart = np.hypot(row - goal[0], col - goal[1])
+    least = (rest + pairs[:, 1:] * surface[targets] - pairs[:, :1] * apart).min(axis=1, initial=np.inf)
+    if marks is None:
+        marks = _NO_MARKS
+    marks_rest = (rest[:, None] - marks[targets]).min(axis=0, initial=np.inf) - slack_j if marks.size else np.empty(0)
+    return Guide(pairs, least, np.ascontiguousarray(goal), surface, marks, marks_rest.astype(np.float64))
+
+
+def guide_everywhere(table: MoveTable, *, backward: bool) -> Guide:
+    """For a search to all cells: nothing, or the potential that negative prices ask for (backward it changes sign)."""
+    pairs = dijkstra_bounds(table) * ([[1.0, -1.0]] if backward else [[1.0, 1.0]])
+    pairs = pairs[pairs[:, 1] != 0.0]
+    return Guide(pairs, np.zeros(len(pairs)), np.zeros(2), table.surface.ravel(), _NO_MARKS, np.empty(0))

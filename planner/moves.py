@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit, prange
@@ -44,6 +45,27 @@ class MoveTable:
     surface: NDArray[np.float64]
     rate_j_per_m: NDArray[np.float64]
     bound_per_m: NDArray[np.float64]
+
+    @property
+    def jump(self) -> NDArray[np.int64]:
+        """(N,) step of every move in flat cell indices."""
+        return self.offsets @ np.array([self.energy.shape[1], 1], dtype=np.int64)
+
+    @property
+    def gap_j(self) -> NDArray[np.float64]:
+        """(N,) energy [J] of turning from each move's heading to the next one's, clockwise."""
+        return np.append(np.diagonal(self.turn_j, 1), self.turn_j[-1, 0])
+
+    @cached_property
+    def typical_j(self) -> float:
+        """Mean size of a price [J], from a sample of the map; 1 where there is none."""
+        sample = np.abs(self.energy[::7, ::7])
+        return float(np.nanmean(sample)) or 1.0 if np.isfinite(sample).any() else 1.0
+
+    @property
+    def never_pays(self) -> bool:
+        """Whether every price is known to be at least 0."""
+        return bool((self.bound_per_m[self.rate_j_per_m == 0.0] >= 0.0).any())
 
 
 def least_potential(energy: NDArray[np.float32], offsets: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from model.errors import BlockedError, InputError, NoRouteError
 from planner.edges import Points, leg_prices_between
-from planner.heuristics import dijkstra_bounds, energy_bounds
+from planner.heuristics import dijkstra_bounds, energy_bounds, guide_towards
 from planner.kernels import turn_angle
+from planner.landmarks import Landmarks
 from planner.lattice import Blocked, CostLattice
 from planner.moves import MoveTable
-from planner.search_kernels import search_states, trace_states
+from planner.states import layer_count, new_search, run_search
 
 PLANNERS = ("astar", "dijkstra")
 _NONE = -1
@@ -75,24 +76,27 @@ def _connections(lattice: CostLattice, point: Points, *, outward: bool) -> tuple
 
 
 def grid_search(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, planner: str = "astar"
-) -> GridPath:
+    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, planner: str = "astar",
+    landmarks: Landmarks | None = None,
+) -> GridPath:  # fmt: skip
     """Least energy from `start` to `goal` over grid moves, exactly.
 
     start, goal : (2,) fractional (row, col), joined to the cell centres around them by straight legs. With a turn cost
-    the state is (cell, heading of arrival) and every change of heading is paid for, at the first and last centre too.
-    Raises NoRouteError when the goal cannot be reached, NegativeCycleError for impossible regeneration.
+    the state is (cell, heading) and every change of heading is paid for, at the first and last centre too. landmarks :
+    of this table, for fewer expansions. Raises NoRouteError when the goal cannot be reached.
     """
     if planner not in PLANNERS:
         raise InputError(f"planner must be one of {', '.join(PLANNERS)}, got {planner!r}", planner=planner)
-    bounds = energy_bounds(table) if planner == "astar" else dijkstra_bounds(table)
     layers = layer_count(lattice, table)
     cells, cost = terminals(lattice, table, start, layers, outward=True)
-    targets, target_cost = terminals(lattice, table, goal, layers, outward=False)
-    _, pred, last, total, expanded = search_states(
-        table.energy, table.offsets, table.turn_j, layers, table.surface, lattice.frame.resolution_m,
-        seed_states(cells, layers), cost.ravel(), targets, target_cost, bounds, False,
-    )  # fmt: skip
+    targets, rest = terminals(lattice, table, goal, layers, outward=False)
+    marks, slack_j = (landmarks.marks, landmarks.slack_j) if landmarks is not None else (None, 0.0)
+    bounds = energy_bounds(table) if planner == "astar" else dijkstra_bounds(table)
+    guide = guide_towards(
+        table, bounds, goal, targets, rest.min(axis=1), lattice.frame.resolution_m, marks=marks, slack_j=slack_j
+    )
+    search = new_search(table, layers, cells, cost, backward=False)
+    last, total, expanded = run_search(search, table, np.unique(cells), guide, targets, rest)
     direct = direct_energy(lattice, start, goal)
     if direct < math.inf and direct <= total:
         return GridPath(np.vstack([start, goal]), direct, expanded)
@@ -103,18 +107,8 @@ def grid_search(
             f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
             reached=expanded,
         )
-    states = trace_states(pred, table.offsets, last, layers, lattice.frame.cols, False)[::-1]
+    states = search.trace(table, last)[::-1]
     return GridPath(joined_points(lattice, start, states // layers, goal), float(total), expanded)
-
-
-def layer_count(lattice: CostLattice, table: MoveTable) -> int:
-    """Headings in a search state: all of the moves' where turning costs, else one."""
-    return len(table.offsets) if lattice.robot.turn_j_per_rad > 0.0 else 1
-
-
-def seed_states(cells: NDArray[np.int64], layers: int) -> NDArray[np.int64]:
-    """(S * layers,) states of the cells (S,) in every layer."""
-    return (cells[:, None] * layers + np.arange(layers)).ravel()
 
 
 def direct_energy(lattice: CostLattice, start: Points, goal: Points) -> float:

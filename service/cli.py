@@ -47,7 +47,7 @@ def joulemap(
 for _panel, _commands in (
     ("Plan", (maps.costmap, maps.path, maps.feasibility)),
     ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
-    ("Learn", (models.simulate, models.train, models.evaluate, reproduction.reproduce)),
+    ("Learn", (models.simulate, models.train, models.evaluate, reproduction.baselines, reproduction.reproduce)),
 ):
     for _command in _commands:
         app.command(rich_help_panel=_panel)(_command)

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from model.errors import InputError
 from model.field.conditions import Conditions, Day
-from model.field.drives import Drive, drive_along, lawnmower, random_waypoints
+from model.field.drives import Drive, drive_along, lawnmower, random_waypoints, winding
 from model.field.effects import Effect
 from model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
 from model.field.logger import Logger, log_trace
 from model.field.robots import FieldRobot
-from model.field.simulation import Trace, segment_gains, simulate_trace, take_ride
+from model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_stands
 from model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
-from model.frames import GridFrame
+from model.frames import GridFrame, wrap_angle
 from model.terrain.synthesis import TerrainRecipe
 from model.terrain.writers import write_geotiff
 
@@ -80,13 +80,18 @@ class BlindTruth:
 
 @dataclass(frozen=True)
 class _Driven:
-    """One run: what was driven in which conditions, what came of it, and what would have come of it without effects."""
+    """One run: what was driven in which conditions, what came of it, and what would have come of it without effects.
+
+    halts_at, halts_s : stations after which the robot stands for so long.
+    """
 
     site: Site
     drive: Drive
     conditions: Conditions
     trace: Trace
     plain: Trace
+    halts_at: NDArray[np.int64]
+    halts_s: FloatArray
 
 
 def make_blind_case(
@@ -127,7 +132,7 @@ def make_blind_case(
             if twins is not None:
                 _log(run.plain, run, robot, (), noise, Path(twins) / name)
             runs[name] = _truth(run, hidden)
-            errors.append(_errors(run.trace, runs[name]))
+            errors.append(_errors(run, hidden))
         total = np.concatenate(errors, axis=1)
         known[folder], without[folder] = (float(total[k].mean()) for k in range(2))
     return BlindTruth(seed, site_seed, hidden, _coefficients(first, robot, hidden), runs, known, without)
@@ -218,7 +223,9 @@ def _drive_day(
         plain = trace
         if effects:
             plain = simulate_trace(site, robot, drive, rng=np.random.default_rng(chance), conditions=conditions)
-        driven.append(_Driven(site, drive, conditions, trace, plain))
+        halts_at = np.sort(rng.choice(trace.t.size - 1, int(rng.integers(2, 5)), replace=False))
+        halts_s = rng.uniform(3.0, 12.0, halts_at.size)
+        driven.append(_Driven(site, drive, conditions, trace, plain, halts_at, halts_s))
         metres += drive.length_m
         charge -= float(trace.energy_j()[-1]) / 3600.0 / robot.declared.battery_wh
         clock += float(trace.t[-1]) + float(rng.uniform(0.3, 1.6)) * 3600.0
@@ -231,17 +238,28 @@ def _drive(pattern: str, site: Site, robot: FieldRobot, length_m: float, rng: np
     inside = (west + 1.0, south + 1.0, east - 1.0, north - 1.0)
     if pattern == "lawnmower":
         spacing = (inside[2] - inside[0]) * (inside[3] - inside[1]) / length_m
-        points = lawnmower(inside, spacing_m=spacing, heading_rad=float(rng.uniform(0.0, math.pi)))
+        heading = float(rng.uniform(0.0, math.pi))
+        points = lawnmower(inside, spacing_m=spacing, heading_rad=heading)
         while _length(points) < length_m:
-            points += points[-2::-1]
-    else:
-        least = 5.0 if pattern == "winding" else 8.0
-        points = random_waypoints(inside, 4 + int(length_m / 8.0), rng, least_leg_m=least)
-    corner = 1.7 if pattern == "winding" else 0.5
-    return drive_along(
-        _cut_to(points, length_m * (1.25 if pattern == "winding" else 1.0)),
-        speed_mps=robot.declared.speed_mps, rng=rng, corner_m=corner,
-    )  # fmt: skip
+            spacing *= 0.95
+            points = lawnmower(inside, spacing_m=spacing, heading_rad=heading)
+        return drive_along(_cut_to(points, length_m), speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.8)
+    if pattern == "winding":
+        points = winding(inside, length_m, rng)
+        return drive_along(points, speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.3)
+    points = _without_reversals(random_waypoints(inside, int(length_m / 2.0), rng, least_leg_m=8.0))
+    return drive_along(_cut_to(points, 1.05 * length_m), speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.8)
+
+
+def _without_reversals(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Those of the points that can be driven to one after another without a turn of more than 110 degrees."""
+    kept = list(points[:2])
+    for point in points[2:]:
+        before = math.atan2(kept[-1][0] - kept[-2][0], kept[-1][1] - kept[-2][1])
+        ahead = math.atan2(point[0] - kept[-1][0], point[1] - kept[-1][1])
+        if abs(wrap_angle(ahead - before)) < math.radians(110.0) and math.dist(kept[-1], point) > 3.0:
+            kept.append(point)
+    return kept
 
 
 def _length(points: Sequence[tuple[float, float]]) -> float:
@@ -249,19 +267,22 @@ def _length(points: Sequence[tuple[float, float]]) -> float:
 
 
 def _cut_to(points: Sequence[tuple[float, float]], length_m: float) -> list[tuple[float, float]]:
-    """The first `length_m` of a polyline, to the node before."""
+    """The first `length_m` of a polyline, to 2 m."""
     kept = [points[0]]
     left = length_m
     for a, b in zip(points, points[1:], strict=False):
-        left -= math.dist(a, b)
-        if left < 0 and len(kept) > 1:
+        leg = math.dist(a, b)
+        share = min(left / leg, 1.0)
+        kept.append((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
+        left -= leg
+        if left < 2.0:
             break
-        kept.append(b)
     return kept
 
 
 def _log(trace: Trace, run: _Driven, robot: FieldRobot, effects: Sequence[Effect], seed: int, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
+    trace = with_stands(trace, run.halts_at, run.halts_s)
     words = run.site.words_at(trace.x, trace.y)
     log = log_trace(
         trace, robot, rng=np.random.default_rng(seed), terrain=words, conditions=run.conditions,
@@ -276,17 +297,21 @@ def _gain(effects: Sequence[Effect]) -> float:
 
 def _truth(run: _Driven, effects: Sequence[Effect]) -> RunTruth:
     gain = _gain(effects)
+    trace, plain = (with_stands(each, run.halts_at, run.halts_s) for each in (run.trace, run.plain))
     return RunTruth(
-        t=run.trace.t + Logger().standing_s + run.conditions.start_s,
-        drawn_j=gain * run.trace.energy_j(),
-        known_j=gain * run.trace.energy_j(run.trace.explained_w),
-        without_j=run.plain.energy_j(run.plain.explained_w),
+        t=trace.t + Logger().standing_s + run.conditions.start_s,
+        drawn_j=gain * trace.energy_j(),
+        known_j=gain * trace.energy_j(trace.explained_w),
+        without_j=plain.energy_j(plain.explained_w),
     )
 
 
-def _errors(trace: Trace, truth: RunTruth) -> FloatArray:
+def _errors(run: _Driven, effects: Sequence[Effect]) -> FloatArray:
     """Relative errors per segment (2, n): knowing the effects, and not."""
-    drawn, known, without = segment_gains(trace, truth.drawn_j, truth.known_j, truth.without_j)
+    gain, trace, plain = _gain(effects), run.trace, run.plain
+    drawn, known, without = segment_gains(
+        trace, gain * trace.energy_j(), gain * trace.energy_j(trace.explained_w), plain.energy_j(plain.explained_w)
+    )
     return np.abs(np.stack([known, without]) - drawn) / drawn
 
 

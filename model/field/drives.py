@@ -115,6 +115,28 @@ def random_waypoints(
     return points
 
 
+def winding(
+    bounds: tuple[float, float, float, float], length_m: float, rng: np.random.Generator, *, bend_per_m: float = 0.25
+) -> list[tuple[float, float]]:
+    """Points of one bend after another, `bend_per_m` [rad/m] rms, smooth over 2 m; turns back before the bounds."""
+    west, south, east, north = bounds
+    x, y = float(rng.uniform(west, east)), float(rng.uniform(south, north))
+    centre = (west + east) / 2, (south + north) / 2
+    step = 0.25
+    bends = bend_per_m * smooth_noise(rng, max(int(length_m / step), 2), 2.0 / step)
+    heading = math.atan2(centre[0] - x, centre[1] - y)
+    points = [(x, y)]
+    for bend in bends:
+        ahead = x + 3.0 * math.sin(heading), y + 3.0 * math.cos(heading)
+        if not (west <= ahead[0] <= east and south <= ahead[1] <= north):
+            inward = float(wrap_angle(math.atan2(centre[0] - x, centre[1] - y) - heading))
+            bend = math.copysign(0.6, inward)
+        heading += bend * step
+        x, y = x + step * math.sin(heading), y + step * math.cos(heading)
+        points.append((x, y))
+    return points
+
+
 def _clip(
     origin: FloatArray, along: FloatArray, bounds: tuple[float, float, float, float]
 ) -> tuple[float, float] | None:

@@ -93,6 +93,10 @@ class Effect:
         """Power at the battery [W], (n,), as this effect leaves it."""
         return power_w
 
+    def standing_w(self, power_w: float) -> float:
+        """Power at the battery while the robot stands [W], as this effect leaves it."""
+        return power_w
+
     def reading(self) -> float:
         """Factor on the logged current."""
         return 1.0

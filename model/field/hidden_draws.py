@@ -38,11 +38,11 @@ WORDS = ("grass", "gravel")
 
 
 def _turning(rng: np.random.Generator, robot: FieldRobot) -> Effect:
-    return Turning(scrub=float(rng.uniform(0.6, 1.5)))
+    return Turning(scrub=float(rng.uniform(0.5, 1.5)))
 
 
 def _turning_uphill(rng: np.random.Generator, robot: FieldRobot) -> Effect:
-    return Within(Turning(scrub=float(rng.uniform(1.0, 2.0))), "grade_deg", above=float(rng.uniform(0.0, 1.5)))
+    return Within(Turning(scrub=float(rng.uniform(1.2, 2.4))), "grade_deg", above=float(rng.uniform(0.0, 1.5)))
 
 
 def _speed(rng: np.random.Generator, robot: FieldRobot) -> Effect:
@@ -80,7 +80,7 @@ def _sensor_gain(rng: np.random.Generator, robot: FieldRobot) -> Effect:
 def _connector(rng: np.random.Generator, robot: FieldRobot) -> Effect:
     volts = robot.declared.nominal_voltage_v
     usual_w = robot.idle_w + 0.11 * float(robot.kernel_parameters()[0]) * robot.declared.speed_mps
-    return Connector(resistance_ohm=float(rng.uniform(0.12, 0.22)) * volts**2 / usual_w / 1.5, volts=volts)
+    return Connector(resistance_ohm=float(rng.uniform(0.06, 0.14)) * volts**2 / usual_w, volts=volts)
 
 
 def _hot_motors(rng: np.random.Generator, robot: FieldRobot) -> Effect:
@@ -89,7 +89,7 @@ def _hot_motors(rng: np.random.Generator, robot: FieldRobot) -> Effect:
 
 _DRAWS: Mapping[str, Draw] = {
     "turning": _turning,
-    "hotel_load": lambda rng, robot: HotelLoad(robot.idle_w * float(rng.uniform(0.5, 1.2))),
+    "hotel_load": lambda rng, robot: HotelLoad(robot.idle_w * float(rng.uniform(0.35, 1.0))),
     "wind": lambda rng, robot: AirDrag(float(rng.uniform(0.25, 0.7)) * (robot.mass_kg / 35.0) ** 0.8),
     "payload": lambda rng, robot: Payload(),
     "speed": _speed,

@@ -18,6 +18,7 @@ from model.field.sites import Site
 FloatArray = NDArray[np.float64]
 
 _AIR_KG_PER_M3 = 1.2
+_FIRST_HOUR = 7.5  # tyres are pumped up in the morning
 
 
 @dataclass(frozen=True)
@@ -45,21 +46,21 @@ class AirDrag(Effect):
 
     drag_area_m2: float
     name: ClassVar[str] = "wind"
-    unit: ClassVar[str] = "m2"
+    unit: ClassVar[str] = "J/m per (m/s)^2"
 
     def force_n(self, ride: Ride) -> FloatArray:
-        return self.drag_area_m2 * self._pressure(ride)
+        return 0.5 * _AIR_KG_PER_M3 * self.drag_area_m2 * self._met(ride)
 
     def amount(self, ride: Ride) -> FloatArray:
-        return ride.along_path(self._pressure(ride))
+        return ride.along_path(self._met(ride))
 
     @staticmethod
-    def _pressure(ride: Ride) -> FloatArray:
-        """Along the motion, > 0 from ahead [N/m2]."""
+    def _met(ride: Ride) -> FloatArray:
+        """Speed of the air against the robot times its part along the motion [m2/s2], > 0 from ahead."""
         wind, source = ride.conditions.wind.at(ride.t)
         ahead = ride.drive.speed_mps + wind * np.cos(ride.drive.heading_rad - source)
         aside = wind * np.sin(ride.drive.heading_rad - source)
-        return 0.5 * _AIR_KG_PER_M3 * np.hypot(ahead, aside) * ahead
+        return np.hypot(ahead, aside) * ahead
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,6 @@ class Payload(Effect):
     """What the conditions say is carried truly has mass, and lifts the centre of mass."""
 
     name: ClassVar[str] = "payload"
-    unit: ClassVar[str] = "kg/kg"
 
     def on_robot(self, robot: FieldRobot, conditions: Conditions) -> FieldRobot:
         mass = robot.mass_kg + conditions.payload_kg
@@ -150,7 +150,7 @@ class SideSlip(Effect):
 
     grip: float
     name: ClassVar[str] = "cross_slope"
-    unit: ClassVar[str] = "J/m"
+    unit: ClassVar[str] = "J/m per squared sine"
 
     def force_n(self, ride: Ride) -> FloatArray:
         side = np.abs(np.sin(ride.motion.roll_rad))
@@ -204,7 +204,9 @@ class Drift(Effect):
     share_per_unit: float
     over: Literal["km", "h"] = "km"
     name: ClassVar[str] = "drift"
-    unit: ClassVar[str] = "J/m/km or J/m/h"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", f"J/m/{self.over}")
 
     def force_n(self, ride: Ride) -> FloatArray:
         return self.share_per_unit * ride.motion.loads_n.sum(axis=1) * self._age(ride)
@@ -215,7 +217,7 @@ class Drift(Effect):
     def _age(self, ride: Ride) -> FloatArray:
         if self.over == "km":
             return (ride.conditions.driven_m + ride.path_m) / 1000.0
-        return ((ride.conditions.start_s + ride.t) % 86400.0) / 3600.0 - 8.0
+        return np.maximum(((ride.conditions.start_s + ride.t) % 86400.0) / 3600.0 - _FIRST_HOUR, 0.0)
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,7 @@ class Furrows(Effect):
     share: float
     along_rad: float
     name: ClassVar[str] = "learned:heading"
-    unit: ClassVar[str] = "J/m"
+    unit: ClassVar[str] = "J/m across"
 
     def force_n(self, ride: Ride) -> FloatArray:
         across = np.sin(ride.drive.heading_rad - self.along_rad) ** 2

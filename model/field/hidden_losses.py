@@ -25,6 +25,9 @@ class HotelLoad(Effect):
     def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
         return power_w + self.extra_w
 
+    def standing_w(self, power_w: float) -> float:
+        return power_w + self.extra_w
+
     def amount(self, ride: Ride) -> FloatArray:
         return ride.t
 
@@ -35,14 +38,13 @@ class Braking(Effect):
 
     share: float
     name: ClassVar[str] = "braking"
-    unit: ClassVar[str] = "J/m"
 
     def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
         down = np.maximum(-np.sin(np.radians(ride.grade_deg)), 0.0)
         return power_w + self.share * ride.weight_n * down * ride.drive.speed_mps
 
-    def amount(self, ride: Ride) -> FloatArray:
-        return ride.along_path(np.maximum(-np.sin(np.radians(ride.grade_deg)), 0.0))
+    def stated(self) -> float:
+        return self.share
 
 
 @dataclass(frozen=True)
@@ -51,13 +53,12 @@ class SensorGain(Effect):
 
     gain: float
     name: ClassVar[str] = "sensor_gain"
-    unit: ClassVar[str] = ""
 
     def reading(self) -> float:
         return self.gain
 
     def stated(self) -> float:
-        return self.gain
+        return self.gain - 1.0
 
 
 @dataclass(frozen=True)
@@ -73,10 +74,10 @@ class Connector(Effect):
         return self.resistance_ohm
 
     def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
-        # I^2 R + P = V I: the smaller current
-        return self.volts * (self.volts - np.sqrt(self.volts**2 - 4.0 * self.resistance_ohm * power_w)) / (
-            2.0 * self.resistance_ohm
-        )  # fmt: skip
+        return power_w + self.resistance_ohm * (power_w / self.volts) ** 2
+
+    def standing_w(self, power_w: float) -> float:
+        return power_w + self.resistance_ohm * (power_w / self.volts) ** 2
 
 
 @dataclass(frozen=True)

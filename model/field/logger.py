@@ -141,7 +141,7 @@ def log_trace(
     def at(values: FloatArray) -> FloatArray:
         return np.interp(t, trace.t, values)
 
-    idle_v, idle_a, _ = terminals(np.array([robot.idle_w]), np.array([1.0]), pack)
+    idle_v, idle_a, _ = terminals(np.array([trace.standing_w]), np.array([1.0]), pack)
     n = t.size
     angles = {
         "heading": np.degrees(at(np.unwrap(trace.heading_rad))),

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import reduce
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from model.errors import InputError
 from model.field.conditions import Conditions
@@ -29,6 +30,7 @@ class Trace:
 
     t : from 0 [s]. z : ground under the body [m]. pitch_rad > 0 nose up, roll_rad > 0 right side down. power_w : at the
     battery; explained_w : the same without the spread that no height explains; wheels_w : both drives' part of power_w.
+    standing_w : what is drawn while the robot stands.
     """
 
     t: FloatArray
@@ -42,6 +44,7 @@ class Trace:
     power_w: FloatArray
     explained_w: FloatArray
     wheels_w: FloatArray
+    standing_w: float
 
     def energy_j(self, power_w: FloatArray | None = None) -> FloatArray:
         """Energy since the start [J], (n,): the power of a station holds over the step that ends there."""
@@ -98,6 +101,7 @@ def simulate_trace(
         t=ride.t, x=ride.drive.x, y=ride.drive.y, z=ride.motion.z, heading_rad=ride.drive.heading_rad,
         speed_mps=ride.drive.speed_mps, pitch_rad=ride.motion.pitch_rad, roll_rad=ride.motion.roll_rad, power_w=power,
         explained_w=_battery_w(ride, explained, effects)[0], wheels_w=wheels,
+        standing_w=reduce(lambda power, effect: effect.standing_w(power), effects, robot.idle_w),
     )  # fmt: skip
 
 
@@ -133,6 +137,30 @@ def simulate_segments(
 ) -> TrueSegments:
     """`true_segments` of `simulate_trace`: many exact segments quickly, without a logger."""
     return true_segments(simulate_trace(site, robot, drive, rng=rng), max_driven_m=max_driven_m)
+
+
+def with_stands(trace: Trace, stations: ArrayLike, seconds: ArrayLike) -> Trace:
+    """The same drive with halts: for so many seconds each, after these stations. Each halt adds a station."""
+    after = np.asarray(stations, dtype=np.int64)
+    halts = np.zeros(trace.t.size)
+    np.add.at(halts, after, np.asarray(seconds, dtype=np.float64))
+    waited = np.cumsum(halts)
+    columns = {}
+    for item in fields(Trace):
+        values = getattr(trace, item.name)
+        if item.name == "standing_w":
+            columns[item.name] = values
+            continue
+        halted = values[after]
+        if item.name == "t":
+            values = values + waited - halts  # a halt delays what comes after its station
+            halted = trace.t[after] + waited[after]
+        elif item.name == "speed_mps" or item.name == "wheels_w":
+            halted = np.zeros(after.size)
+        elif item.name in ("power_w", "explained_w"):
+            halted = np.full(after.size, trace.standing_w)
+        columns[item.name] = np.insert(values, after + 1, halted)
+    return Trace(**columns)
 
 
 def segment_gains(trace: Trace, *cumulated: FloatArray, length_m: float = 1.0) -> list[FloatArray]:

@@ -1,4 +1,4 @@
-"""What can be said of driven segments apart from what they cost: path, ground, time, weather and whatever was logged."""
+"""What can be said of driven segments apart from their cost: path, ground, time, weather and whatever was logged."""
 
 from __future__ import annotations
 

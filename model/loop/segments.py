@@ -29,11 +29,13 @@ FloatArray = NDArray[np.float64]
 ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
 """Columns [deg] whose mean over a segment is the mean direction."""
 
-CURVATURES_PER_M = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Limits [1/m] up to which `Segments.gentle_turn_rad` counts the curvature of a track."""
+TURN_LIMITS_RADPS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)
+"""Limits up to which `Segments.gentle_turn_rad` counts how fast a robot turns."""
 
 _LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
 _SMOOTHING_S = 0.3  # or one interval
+_TRACK_HEADING_S = 0.5  # directions need more smoothing than places
+_COMPASS_AGREES_RAD = 0.25
 _STAND_S = 1.0
 
 
@@ -43,9 +45,9 @@ class Segments:
 
     x, y : the centre [m]. heading_rad : of p -> q. energy_j : drawn from the battery [J], or charge [A s] if `charge`.
     duration_s. driven_m : horizontal length of the track. heading_change_rad : of the track from p to q, > 0 to the
-    right. turned_abs_rad : turns to both sides added up. gentle_turn_rad : (n, 5), the same where every curvature
-    counts up to the limits `CURVATURES_PER_M` only. start_mps, end_mps : speeds at p and q. voltage_v (NaN where it was
-    not recorded), current_a : means. t0 : stamp at p. run : index into `runs`. extras : mean of each further numeric
+    right. turned_abs_rad : turns to both sides added up. gentle_turn_rad : (n, 7), the same where every rate of turning
+    counts up to the limits `TURN_LIMITS_RADPS` only. start_mps, end_mps : speeds at p and q. voltage_v (NaN where it
+    was not recorded), current_a : means. t0 : stamp at p. run : index into `runs`. extras : mean of each further numeric
     column (NaN where blank); texts : text columns at the middle. stands : (run, seconds, energy) of every stand of the
     robot for 2 s or more, its first and last half second left out. left_out : reason -> count.
     """
@@ -132,7 +134,7 @@ def cut_segments(
 
     (px, qx), (py, qy), (pt, qt) = at(x), at(y), at(t)
     ps, qs = at(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))]))
-    turned, turned_abs, gentle = _turned(x, y, vx, vy, ends)
+    turned, turned_abs, gentle = _turned(t, _headings(run, good, np.cumsum(gap), interval, speed), ends)
     start_mps, end_mps = at(speed)
     power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
     energy = _integral(run.t, power, qt) - _integral(run.t, power, pt)
@@ -231,20 +233,38 @@ def _mean(values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64],
     return np.where(n > 0, centre + (sums[last] - sums[first]) / np.maximum(n, 1), np.nan)
 
 
-def _turned(
-    x: FloatArray, y: FloatArray, vx: FloatArray, vy: FloatArray, ends: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Heading change along the track between fractional positions, followed through every sample: signed (> 0 to the
-    right), absolute, and absolute with every curvature up to the limits only (n, limits)."""
-    step = wrap_angle(np.diff(heading_of(vx, vy)))
-    driven = np.hypot(np.diff(x), np.diff(y))
-    station = np.arange(vx.size, dtype=np.float64)
+def _headings(
+    run: Run, good: NDArray[np.int64], piece: NDArray[np.int64], interval: float, speed: FloatArray
+) -> FloatArray:
+    """Where the robot points [rad] at the rows `good`: its `heading` column where that agrees with the track, which it
+    knows better than positions do; else the direction of the track."""
+    t, x, y = run.t[good], run.x[good], run.y[good]
+    _, _, vx, vy = _smooth(t, x, y, piece, max(_TRACK_HEADING_S, interval))
+    track = heading_of(vx, vy)
+    compass = run.extras.get("heading")
+    if compass is None or np.isfinite(compass[good]).mean() < 0.8:
+        return track
+    known = np.isfinite(compass)
+    turns = np.unwrap(np.radians(compass[known]))
+    pointed = np.interp(t, run.t[known], turns)
+    clear = speed > 0.5 * float(np.quantile(speed, 0.9))
+    if np.median(np.abs(wrap_angle(pointed - track)[clear])) > _COMPASS_AGREES_RAD:
+        return track
+    north, east, _, _ = _smooth(t, np.cos(pointed), np.sin(pointed), piece, max(_SMOOTHING_S, interval))
+    return heading_of(east, north)
+
+
+def _turned(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Heading change between fractional positions, followed through every sample: signed (> 0 to the right), absolute,
+    and absolute with every rate up to the limits only (n, limits)."""
+    step, dt = wrap_angle(np.diff(heading)), np.diff(t)
+    station = np.arange(t.size, dtype=np.float64)
 
     def between(steps: FloatArray) -> FloatArray:
         total = np.concatenate([[0.0], np.cumsum(steps)])
         return np.interp(ends[:, 1], station, total) - np.interp(ends[:, 0], station, total)
 
-    gentle = [between(np.minimum(np.abs(step), limit * driven)) for limit in CURVATURES_PER_M]
+    gentle = [between(np.minimum(np.abs(step), limit * dt)) for limit in TURN_LIMITS_RADPS]
     return between(step), between(np.abs(step)), np.stack(gentle, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""`joulemap reproduce`: the paper's experiments on simulated sites, and the table of what came out."""
+"""`joulemap reproduce` and `baselines`: the paper's experiments on simulated sites, and simple methods on any runs."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 
 from model.errors import InputError
 from service.commands.console import Answer, JsonFile, progress_bar
+from service.commands.models import RobotFile, find_runs
 
 
 class ProfileName(StrEnum):
@@ -64,8 +65,7 @@ def reproduce(
 
     Example: `joulemap reproduce --out reproduction`
     """
-    if find_spec("sklearn") is None:
-        raise InputError("the Gaussian process baseline needs scikit-learn: pip install 'joulemap[reproduce]'")
+    _need_scikit_learn()
     from service.reproduction.experiments import Setting
     from service.reproduction.profiles import PROFILES
     from service.reproduction.publication import publish
@@ -83,6 +83,56 @@ def reproduce(
     answer.say(f"[bold]Written[/] {out / 'REPRODUCTION.md'}: {len(document['checks']) - len(missed)} of "
                f"{len(document['checks'])} wanted results hold")  # fmt: skip
     answer.document(document)
+
+
+def baselines(
+    heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")],
+    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs to fit to, as for `train`.")],
+    test: Annotated[list[str], typer.Option("--test", metavar="GLOB", help="Runs to judge by, not fitted to.")],
+    test_heightmap: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Heightmap of the tested runs. [default: the same]")
+    ] = None,
+    model: Annotated[
+        list[str] | None, typer.Option("--model", metavar="M", help="A model to judge beside them; may be repeated.")
+    ] = None,
+    robot: RobotFile = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Tell what **simple methods** make of measured runs: fitted friction, friction over the map, a ridge on shape.
+
+    What a trained model has to beat. Runs that are in both `--runs` and `--test` are only tested.
+
+    Example: `joulemap baselines --heightmap dem.tif --runs 'logs/*.csv' --test logs/run_06.csv --model mine`
+    """
+    _need_scikit_learn()
+    from model.robot import Robot
+    from model.terrain.readers import read_heightmap
+    from service.reproduction.comparison import compare
+    from service.workflows import find_predictor
+
+    answer = Answer(json_file)
+    rover = Robot.from_toml(robot) if robot is not None else Robot()
+    tested = find_runs(test)
+    learned = [file for file in find_runs(runs) if file not in tested]
+    elsewhere = read_heightmap(test_heightmap) if test_heightmap is not None else None
+    found = compare(
+        read_heightmap(heightmap), rover, learned, tested, tested_heightmap=elsewhere,
+        models=[find_predictor(name) for name in model or ()],
+    )  # fmt: skip
+    answer.say(f"[bold]Fitted[/] to {len(learned)} runs, judged on {len(tested)}: mean error per 1 m segment")
+    answer.table(
+        {
+            name: f"{one['mean_relative_error']:.1%} straight, {one['with_turns']:.1%} with turns, "
+            f"{one['route_relative_error']:.1%} of a whole run"
+            for name, one in found.items()
+        }
+    )
+    answer.document({"learned": [str(f) for f in learned], "tested": [str(f) for f in tested], "methods": found})
+
+
+def _need_scikit_learn() -> None:
+    if find_spec("sklearn") is None:
+        raise InputError("the Gaussian process baseline needs scikit-learn: pip install 'joulemap[reproduce]'")
 
 
 def _command(

@@ -10,21 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.energy.evaluation import errors
-from model.energy.friction_map import FrictionMap
-from model.energy.physics import (
-    PhysicsPredictor,
-    eq5_traction_per_m,
-    fit_rolling_resistance,
-    local_rolling_resistance,
-    tan_grade,
-)
+from model.energy.physics import PhysicsPredictor
 from model.energy.predictor import Predictor, load_predictor
-from model.energy.shape_regression import RidgeBaseline
 from model.loop.segments import concatenate
 from model.robot import Robot
 from service.reproduction import networks
-from service.reproduction.fieldwork import HEIGHTMAPS, Measured, make_field, more_examples, read_measured
+from service.reproduction.baselines import friction_map, global_friction, local_friction, shape_ridge
+from service.reproduction.fieldwork import HEIGHTMAPS, make_field, more_examples, read_measured
+from service.reproduction.measured import Measured, judged
 from service.reproduction.profiles import STRATEGIES, Profile
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +26,7 @@ ROWS = ("V-A", "V-B", "V-C", "V-D", "V-E", "V-E shifted", "V-E rest", "V-E other
 """Test sets. V-D is the rest of site A again, for friction fitted to five metres and used on the next five."""
 
 _DRIVE_OF = {"V-B": "a_waypoints", "V-C": "b_waypoints", "V-E": "dirt_lawnmower", "V-E other": "dirt_waypoints"}
-_FAR_M = {"grass_a": 0.0, "grass_b": 2000.0, "dirt": 4000.0}  # all simulated sites have the same coordinates
+_BASELINES = (("physics", global_friction), ("gp", friction_map), ("ridge", shape_ridge))
 _PAPER_SHARE = 3  # a third of a site is trained on
 
 
@@ -77,23 +70,6 @@ class Scores:
         self.add(method, "V-E shifted", predicted + off, measured)
 
 
-def judged(predicted: FloatArray, measured: Measured) -> dict[str, Any]:
-    """`errors` on the straight segments; whole routes (route_relative_error and the whole set's) and
-    `with_turns`, the mean relative error, on all of them."""
-    energy, run = measured.segments.energy_j, measured.segments.run
-    known = np.isfinite(predicted)
-    straight = known & measured.straight
-    found = errors(predicted[straight], energy[straight], run[straight])
-    whole = errors(predicted[known], energy[known], run[known])
-    return found | {
-        "route_relative_error": whole["route_relative_error"],
-        "route_relative_errors": whole["route_relative_errors"],
-        "site_relative_error": float(abs(predicted[known].sum() / energy[known].sum() - 1.0)),
-        "with_turns": whole["mean_relative_error"],
-        "unknown": int((~known).sum()),
-    }
-
-
 class Field:
     """The measured drives of one seed, split as in the paper."""
 
@@ -134,16 +110,16 @@ def baselines(setting: Setting, seed: int) -> Scores:
         scores.arrays[f"straight/{row}"] = test.straight.astype(np.float64)
         if row != "V-E shifted":
             scores.add("noise_floor", row, test.explained_j, test)
-    for method, fit in (("physics", _global_friction), ("gp", _friction_map), ("ridge", _ridge)):
-        grass = fit(field.west("a_lawnmower"), field.robot, seed)
+    for method, fit in _BASELINES:
+        grass = fit(field.west("a_lawnmower"), field.robot)
         for row in ("V-A", "V-B", "V-C", "V-E"):
             scores.add(method, row, grass(field.test(row)), field.test(row))
         scores.add_shifted(method, scores.arrays[f"{method}/V-E"], field.test("V-E"))
-        dirt = fit(field.west("dirt_lawnmower"), field.robot, seed)
+        dirt = fit(field.west("dirt_lawnmower"), field.robot)
         for row in ("V-E rest", "V-E other"):
             scores.add(method, row, dirt(field.test(row)), field.test(row))
     near = field.test("V-D")
-    scores.add("physics", "V-D", _local_friction(near, field.robot), near)
+    scores.add("physics", "V-D", local_friction(near, field.robot), near)
     return scores
 
 
@@ -224,8 +200,8 @@ def other_heightmap(setting: Setting, seed: int) -> Scores:
     kind = setting.other_heightmap
     field, scores = Field(setting, seed, heightmap_from=kind), Scores()
     west, test = field.west("a_lawnmower"), field.test("V-A")
-    for method, fit in (("physics", _global_friction), ("gp", _friction_map), ("ridge", _ridge)):
-        scores.add(f"{method}_{kind}", "V-A", fit(west, field.robot, seed)(test), test)
+    for method, fit in _BASELINES:
+        scores.add(f"{method}_{kind}", "V-A", fit(west, field.robot)(test), test)
     trained = networks.trained_compact(
         west, field.robot, out=setting.model(f"compact_{kind}", seed), start_from=networks.SHIPPED, seed=seed,
         epochs=setting.profile.compact_epochs,
@@ -275,51 +251,3 @@ def _driven(field: Field, profile: Profile, metres: int) -> Measured:
         lanes, files=tuple(part.files[0] for part in parts), segments=concatenate([part.segments for part in parts]),
         explained_j=np.concatenate([part.explained_j for part in parts]),
     )  # fmt: skip
-
-
-Said = Callable[[Measured], FloatArray]
-
-
-def _grade(measured: Measured) -> FloatArray:
-    s = measured.segments
-    return tan_grade(measured.heightmap, s.x, s.y, s.heading_rad)
-
-
-def _global_friction(west: Measured, robot: Robot, seed: int) -> Said:
-    here = west.straight
-    traction = (west.segments.energy_j - robot.hotel_per_m)[here]
-    mu = fit_rolling_resistance(traction, _grade(west)[here], weight_n=robot.weight_n)
-    return lambda test: robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
-
-
-def _friction_map(west: Measured, robot: Robot, seed: int) -> Said:
-    s = west.segments.take(west.straight)
-    process = FrictionMap.fit(
-        s.x + _FAR_M[west.site], s.y, s.energy_j - robot.hotel_per_m, _grade(west)[west.straight],
-        weight_n=robot.weight_n, seed=seed,
-    )  # fmt: skip
-
-    def said(test: Measured) -> FloatArray:
-        mu = process.rolling_resistance(test.segments.x + _FAR_M[test.site], test.segments.y)
-        return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
-
-    return said
-
-
-def _ridge(west: Measured, robot: Robot, seed: int) -> Said:
-    s = west.segments.take(west.straight)
-    model = RidgeBaseline.fit(west.heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=s.run)
-    return lambda test: model.predict_j(
-        test.heightmap, robot, test.segments.x, test.segments.y, test.segments.heading_rad
-    )
-
-
-def _local_friction(test: Measured, robot: Robot) -> FloatArray:
-    """Five metres of driving for the next five, run by run."""
-    mu = np.full(len(test.segments), np.nan)
-    grade = _grade(test)
-    for run in np.unique(test.segments.run):
-        mine = test.segments.run == run
-        traction = test.segments.energy_j[mine] - robot.hotel_per_m
-        mu[mine] = local_rolling_resistance(traction, grade[mine], weight_n=robot.weight_n)
-    return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, grade))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from model.terrain.surface_fit import fit_surface
 from model.terrain.writers import write_geotiff
 from service.learning import read_segments
 from service.pretraining import MAX_TURN_RAD, level_ground, rolling_resistance_on
+from service.reproduction.measured import Measured
 from service.reproduction.profiles import Profile
 
 FloatArray = NDArray[np.float64]
@@ -46,34 +46,6 @@ HEIGHTMAPS = ("survey", "driven")
 _DONE = "field.json"
 _HOUR_S = 3600.0
 _FITTED_REACH_M = 1.6  # what a network looks at lies this near to the track
-
-
-@dataclass(frozen=True)
-class Measured:
-    """One drive as measured, with the map its site has.
-
-    files : the logs, one per run. segments : all of them. explained_j : (n,) what perfect knowledge of ground, robot
-    and driving would have said of each segment [J].
-    """
-
-    site: str
-    heightmap: Heightmap
-    files: tuple[Path, ...]
-    segments: Segments
-    explained_j: FloatArray
-
-    @property
-    def straight(self) -> NDArray[np.bool_]:
-        """Segments without a turn: the paper's kind."""
-        return np.abs(self.segments.heading_change_rad) < MAX_TURN_RAD
-
-    def of_runs(self, first: int, stop: int | None = None) -> Measured:
-        """The runs first..stop - 1, numbered anew."""
-        runs = self.segments.runs[first:stop]
-        mine = (self.segments.run >= first) & (self.segments.run < first + len(runs))
-        taken = self.segments.take(mine)
-        taken = replace(taken, run=taken.run - first, runs=runs)
-        return replace(self, files=self.files[first:stop], segments=taken, explained_j=self.explained_j[mine])
 
 
 def robot_of(seed: int) -> FieldRobot:
@@ -129,7 +101,7 @@ def read_measured(
 ) -> Measured:
     """A drive of a field that `make_field` wrote. heightmap : the site's, where it is at hand already."""
     site = SITE_OF[drive]
-    files = tuple(sorted(folder.glob(f"{drive}_*.csv")))
+    files = _logs(folder, drive)
     if heightmap is None:
         heightmap = read_site_heightmap(folder, site, heightmap_from)
     _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
@@ -188,8 +160,8 @@ def roughness_m3(terrain: Heightmap) -> float:
     return float(np.exp(np.mean(np.log(mean[band] * (frequency[band] / 0.1) ** 2))))
 
 
-def _logs(folder: Path, drive: str) -> Sequence[Path]:
-    return sorted(folder.glob(f"{drive}_*.csv"))
+def _logs(folder: Path, drive: str) -> tuple[Path, ...]:
+    return tuple(sorted(folder.glob(f"{drive}_*.csv")))
 
 
 def _routes(drive: str, site: Site, profile: Profile, rng: np.random.Generator) -> list[list[tuple[float, float]]]:

@@ -23,7 +23,7 @@ from model.field.sites import random_site
 from model.robot import Robot
 from service.learning import CHECKPOINT, LEARNING_RATE, train_on_runs
 from service.pretraining import MAX_TURN_RAD
-from service.reproduction.fieldwork import Measured
+from service.reproduction.measured import Measured
 from service.reproduction.profiles import STRATEGIES, Profile
 
 FloatArray = NDArray[np.float64]
@@ -91,6 +91,7 @@ def pretrained_backbone(out: Path, *, profile: Profile, seed: int) -> Path:
     partial = file.with_name(f".{file.name}.partial")
     save_file({key: value.contiguous() for key, value in net.backbone.state_dict().items()}, partial)
     partial.replace(file)
+    (out / CHECKPOINT).unlink(missing_ok=True)
     return file
 
 

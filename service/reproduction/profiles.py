@@ -56,7 +56,7 @@ class Profile:
 
 PROFILES = {
     "default": Profile("default"),
-    "full": Profile("full", resnet_size=256, resnet_seeds=5, resnet_epochs=(40, 40, 40), backbone_sites=160),
+    "full": Profile("full", resnet_size=256, resnet_seeds=5, resnet_epochs=(30, 30, 30), backbone_sites=40),
     "quick": Profile(
         "quick", seeds=2, width_m=18.0, height_m=12.0, lane_m=1.0, strips=6, waypoints=8, waypoint_runs=2,
         curve_m=(0, 20, 60), short_m=6.0, more=2, more_epochs=1, compact_epochs=2, resnet_size=32,

@@ -35,8 +35,8 @@ compared. Physics: equation 5 with one mu fitted by least squares. GP: mu as a G
 al. 2020); on another site it has only its mean. Ridge: a regression on plain shape features of the heightmap.
 ResNet18: the paper's network, backbone fine-tuned. Compact: what `joulemap train` makes from the shipped weights.
 Noise floor: perfect knowledge of ground, robot and driving, with what the logger adds. Map floor: the compact network
-with {more} times the data of the same robot on other sites of the test's own kind. Segments that turn by more than
-0.25 rad are left out. ± is the half width of the 95 % interval over seeds.
+with {more} times the data of the same robot on other sites of the test's own kind, always on surveys. Segments that
+turn by more than 0.25 rad are left out. ± is the half width of the 95 % interval over seeds.
 """
 
 _FIELD = f"""## How the field was made, and how far that decides the result
@@ -75,7 +75,7 @@ def report(summary: Summary, setting: Mapping[str, Any], *, command: str, figure
         "## Training strategies\n",
         _strategies(summary),
         "## Whole routes\n",
-        "Error of a whole run's energy (about 170 to 290 m; turning segments included), mean over runs, percent.\n",
+        "Error of a whole run's energy (about 250 m; turning segments included), mean over runs, percent.\n",
         _table(summary, METHODS, "route_relative_error", [r for r in _TESTS if r not in ("V-D", "V-E shifted")]),
         _curve(summary),
         _heightmaps(summary, setting),

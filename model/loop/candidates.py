@@ -1,0 +1,264 @@
+"""Which effects these runs can be asked about: each with its formulas, and what was refused and why."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.loop.effects import Term, quantity
+from model.loop.residual import Residuals
+from model.loop.segments import TURN_LIMITS_RADPS
+
+FloatArray = NDArray[np.float64]
+
+PLANNER_COLUMNS = frozenset({"temperature", "wind_speed", "wind_from", "payload", "humidity", "rain"})
+"""Logged columns that are known before a drive."""
+
+_OF_POSITION = frozenset({"heading", "gps_course", "gps_error", "speed", "gps_speed", "z", "lat", "lon"})
+_MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
+_RESPONSE = re.compile(
+    r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|motor|wheel|odom|duty|pwm|rpm|torque|slip"
+)
+_COPY = 0.97
+_SMOOTH_KNOTS = 5
+_MOST_CENTRES = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect to be tried.
+
+    variants : ways in which it may act. planner : stated in what a planner knows beforehand. response : a column that
+    answers to the drive (a command, a measured attitude), tried once nothing else is found. reveals : the drive that
+    shows it.
+    """
+
+    name: str
+    variants: tuple[Term, ...]
+    reveals: str
+    planner: bool = True
+    response: bool = False
+
+    @property
+    def learned(self) -> bool:
+        return self.name.startswith("learned:") or self.name == "local_friction"
+
+
+def find_candidates(
+    residuals: Residuals, columns: Mapping[str, FloatArray], *, warm_c: float = 20.0
+) -> tuple[list[Candidate], dict[str, str]]:
+    """(candidates, refused: name -> why).
+
+    columns : mean voltage [V], current [A] and power [W] of each row, that nothing may copy. warm_c : temperature at
+    which the base model holds.
+    """
+    drive, moving = residuals.drive, residuals.moving
+    unit, amount = ("A s", "A") if residuals.charge else ("J", "W")
+    refused: dict[str, str] = {}
+    found = list(_of_path(unit))
+    found.append(
+        Candidate("hotel_load", (Term("hotel_load", "hotel_load", (amount,)),),
+                  "drive the same line at two speeds, and stand for a minute")
+    )  # fmt: skip
+    if not residuals.charge:
+        found += _of_level()
+    usable = _usable(residuals, columns, refused)
+    found += _of_weather(residuals, usable, warm_c, unit)
+    for key, values in sorted(drive.words.items()):
+        kinds = [w for w in np.unique(values[moving]) if w and (values[moving] == w).sum() >= 10]
+        if len(kinds) < 2:
+            refused[f"terrain_class:{key}"] = "one word only" if kinds else "no word is recorded often enough"
+            continue
+        found.append(_of_words(key, values[moving], kinds, unit))
+    found += _of_place(residuals)
+    for key in ("grade", "cross_slope", "roughness", "elevation", "speed", "turn"):
+        found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
+    for key in usable:
+        name = f"learned:{key}"
+        response = bool(_RESPONSE.search(key))
+        found += _smooth(
+            residuals, f"column:{key}", name, unit, planner=key in PLANNER_COLUMNS and not response, response=response
+        )
+    return _merged(found), refused
+
+
+def _merged(found: list[Candidate]) -> list[Candidate]:
+    """One candidate per name, with the variants of all."""
+    by_name: dict[str, Candidate] = {}
+    for one in found:
+        first = by_name.get(one.name)
+        by_name[one.name] = one if first is None else replace(first, variants=first.variants + one.variants)
+    return list(by_name.values())
+
+
+def _of_path(unit: str) -> Iterator[Candidate]:
+    rad = f"{unit}/rad"
+    saturating = tuple(Term("turning", "turning", (rad,), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
+    both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
+    plain = Term("turning", "turning", (rad,), {"limit_radps": None})
+    sides = Term("turning", "turning_sides", (rad, rad))
+    yield Candidate("turning", (plain, *saturating, *both, sides), "curves of several radii on level ground, both ways")
+    speeds = tuple(
+        Term("speed", "speed", ("1/(m/s)" if of else f"{unit}/m per m/s",), {"power": p, "of_motion": of})
+        for p in (1, 2)
+        for of in (False, True)
+    )
+    yield Candidate("speed", speeds, "the same line at several speeds")
+    gains = tuple(Term("acceleration", "acceleration", ("",), {"both": b}) for b in (False, True))
+    yield Candidate("acceleration", gains, "starts and stops on level ground", planner=False)
+    across = tuple(Term("cross_slope", "cross_slope", ("",), {"power": p}) for p in (1, 2))
+    yield Candidate("cross_slope", across, "along a side slope, and beside it on the level")
+    down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
+    yield Candidate("braking", down, "straight down a slope, and straight up it")
+    yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
+    j_per_m = f"{unit}/m"
+    calm = Term("wind", "wind_constant", (j_per_m, j_per_m))
+    yield Candidate("wind", (calm,), "one line to and fro, and one across it")
+    more = tuple(Term("learned:heading", "heading", (j_per_m,) * 2 * n, {"harmonics": n}) for n in (2, 3))
+    yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
+    hour = Term("drift", "drift", ("1/h",), {"over": "since_start", "unit": 3600.0})
+    far = Term("drift", "drift", ("1/km",), {"over": "driven", "unit": 1000.0})
+    day = Term("drift", "drift", ("1/h",), {"over": "clock", "unit": 3600.0})
+    yield Candidate("drift", (hour, far, day), "the same loop at the start and at the end of a long run")
+    yield Candidate("battery", (Term("battery", "battery", ("ohm",)),), "hard climbs and easy ground at equal charge")
+
+
+def _of_level() -> Iterator[Candidate]:
+    yield Candidate("sensor_gain", (Term("sensor_gain", "sensor_gain", ("",)),),
+                    "stand for a minute, then drive level ground and climbs")  # fmt: skip
+    yield Candidate("payload", (Term("payload", "payload", ("kg",)),),
+                    "weigh the robot; else climb and descend the same slope")  # fmt: skip
+    yield Candidate("rolling_resistance", (Term("rolling_resistance", "friction", ("",)),),
+                    "one level line at two speeds, and a climb")  # fmt: skip
+
+
+def _of_weather(residuals: Residuals, usable: list[str], warm_c: float, unit: str) -> Iterator[Candidate]:
+    drive, moving = residuals.drive, residuals.moving
+    if "temperature" in usable:
+        warmth = Term("temperature", "temperature", ("1/K",), {"reference": warm_c})
+        yield Candidate("temperature", (warmth,), "the same loop on a cold and on a warm day")
+    if "wind_speed" in usable and "wind_from" in drive.columns:
+        air = (
+            Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
+            Term("wind", "wind_measured", (f"{unit}/m per m/s",), {"quadratic": False}),
+        )
+        yield Candidate("wind", air, "one line to and fro in a wind")
+    if "payload" in usable:
+        middle = float(np.nanmean(drive.columns["payload"][moving]))
+        logged = Term("payload", "payload", ("",), {"column": "payload", "reference": round(middle, 3)})
+        yield Candidate("payload", (logged,), "the same loop with and without a load")
+
+
+def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -> Candidate:
+    """All words against the most common one, and each word alone against all others."""
+    usual = max(kinds, key=lambda w: int((values == w).sum()))
+    rest = [[str(w) for w in kinds if w != usual]] + ([[str(w)] for w in kinds] if len(kinds) > 2 else [])
+    name = "terrain_class" if key in ("terrain", "ground", "surface") else f"terrain_class:{key}"
+    variants = tuple(
+        Term(name, "words", (("" if of else f"{unit}/m"),) * len(some),
+             {"column": key, "values": some, "of_motion": of})
+        for of in (False, True)
+        for some in rest
+    )  # fmt: skip
+    return Candidate(name, variants, "the same manoeuvres on each kind of ground", planner=False)
+
+
+def _usable(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
+    """Logged columns that vary, copy no other column, and are no part of the measurement."""
+    drive, moving = residuals.drive, residuals.moving
+    kept: dict[str, FloatArray] = {}
+    for key, every in sorted(drive.columns.items()):
+        values = every[moving]
+        known = np.isfinite(values)
+        if key in _OF_POSITION:
+            continue
+        if _MEASUREMENT.search(key):
+            refused[f"learned:{key}"] = "it is part of the measurement itself"
+        elif known.mean() < 0.5:
+            refused[f"learned:{key}"] = f"recorded on {known.mean():.0%} of the segments only"
+        elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
+            refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
+        elif copied := next((m for m, e in electric.items() if _alike(values, e[moving], drive.run[moving])), None):
+            refused[f"learned:{key}"] = f"a copy of the {copied}, which is part of the measurement itself"
+        elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
+            refused[f"learned:{key}"] = f"identical to {twin}"
+        elif residuals.charge and _constant_in_runs(values, drive.run[moving]):
+            refused[f"learned:{key}"] = "constant within every run, whose level is not known either"
+        else:
+            kept[key] = values
+    return list(kept)
+
+
+def _alike(values: FloatArray, electric: FloatArray, run: NDArray[np.int64]) -> bool:
+    """Whether a column follows a reading of the battery within the runs or over all of them."""
+    both = np.isfinite(values) & np.isfinite(electric)
+    if both.sum() < 10:
+        return False
+    a, b, run = values[both], electric[both], run[both]
+    means = [np.bincount(run, weights=v) / np.maximum(np.bincount(run), 1) for v in (a, b)]
+    pairs = ((a, b), (a - means[0][run], b - means[1][run]))
+    return any(min(p.std(), q.std()) > 1e-9 and abs(np.corrcoef(p, q)[0, 1]) > _COPY for p, q in pairs)
+
+
+def _same(a: FloatArray, b: FloatArray) -> bool:
+    both = np.isfinite(a) & np.isfinite(b)
+    return bool(both.any() and a[both].std() > 0 and abs(np.corrcoef(a[both], b[both])[0, 1]) > 1.0 - 1e-9)
+
+
+def _constant_in_runs(values: FloatArray, run: NDArray[np.int64]) -> bool:
+    known = np.isfinite(values)
+    return all(np.ptp(values[mine]) < 1e-9 for k in np.unique(run) if (mine := known & (run == k)).any())
+
+
+def _smooth(
+    residuals: Residuals, over: str, name: str, unit: str, *, planner: bool, response: bool = False
+) -> Iterator[Candidate]:
+    values = quantity(residuals.drive, over)[residuals.moving]
+    knots = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0.02, 0.98, _SMOOTH_KNOTS)).round(9))
+    if knots.size < 2:
+        return
+    straight = sorted({knots[0], knots[-1]})
+    sets = [[float(k) for k in some] for some in (straight, knots)]
+    variants = tuple(
+        Term(name, "smooth", (("" if of else f"{unit}/m"),) * (len(some) - 1),
+             {"over": over, "knots": some, "of_all": of})
+        for some in (sets if len(sets[1]) > 2 else sets[:1])
+        for of in (False, True)
+    )  # fmt: skip
+    yield Candidate(name, variants, f"the same line while only {name.removeprefix('learned:')} changes",
+                    planner=planner, response=response)  # fmt: skip
+
+
+def _of_place(residuals: Residuals) -> Iterator[Candidate]:
+    drive, fold = residuals.drive.take(residuals.moving), residuals.fold[residuals.moving]
+    x, y = drive.x, drive.y
+    extent = max(float(np.ptp(x)), float(np.ptp(y)))
+    if extent < 8.0:
+        return
+    reveals = "cross the place and its surroundings in several headings"
+    unit = max(1.0, extent / 60.0)
+    disks = []
+    for radius in (3.0 * unit, 5.0 * unit, 8.0 * unit, 12.0 * unit):
+        for cx, cy in _grid(x, y, 0.8 * radius):
+            near = np.hypot(x - cx, y - cy) <= radius
+            if near.sum() >= 12 and near.mean() <= 0.5 and np.unique(fold[near]).size >= 2:
+                settings = {"x": round(cx, 2), "y": round(cy, 2), "radius_m": round(radius, 2)}
+                disks.append(Term("local_friction", "disk", ("",), settings))
+    width = max(5.0, extent / 10.0)
+    centres = [[round(cx, 2), round(cy, 2)] for cx, cy in _grid(x, y, 1.3 * width)]
+    centres = [c for c in centres if (np.hypot(x - c[0], y - c[1]) <= width).sum() >= 12][:_MOST_CENTRES]
+    if len(centres) >= 3:
+        field = Term("local_friction", "place", ("",) * len(centres), {"centres": centres, "width_m": round(width, 2)})
+        yield Candidate("learned:place", (Term("learned:place", field.formula, field.units, field.settings),), reveals)
+    if disks:
+        yield Candidate("local_friction", tuple(disks), reveals)
+
+
+def _grid(x: FloatArray, y: FloatArray, spacing: float) -> list[tuple[float, float]]:
+    xs = np.arange(x.min() + 0.25 * spacing, x.max() + 0.25 * spacing, spacing)
+    ys = np.arange(y.min() + 0.25 * spacing, y.max() + 0.25 * spacing, spacing)
+    return [(float(a), float(b)) for a in xs for b in ys]

@@ -1,0 +1,282 @@
+"""The formulas of missing effects: what each would add to a segment's energy, per unit of its coefficients.
+
+A formula reads a `Drive` and gives columns (n, k) in joules (ampere seconds for charge) per unit of k coefficients, so
+that effects add up and their coefficients follow from least squares. A `Term` is a formula with its settings, its
+coefficients and the part of the operating range it acts in; it is JSON-able, and prices drives nobody has made yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.errors import ModelError
+from model.loop.drive import Drive
+from model.loop.segments import TURN_LIMITS_RADPS
+
+FloatArray = NDArray[np.float64]
+Formula = Callable[..., FloatArray]
+
+FORMULAS: dict[str, Formula] = {}
+"""By the name that a Term keeps."""
+
+
+def _formula(function: Formula) -> Formula:
+    FORMULAS[function.__name__] = function
+    return function
+
+
+def quantity(drive: Drive, name: str) -> FloatArray:
+    """What a term or a threshold may depend on, (n,): a name below, or "column:NAME", logged (NaN: unknown)."""
+    if name.startswith("column:"):
+        return drive.columns.get(name.removeprefix("column:"), np.full(len(drive), np.nan))
+    values = {
+        "grade": lambda: drive.grade,
+        "cross_slope": lambda: np.abs(drive.cross),
+        "roughness": lambda: drive.roughness_m,
+        "elevation": lambda: drive.elevation_m,
+        "speed": lambda: drive.speed_mps,
+        "turning": lambda: drive.turned_abs_rad,
+        "turn": lambda: drive.turned_rad,
+        "since_start": lambda: drive.since_s,
+        "driven": lambda: drive.driven_m,
+        "clock": lambda: drive.clock_s,
+        "x": lambda: drive.x,
+        "y": lambda: drive.y,
+    }
+    if name not in values:
+        raise ModelError(f"a model depends on {name!r}, which this version does not know", quantity=name)
+    return values[name]()
+
+
+@_formula
+def turning(drive: Drive, *, limit_radps: float | None = None) -> FloatArray:
+    """J/rad. Scrubbing while the heading changes, to either side; up to a rate where it saturates."""
+    if limit_radps is None:
+        return drive.turned_abs_rad[:, None]
+    return drive.gentle_turn_rad[:, [TURN_LIMITS_RADPS.index(limit_radps)]]
+
+
+@_formula
+def turning_both(drive: Drive, *, limit_radps: float) -> FloatArray:
+    """J/rad twice: of every turn, and on top of it of the part below a rate."""
+    return np.concatenate([turning(drive), turning(drive, limit_radps=limit_radps)], axis=1)
+
+
+@_formula
+def turning_sides(drive: Drive) -> FloatArray:
+    """J/rad of turning right, and of turning left."""
+    sides = [drive.turned_abs_rad * (drive.turned_rad > 0), drive.turned_abs_rad * (drive.turned_rad <= 0)]
+    return np.stack(sides, axis=1)
+
+
+@_formula
+def hotel_load(drive: Drive) -> FloatArray:
+    """W. Power drawn all the time, standing too."""
+    return drive.duration_s[:, None]
+
+
+@_formula
+def sensor_gain(drive: Drive) -> FloatArray:
+    """1. A factor on everything that is measured."""
+    return drive.predicted[:, None]
+
+
+@_formula
+def friction(drive: Drive) -> FloatArray:
+    """1. Rolling resistance on top of the declared one."""
+    return (drive.robot.weight_n * drive.length_m / drive.unit_j)[:, None]
+
+
+@_formula
+def payload(drive: Drive, *, column: str | None = None, reference: float = 0.0) -> FloatArray:
+    """kg, or kg per logged kg. Everything that motion asks for goes with the mass."""
+    per_kg = drive.motion_part / drive.robot.mass_kg
+    return (per_kg if column is None else per_kg * _known(drive, column, reference))[:, None]
+
+
+@_formula
+def temperature(drive: Drive, *, reference: float) -> FloatArray:
+    """1/K. A share of the motion's energy per degree above the reference [degC]."""
+    return (drive.motion_part * _known(drive, "temperature", reference))[:, None]
+
+
+@_formula
+def speed(drive: Drive, *, power: int, of_motion: bool) -> FloatArray:
+    """J/m per (m/s)^power, or a share of the motion's energy per (m/s)^power, from the robot's own speed on."""
+    away = np.where(drive.standing, 0.0, drive.speed_mps**power - drive.robot.speed_mps**power)
+    return (away * (drive.motion_part if of_motion else drive.length_m))[:, None]
+
+
+@_formula
+def acceleration(drive: Drive, *, both: bool) -> FloatArray:
+    """1. Of the kinetic energy gained over a segment (or gained and lost)."""
+    kinetic = 0.5 * drive.robot.mass_kg * (drive.end_mps**2 - drive.start_mps**2) / drive.unit_j
+    return (np.abs(kinetic) if both else np.maximum(kinetic, 0.0))[:, None]
+
+
+@_formula
+def cross_slope(drive: Drive, *, power: int) -> FloatArray:
+    """1. Rolling resistance per tangent (to a power) of the slope across the motion."""
+    return (drive.robot.weight_n * drive.length_m / drive.unit_j * np.abs(drive.cross) ** power)[:, None]
+
+
+@_formula
+def braking(drive: Drive, *, from_grade: float | None) -> FloatArray:
+    """1. Share of the energy released downhill that is drawn on top; all that is steeper than a grade, or (None) what
+    is left once the rolling resistance is paid."""
+    if from_grade is None:
+        return (drive.length_m * np.maximum(-drive.traction_per_m, 0.0) / drive.unit_j)[:, None]
+    below = np.maximum(-drive.grade - from_grade, 0.0)
+    return (drive.robot.weight_n * drive.length_m * below / drive.unit_j)[:, None]
+
+
+@_formula
+def climbing(drive: Drive) -> FloatArray:
+    """1. Share of the energy of climbing that is drawn on top."""
+    return (drive.robot.weight_n * drive.length_m * np.maximum(drive.grade, 0.0) / drive.unit_j)[:, None]
+
+
+@_formula
+def wind_measured(drive: Drive, *, quadratic: bool) -> FloatArray:
+    """N per (m/s)^2 of relative air speed, or N per m/s: the drag along the motion, less that in still air."""
+    towards = _known(drive, "wind_speed", 0.0) * np.cos(
+        np.radians(np.nan_to_num(drive.columns.get("wind_from", np.zeros(len(drive))))) - drive.heading_rad
+    )
+    across2 = np.maximum(_known(drive, "wind_speed", 0.0) ** 2 - towards**2, 0.0)
+    if not quadratic:
+        return (drive.length_m * towards / drive.unit_j)[:, None]
+    ahead = drive.speed_mps + towards
+    drag = ahead * np.sqrt(ahead**2 + across2) - drive.speed_mps**2
+    return (drive.length_m * drag / drive.unit_j)[:, None]
+
+
+@_formula
+def wind_constant(drive: Drive) -> FloatArray:
+    """J/m twice: of driving towards the east, and towards the north, against a wind that nobody recorded."""
+    return heading(drive, harmonics=1)
+
+
+@_formula
+def heading(drive: Drive, *, harmonics: int) -> FloatArray:
+    """J/m. sin and cos of the heading and of its multiples."""
+    angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
+    waves = np.stack([f(angle) for angle in angles for f in (np.sin, np.cos)], axis=1)
+    return waves * drive.length_m[:, None]
+
+
+@_formula
+def drift(drive: Drive, *, over: str, unit: float) -> FloatArray:
+    """A factor on everything that grows from 0 at the start, per `unit` of a quantity (an hour, a kilometre)."""
+    return (drive.predicted * quantity(drive, over) / unit)[:, None]
+
+
+@_formula
+def battery(drive: Drive) -> FloatArray:
+    """Ohm. Losses with the square of the current that the prediction asks for."""
+    volts = drive.robot.nominal_voltage_v
+    amps = drive.predicted * drive.unit_j / np.maximum(drive.duration_s, 1e-6) / volts
+    return (amps**2 * drive.duration_s / drive.unit_j)[:, None]
+
+
+@_formula
+def words(drive: Drive, *, column: str, values: list[str], of_motion: bool) -> FloatArray:
+    """J/m (or a share of the motion's energy) per word of a text column; the words not listed are the reference."""
+    found = drive.words.get(column, np.full(len(drive), ""))
+    amount = drive.motion_part if of_motion else drive.length_m
+    return np.stack([(found == word) * amount for word in values], axis=1)
+
+
+@_formula
+def disk(drive: Drive, *, x: float, y: float, radius_m: float) -> FloatArray:
+    """1. Rolling resistance on top within a circle."""
+    return friction(drive) * (np.hypot(drive.x - x, drive.y - y) <= radius_m)[:, None]
+
+
+@_formula
+def place(drive: Drive, *, centres: list[list[float]], width_m: float) -> FloatArray:
+    """1. Rolling resistance on top as a smooth field: bell curves around centres."""
+    at = np.asarray(centres, dtype=np.float64)
+    far = (drive.x[:, None] - at[:, 0]) ** 2 + (drive.y[:, None] - at[:, 1]) ** 2
+    return friction(drive) * np.exp(-0.5 * far / width_m**2)
+
+
+@_formula
+def smooth(drive: Drive, *, over: str, knots: list[float], of_all: bool) -> FloatArray:
+    """J/m (or a share of everything) at the knots of a piecewise linear curve over a quantity, 0 at the middle one.
+
+    The curve is constant beyond its outer knots; where the quantity is unknown it says nothing.
+    """
+    values = quantity(drive, over)
+    amount = drive.predicted if of_all else drive.length_m
+    filled = np.where(np.isfinite(values), values, knots[len(knots) // 2])
+    hats = [np.interp(filled, knots, row) for k, row in enumerate(np.eye(len(knots))) if k != len(knots) // 2]
+    return np.stack(hats, axis=1) * amount[:, None]
+
+
+def _known(drive: Drive, column: str, reference: float) -> FloatArray:
+    """A logged column less its reference; 0 where it was not recorded."""
+    values = drive.columns.get(column, np.full(len(drive), np.nan))
+    return np.where(np.isfinite(values), values - reference, 0.0)
+
+
+def inside(drive: Drive, where: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """(n,) the rows of a part of the operating range: {"over": quantity, "above" | "below": value}, {"word": column,
+    "is": value} or {} for all of it."""
+    if not where:
+        return np.ones(len(drive), dtype=bool)
+    if "word" in where:
+        return np.asarray(drive.words.get(where["word"], np.full(len(drive), "")) == where["is"])
+    values = quantity(drive, where["over"])
+    return values > where["above"] if "above" in where else values < where["below"]
+
+
+@dataclass(frozen=True)
+class Term:
+    """A formula with its settings: one way in which an effect may act.
+
+    name : the effect's. units : of each coefficient. where : see `inside`. coefficients : empty until fitted.
+    """
+
+    name: str
+    formula: str
+    units: tuple[str, ...]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    where: Mapping[str, Any] = field(default_factory=dict)
+    coefficients: tuple[float, ...] = ()
+
+    def columns(self, drive: Drive) -> FloatArray:
+        """(n, k) per unit of the coefficients; 0 where the ground or a column is not known."""
+        if self.formula not in FORMULAS:
+            raise ModelError(f"a model has an effect {self.formula!r}, which this version does not know")
+        found = np.nan_to_num(FORMULAS[self.formula](drive, **self.settings))
+        return found * inside(drive, self.where)[:, None] if self.where else found
+
+    def energy(self, drive: Drive) -> FloatArray:
+        """(n,) [J, or A s] that the effect adds."""
+        return self.columns(drive) @ np.asarray(self.coefficients)
+
+    def fitted(self, coefficients: FloatArray) -> Term:
+        return replace(self, coefficients=tuple(float(c) for c in coefficients))
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "name": self.name, "formula": self.formula, "units": list(self.units), "settings": dict(self.settings),
+            "where": dict(self.where), "coefficients": list(self.coefficients),
+        }  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Term:
+        """Raises ModelError where something is missing."""
+        try:
+            coefficients = tuple(float(c) for c in values["coefficients"])
+            return cls(
+                str(values["name"]), str(values["formula"]), tuple(values["units"]), dict(values["settings"]),
+                dict(values["where"]), coefficients,
+            )  # fmt: skip
+        except (KeyError, TypeError, ValueError) as error:
+            raise ModelError(f"an effect of the model is not complete: {error!r}") from error

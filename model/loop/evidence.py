@@ -1,0 +1,240 @@
+"""What the runs say for and against every way in which an effect may act.
+
+Two questions are asked of each. *Does it help where it was not fitted?* Whole runs are held out in turn, and the share
+by which the squared error there falls is the gain; all such fits are solved from one cross-product matrix per run.
+*Could chance do it?* For an effect that varies within runs, the residual is shifted circularly along every run by
+random amounts, which keeps what makes neighbours alike in it and in the effect, and the largest statistic over all
+candidates in each shifting is what a find must exceed: the p-value allows for everything that was tried. An effect
+that shifts whole runs has only as many witnesses as there are runs: there a t-test over left-out runs decides, with
+the base model's own uncertainty of level in it, and p is multiplied by the number of such effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import gamma
+from scipy.stats import t as student
+
+from model.loop.effects import Term
+from model.loop.residual import Residuals
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SHIFTS = 999
+LEVEL_FORMULAS = frozenset({"hotel_load", "sensor_gain", "payload", "friction", "temperature", "battery"})
+"""Formulas that are not nil on average: the silent refit of the level would hide them."""
+
+_FIELD_RIDGE = 5.0  # as many segments say that a bell curve of a field is flat
+_LEAST_RUNS = 3
+_BETWEEN = 0.05  # an effect with less of its variance within runs is judged by runs
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """On one term. gain : share by which the held-out squared error falls; net : the same when the level is refitted
+    without the effect too. p_value : allowing for all that was tried (1 where it cannot be asked). steady : mean over
+    folds of the gain, over its standard error. why : where it cannot be asked, why."""
+
+    term: int
+    gain: float
+    net: float
+    p_value: float
+    steady: float
+    why: str = ""
+
+
+class Evidence:
+    """The terms of all candidates on one set of residuals. level_sd : uncertainty of the base model's level, a share
+    of the energy. seed : of the shifts."""
+
+    def __init__(self, residuals: Residuals, terms: Sequence[Term], *, level_sd: float, seed: int = 0) -> None:
+        self.residuals, self.terms, self.level_sd, self.seed = residuals, list(terms), level_sd, seed
+        drive, scale = residuals.drive, residuals.scale
+        self.z = residuals.residual / scale
+        blocks = [self._scaled(t.columns(drive)) for t in self.terms]
+        nuisance = self._scaled(_level_columns(residuals))
+        self.columns: list[IntArray] = []
+        start = nuisance.shape[1]
+        self.nuisance = np.arange(start)
+        for block in blocks:
+            self.columns.append(np.arange(start, start + block.shape[1]))
+            start += block.shape[1]
+        raw = np.concatenate([nuisance, *blocks], axis=1)
+        self.size = np.sqrt(np.mean(raw**2, axis=0))
+        self.size[self.size == 0] = 1.0
+        self.x = raw / self.size  # (n, K) of mean square one
+        self.ridge = np.full(self.x.shape[1], 1e-6 * len(residuals))
+        for term, columns in zip(self.terms, self.columns, strict=True):
+            if term.formula == "place":
+                self.ridge[columns] = _FIELD_RIDGE
+        self.folds = np.unique(residuals.fold)
+        self.moving = np.flatnonzero(residuals.moving)
+        self.moving = self.moving[np.lexsort((drive.since_s[self.moving], drive.run[self.moving]))]
+        self._grams()
+
+    def _scaled(self, columns: FloatArray) -> FloatArray:
+        return columns / self.residuals.scale[:, None]
+
+    def _grams(self) -> None:
+        both = np.concatenate([self.x, self.z[:, None]], axis=1)
+        fold, moving = self.residuals.fold, self.residuals.moving
+        self.fit_gram = np.stack([both[fold == f].T @ both[fold == f] for f in self.folds])  # (F, K + 1, K + 1)
+        judged = [(fold == f) & moving for f in self.folds]
+        self.judge_gram = np.stack([both[rows].T @ both[rows] for rows in judged])
+
+    def silent(self, chosen: Sequence[int]) -> IntArray:
+        """Columns that are refitted without a word: the level, unless a chosen effect moves it."""
+        return self.nuisance[:0] if self.moves_level(chosen) else self.nuisance
+
+    def moves_level(self, chosen: Sequence[int]) -> bool:
+        return not self.residuals.charge and any(self.terms[k].formula in LEVEL_FORMULAS for k in chosen)
+
+    def columns_of(self, chosen: Sequence[int]) -> IntArray:
+        return np.concatenate([self.nuisance[:0], *(self.columns[k] for k in chosen)]).astype(np.int64)
+
+    def held_out(self, active: IntArray) -> FloatArray:
+        """(folds,) squared error [scaled] of each fold's moving segments, fitted to all others."""
+        if active.size == 0:
+            return self.judge_gram[:, -1, -1]
+        inner = self.fit_gram[:, active[:, None], active]
+        right = self.fit_gram[:, active, -1]
+        left = inner.sum(axis=0) - inner + np.diag(self.ridge[active])
+        beta = np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0]
+        judged = self.judge_gram[:, active[:, None], active]
+        cross = self.judge_gram[:, active, -1]
+        return (
+            self.judge_gram[:, -1, -1]
+            - 2.0 * np.einsum("fk,fk->f", beta, cross)
+            + np.einsum("fk,fkl,fl->f", beta, judged, beta)
+        )
+
+    def coefficients(self, active: IntArray, *, without: int | None = None) -> FloatArray:
+        """Least squares coefficients of columns in their own units, without a fold."""
+        keep = np.arange(self.folds.size) != (-1 if without is None else without)
+        total = self.fit_gram[keep].sum(axis=0)
+        left = total[active[:, None], active] + np.diag(self.ridge[active])
+        return np.asarray(np.linalg.solve(left, total[active, -1]) / self.size[active])
+
+    def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
+        """A verdict on each tried term, given the chosen ones."""
+        selected = self.columns_of(chosen)
+        silent = self.silent(chosen)
+        bare = np.concatenate([selected, self.nuisance[:0] if not self.residuals.charge else self.nuisance])
+        with_level = np.concatenate([selected, silent])
+        error, error_level = self.held_out(bare), self.held_out(with_level)
+        p_values, reasons = self._chances(chosen, tried)
+        verdicts = []
+        for k in tried:
+            after = self.held_out(np.concatenate([bare, self.columns[k]]))
+            gain = 1.0 - after.sum() / error.sum()
+            if self.moves_level([k]):
+                net, falls = gain, (error - after) / error.sum()
+            else:
+                refitted = self.held_out(np.concatenate([with_level, self.columns[k]]))
+                net = 1.0 - refitted.sum() / error_level.sum()
+                falls = (error_level - refitted) / error_level.sum()
+            spread = falls.std(ddof=1) / np.sqrt(falls.size)
+            steady = float(falls.mean() / max(spread, 1e-12))
+            verdicts.append(Verdict(k, float(gain), float(net), p_values[k], steady, reasons.get(k, "")))
+        return verdicts
+
+    def _chances(self, chosen: Sequence[int], tried: Sequence[int]) -> tuple[dict[int, float], dict[int, str]]:
+        """p-values by term, and why where one could not be asked for."""
+        drive, rows = self.residuals.drive, self.moving
+        runs = np.unique(drive.run[rows], return_inverse=True)[1]
+        per_run = np.zeros((rows.size, runs.max() + 1))
+        share = self.residuals.predicted[rows] / self.residuals.scale[rows]
+        per_run[np.arange(rows.size), runs] = share
+        taken = np.concatenate([self.columns_of(chosen), self.nuisance])
+        basis = _orthonormal(np.concatenate([self.x[rows][:, taken], per_run], axis=1))
+        level_basis = _orthonormal(self.x[rows][:, np.concatenate([self.columns_of(chosen), self.silent(chosen)])])
+        within: list[tuple[int, FloatArray]] = []
+        by_run: list[int] = []
+        p_values = dict.fromkeys(tried, 1.0)
+        reasons: dict[int, str] = {}
+        for k in tried:
+            block = self.x[rows][:, self.columns[k]]
+            left = block - basis @ (basis.T @ block)
+            free = block - level_basis @ (level_basis.T @ block)
+            if self.moves_level([k]) or (left**2).sum() < _BETWEEN * max((free**2).sum(), 1e-12):
+                size = (block if self.moves_level([k]) else free) ** 2
+                if size.sum() < 1e-4 * rows.size * block.shape[1]:
+                    reasons[k] = "these runs do not vary it"
+                elif block.shape[1] > 1 or np.unique(drive.run).size < _LEAST_RUNS + len(chosen):
+                    reasons[k] = "there are too few runs that differ in it"
+                else:
+                    by_run.append(k)
+                continue
+            unique = _orthonormal(left, least=0.02)
+            if unique.shape[1] == 0:
+                reasons[k] = "these runs do not tell it from what else they vary"
+            else:
+                within.append((k, unique))
+        for k, p in zip(by_run, [self._by_runs(chosen, k) for k in by_run], strict=True):
+            p_values[k] = min(
+                1.0, p * max(1, min(len(by_run), 5))
+            )  # effects on the level are near copies of each other
+        if within:
+            p_values |= self._by_shifts(basis, runs, within)
+        return p_values, reasons
+
+    def _by_shifts(self, basis: FloatArray, runs: IntArray, within: list[tuple[int, FloatArray]]) -> dict[int, float]:
+        """p by circular shifts: the share of shiftings in which any term does as well."""
+        rng = np.random.default_rng(self.seed)
+        z = self.z[self.moving]
+        z = z - basis @ (basis.T @ z)
+        order = np.empty((z.size, SHIFTS), dtype=np.int64)
+        for run in np.unique(runs):
+            mine = np.flatnonzero(runs == run)
+            offsets = rng.integers(0, mine.size, SHIFTS)
+            order[mine] = mine[(np.arange(mine.size)[:, None] + offsets) % mine.size]
+        shifted = np.concatenate([z[:, None], z[order]], axis=1).astype(np.float32)  # (n, 1 + shifts)
+        lean = basis.astype(np.float32)
+        shifted -= lean @ (lean.T @ shifted)
+        stacked = np.concatenate([unique for _, unique in within], axis=1).astype(np.float32)
+        power = (stacked.T @ shifted) ** 2 / (shifted**2).mean(axis=0)  # (columns, 1 + shifts)
+        edges = np.cumsum([0] + [unique.shape[1] for _, unique in within])
+        stat = np.add.reduceat(power, edges[:-1], axis=0)
+        mean, var = stat[:, 1:].mean(axis=1, keepdims=True), stat[:, 1:].var(axis=1, keepdims=True)
+        surprise = -gamma.logsf(stat, mean**2 / var, scale=var / mean)  # comparable between terms
+        largest = surprise[:, 1:].max(axis=0)
+        return {k: float((1 + (largest >= surprise[i, 0]).sum()) / (SHIFTS + 1)) for i, (k, _) in enumerate(within)}
+
+    def _by_runs(self, chosen: Sequence[int], k: int) -> float:
+        """p of a t-test over left-out runs for a term of one coefficient."""
+        active = np.concatenate([self.columns_of(chosen), self.silent([*chosen, k]), self.columns[k]])
+        value = self.coefficients(active)[-1]
+        spread = self.jackknife(active)[-1]
+        share = self.x[self.moving][:, self.columns[k]] * self.size[self.columns[k]]
+        lift = float(np.mean(share[:, 0] * self.residuals.scale[self.moving] / self.residuals.predicted[self.moving]))
+        doubt = self.level_sd / max(abs(lift), 1e-12) if self.moves_level([k]) and not self.moves_level(chosen) else 0.0
+        freedom = self.folds.size - 1 - len(chosen)
+        return float(2.0 * student.sf(abs(value) / max(np.hypot(spread, doubt), 1e-300), max(freedom, 1)))
+
+    def jackknife(self, active: IntArray) -> FloatArray:
+        """Standard errors of `coefficients`, leaving out a fold at a time."""
+        count = self.folds.size
+        each = np.stack([self.coefficients(active, without=f) for f in range(count)])
+        return np.asarray(np.sqrt((count - 1) / count * ((each - each.mean(axis=0)) ** 2).sum(axis=0)))
+
+
+def _level_columns(residuals: Residuals) -> FloatArray:
+    """What is refitted silently: one factor; of a charge, whose scale and zero are unknown, a plane in the traction."""
+    drive = residuals.drive
+    if not residuals.charge:
+        return residuals.predicted[:, None]
+    t = drive.traction_per_m
+    return np.stack([drive.length_m, drive.length_m * np.maximum(t, 0), drive.length_m * np.minimum(t, 0)], axis=1)
+
+
+def _orthonormal(columns: FloatArray, *, least: float = 1e-6) -> FloatArray:
+    """An orthonormal basis of columns; directions shorter than `least` times sqrt(n) do not count."""
+    if columns.shape[1] == 0:
+        return columns
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.ascontiguousarray(u[:, s > least * np.sqrt(columns.shape[0])])

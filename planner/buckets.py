@@ -1,0 +1,356 @@
+"""Compiled best-first search over the implicit grid: buckets of energy take the place of a heap.
+
+A bucket holds what may be settled within `width` joules, in no order. Whoever is improved after it was settled is
+settled again, so the answer is exact for any width and for any admissible guide, and on ties of rounding too
+(Meyer & Sanders 2003, delta-stepping, on one thread). Buckets lie in a ring; what belongs beyond its end waits in the
+last one and is sorted in again when that comes up.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+BUCKETS = 512
+FIRST_CAPACITY = 1024
+SETTLED = 128
+"""Flag in `pred` of cells that need no further look."""
+SEED, DROVE, TURNED_RIGHT, TURNED_LEFT = 0, 1, 2, 3
+"""How a state of `search_headings` came by its energy."""
+_NEVER = np.int64(1) << 62
+
+
+class Guide(NamedTuple):
+    """What a search knows of the energy still to come from a cell: the largest of some lower bounds, `heuristics`.
+
+    Each of `pairs` (a, b) bounds it by a * cells to `goal` - b * surface + rest; each column of `marks` by its value
+    there + marks_rest. Without either the bound is nothing.
+
+    pairs : (B, 2) float64; rest : (B,) float64; goal : (2,) float64 (row, col); surface : (cells,) float64;
+    marks : (cells, M) float32; marks_rest : (M,) float64.
+    """
+
+    pairs: NDArray[np.float64]
+    rest: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    surface: NDArray[np.float64]
+    marks: NDArray[np.float32]
+    marks_rest: NDArray[np.float64]
+
+
+@njit(cache=True)
+def _ahead(guide, cell, cols):
+    """The bound at a cell; inf where the goal is known to be out of reach."""
+    best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
+    if guide.pairs.shape[0] > 0:
+        cells = math.hypot(guide.goal[0] - cell // cols, guide.goal[1] - cell % cols)
+        height = guide.surface[cell]
+        for k in range(guide.pairs.shape[0]):
+            best = max(best, guide.pairs[k, 0] * cells - guide.pairs[k, 1] * height + guide.rest[k])
+    for k in range(guide.marks.shape[1]):
+        bound = guide.marks[cell, k] + guide.marks_rest[k]
+        if bound > best:  # false where neither end knows the landmark
+            best = bound
+    return best
+
+
+@njit(cache=True)
+def _grown(queue, count):
+    """The same buckets with room for twice as many."""
+    out = np.empty((queue.shape[0], 2 * queue.shape[1]), dtype=queue.dtype)
+    for slot in range(queue.shape[0]):
+        out[slot, : count[slot]] = queue[slot, : count[slot]]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, cols, width, slack, backward):
+    """Settle cells until no bucket may improve the way to a target, or all of them where there is none.
+
+    energy : (cells,) float64 [J], the labels to start from; pred : (cells,) uint8 move + 1 by which a label came, 0 a
+    seed, with `SETTLED` where nothing is left to do; both are changed. price : (cells, N) float32 [J] of the move that
+    leaves a cell; jump : (N,) step of a move in flat cells. first : (S,) cells to begin with. targets : (T,) cells,
+    target_rest : (T,) [J] from there on. slack : relative gain below which a label stays, above 0 where prices may be
+    negative. Backward, moves are run against their direction, each at its own price.
+
+    Returns the last cell (-1: not reached), the energy to the goal, and the number of settled cells.
+    """
+    cells = np.uintp(energy.size)
+    moves = jump.size
+    steps = (-jump if backward else jump).astype(np.uintp)
+    prices = price.reshape(-1)
+    free = guide.pairs.shape[0] + guide.marks.shape[1] == 0
+    known = np.full(1 if free else energy.size, np.nan)  # bounds, each reckoned once
+    queue = np.empty((BUCKETS, FIRST_CAPACITY), dtype=np.uint32)
+    count = np.zeros(BUCKETS, dtype=np.int64)
+    per_j = 1.0 / width
+    current = _NEVER
+    for cell in first:
+        key = energy[cell] + _ahead(guide, cell, cols)
+        if key < np.inf:
+            current = min(current, math.floor(key * per_j))
+    waiting = 0
+    beyond = False  # whether something may wait in the last bucket of the ring before its time
+    for cell in first:
+        pred[cell] &= SETTLED - 1
+        key = energy[cell] + _ahead(guide, cell, cols)
+        if key < np.inf:
+            beyond |= math.floor(key * per_j) >= current + BUCKETS
+            slot = min(math.floor(key * per_j), current + BUCKETS - 1) % BUCKETS
+            if count[slot] == queue.shape[1]:
+                queue = _grown(queue, count)
+            queue[slot, count[slot]] = cell
+            count[slot] += 1
+            waiting += 1
+    total = np.inf
+    last = -1
+    expanded = 0
+    while waiting > 0 and current * width < total:
+        here = current % BUCKETS
+        k = 0
+        while k < count[here]:
+            cell = np.uintp(queue[here, k])
+            k += 1
+            if pred[cell] >= SETTLED:
+                continue
+            so_far = energy[cell]
+            if beyond:
+                due = math.floor((so_far + _ahead(guide, cell, cols)) * per_j)
+                if due > current:
+                    slot = min(due, current + BUCKETS - 1) % BUCKETS
+                    if count[slot] == queue.shape[1]:
+                        queue = _grown(queue, count)
+                    queue[slot, count[slot]] = cell
+                    count[slot] += 1
+                    waiting += 1
+                    continue
+            pred[cell] |= SETTLED
+            expanded += 1
+            for t in range(targets.size):
+                if targets[t] == cell and so_far + target_rest[t] < total:
+                    total = so_far + target_rest[t]
+                    last = targets[t]
+            for n in range(moves):
+                other = cell + steps[n]
+                if other >= cells:
+                    continue
+                reached = so_far + prices[(other if backward else cell) * np.uintp(moves) + np.uintp(n)]
+                before = energy[other]
+                if not reached + slack * (1.0 + abs(reached)) < before:  # nor where there is no such move
+                    continue
+                ahead = 0.0
+                if not free:
+                    ahead = known[other]
+                    if math.isnan(ahead):
+                        ahead = known[other] = _ahead(guide, other, cols)
+                if ahead == np.inf:
+                    continue
+                queued = pred[other] < SETTLED and before < np.inf
+                energy[other] = reached
+                pred[other] = n + 1
+                due = max(math.floor((reached + ahead) * per_j), current)
+                if queued and math.floor((before + ahead) * per_j) == due:
+                    continue
+                if due >= current + BUCKETS:
+                    due = current + BUCKETS - 1
+                    beyond = True
+                slot = due % BUCKETS
+                if count[slot] == queue.shape[1]:
+                    queue = _grown(queue, count)
+                queue[slot, count[slot]] = other
+                count[slot] += 1
+                waiting += 1
+        waiting -= count[here]
+        count[here] = 0
+        current += 1
+    return last, total, expanded
+
+
+@njit(cache=True, nogil=True)
+def search_headings(energy, pred, price, jump, gap, first, targets, target_rest, guide, cols, width, slack, backward):
+    """`search_cells` where turning costs: the state is cell * N + the heading (a move's) that the robot looks in.
+
+    A state has three ways on: the move straight ahead, and a turn on the spot to the next heading on either side. Turns
+    add up, so these reach every heading at its own price, and one round from the cheapest heading of a cell relaxes
+    them all. The buckets therefore hold cells, each with a set of headings still to be driven in.
+
+    energy : (states,) float64 [J]; pred : (states,) uint8 `SEED`, `DROVE`, `TURNED_RIGHT` or `TURNED_LEFT`;
+    gap : (N,) [J] of turning from heading k to k + 1; first : (S,) cells; target_rest : (T, N) [J]. The rest, and what
+    comes back, as there, with a state for the last cell.
+    """
+    moves = jump.size
+    cells = energy.size // moves
+    steps = -jump if backward else jump
+    prices = price.reshape(-1)
+    free = guide.pairs.shape[0] + guide.marks.shape[1] == 0
+    known = np.full(1 if free else cells, np.nan)
+    queue = np.empty((BUCKETS, FIRST_CAPACITY), dtype=np.uint32)
+    count = np.zeros(BUCKETS, dtype=np.int64)
+    due = np.full(cells, _NEVER)  # the bucket in which a cell waits
+    to_drive = np.zeros(cells, dtype=np.uint32)  # bit set of headings
+    per_j = 1.0 / width
+    current = _NEVER
+    for cell in first:
+        least = energy[cell * moves : (cell + 1) * moves].min() + _ahead(guide, cell, cols)
+        if least < np.inf:
+            due[cell] = math.floor(least * per_j)
+            current = min(current, due[cell])
+    for cell in first:
+        if due[cell] < _NEVER:
+            to_drive[cell] = (1 << moves) - 1
+            due[cell] = min(due[cell], current + BUCKETS - 1)
+            slot = due[cell] % BUCKETS
+            if count[slot] == queue.shape[1]:
+                queue = _grown(queue, count)
+            queue[slot, count[slot]] = cell
+            count[slot] += 1
+    waiting = count.sum()
+    total = np.inf
+    last = -1
+    expanded = 0
+    while waiting > 0 and current * width < total:
+        here = current % BUCKETS
+        q = 0
+        while q < count[here]:
+            cell = np.int64(queue[here, q])
+            q += 1
+            if due[cell] != current:
+                continue
+            base = cell * moves
+            headings = to_drive[cell] | _turn(energy, pred, base, gap)
+            for t in range(targets.size):
+                if targets[t] == cell:
+                    for n in range(moves):
+                        if energy[base + n] + target_rest[t, n] < total:
+                            total = energy[base + n] + target_rest[t, n]
+                            last = base + n
+            top = (current + 1) * width - (0.0 if free else _ahead(guide, cell, cols))
+            later = np.inf
+            left = headings
+            for n in range(moves):
+                bit = np.uint32(1) << np.uint32(n)
+                if headings & bit == 0:
+                    continue
+                so_far = energy[base + n]
+                if so_far >= top:
+                    later = min(later, so_far)
+                    continue
+                left &= ~bit
+                expanded += 1
+                other = cell + steps[n]
+                if other < 0 or other >= cells:
+                    continue
+                reached = so_far + prices[(other if backward else cell) * moves + n]
+                state = other * moves + n
+                if not reached + slack * (1.0 + abs(reached)) < energy[state]:
+                    continue
+                ahead = 0.0
+                if not free:
+                    ahead = known[other]
+                    if math.isnan(ahead):
+                        ahead = known[other] = _ahead(guide, other, cols)
+                if ahead == np.inf:
+                    continue
+                energy[state] = reached
+                pred[state] = DROVE
+                to_drive[other] |= bit
+                at = min(max(math.floor((reached + ahead) * per_j), current), current + BUCKETS - 1)
+                if at < due[other]:
+                    due[other] = at
+                    slot = at % BUCKETS
+                    if count[slot] == queue.shape[1]:
+                        queue = _grown(queue, count)
+                    queue[slot, count[slot]] = other
+                    count[slot] += 1
+                    waiting += 1
+            to_drive[cell] = left
+            due[cell] = _NEVER
+            if left != 0:
+                at = math.floor((later - top) * per_j) + current + 1
+                due[cell] = min(max(at, current + 1), current + BUCKETS - 1)
+                slot = due[cell] % BUCKETS
+                if count[slot] == queue.shape[1]:
+                    queue = _grown(queue, count)
+                queue[slot, count[slot]] = cell
+                count[slot] += 1
+                waiting += 1
+        waiting -= count[here]
+        count[here] = 0
+        current += 1
+    return last, total, expanded
+
+
+@njit(cache=True)
+def _turn(energy, pred, base, gap):
+    """Relax all turns on the spot of one cell; the bit set of headings that became cheaper."""
+    moves = gap.size
+    cheaper = np.uint32(0)
+    best = 0
+    for n in range(1, moves):
+        if energy[base + n] < energy[base + best]:
+            best = n
+    k = best
+    for _ in range(moves - 1):
+        right = k + 1 if k + 1 < moves else 0
+        reached = energy[base + k] + gap[k]
+        if reached < energy[base + right]:
+            energy[base + right] = reached
+            pred[base + right] = TURNED_RIGHT
+            cheaper |= np.uint32(1) << np.uint32(right)
+        k = right
+    k = best
+    for _ in range(moves - 1):
+        left = k - 1 if k > 0 else moves - 1
+        reached = energy[base + k] + gap[left]
+        if reached < energy[base + left]:
+            energy[base + left] = reached
+            pred[base + left] = TURNED_LEFT
+            cheaper |= np.uint32(1) << np.uint32(left)
+        k = left
+    return cheaper
+
+
+@njit(cache=True, nogil=True)
+def trace_cells(pred, jump, last, backward):
+    """(n,) int64 cells that lead from `last` to the seed it was reached from, `last` first."""
+    sign = 1 if backward else -1
+    count = 1
+    cell = last
+    while pred[cell] & (SETTLED - 1) > 0:
+        cell += sign * jump[(pred[cell] & (SETTLED - 1)) - 1]
+        count += 1
+    out = np.empty(count, dtype=np.int64)
+    out[0] = last
+    for k in range(1, count):
+        out[k] = out[k - 1] + sign * jump[(pred[out[k - 1]] & (SETTLED - 1)) - 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def trace_headings(pred, jump, last, backward):
+    """(n,) int64 states that lead from `last` to the seed it was reached from, `last` first."""
+    count = 1
+    state = last
+    while pred[state] != SEED:
+        state = _state_before(pred[state], state, jump, backward)
+        count += 1
+    out = np.empty(count, dtype=np.int64)
+    out[0] = last
+    for k in range(1, count):
+        out[k] = _state_before(pred[out[k - 1]], out[k - 1], jump, backward)
+    return out
+
+
+@njit(cache=True)
+def _state_before(code, state, jump, backward):
+    """The state that this one was reached from."""
+    moves = jump.size
+    heading = state % moves
+    if code == DROVE:
+        return state + (jump[heading] if backward else -jump[heading]) * moves
+    other = heading - 1 if code == TURNED_RIGHT else heading + 1
+    return state - heading + (other + moves) % moves

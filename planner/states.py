@@ -1,0 +1,73 @@
+"""The states of a search, their labels, and the compiled search that settles them: what paths and fields share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.buckets import Guide, search_cells, search_headings, trace_cells, trace_headings
+from planner.lattice import CostLattice
+from planner.moves import MoveTable
+
+_SLACK = 1e-12
+"""Relative gain that is taken for rounding where prices may be negative, so that no loop goes on for ever."""
+_CELL_WIDTH, _TURN_WIDTH = 0.6, 0.6
+"""Width of a bucket in typical prices, and with turning the share of a full turn that it spans; measured, flat."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Search:
+    """What a search leaves behind: a label [J] and a code of how it came there for every state (cell * layers + layer).
+
+    With one layer a state is a cell; with as many as there are moves it is a cell and the heading that the robot looks
+    in. Backward, labels count towards the seeds.
+    """
+
+    energy_j: NDArray[np.float64]
+    pred: NDArray[np.uint8]
+    layers: int
+    backward: bool
+
+    def trace(self, table: MoveTable, last: int) -> NDArray[np.int64]:
+        """(n,) states from `last` back to the seed it was reached from (for backward searches: on to the goal)."""
+        trace = trace_cells if self.layers == 1 else trace_headings
+        return trace(self.pred, table.jump, last, self.backward)
+
+
+def layer_count(lattice: CostLattice, table: MoveTable) -> int:
+    """Headings in a search state: all of the moves' where turning costs, else one."""
+    return len(table.offsets) if lattice.robot.turn_j_per_rad > 0.0 else 1
+
+
+def new_search(
+    table: MoveTable, layers: int, cells: NDArray[np.int64], cost: NDArray[np.float64], *, backward: bool
+) -> Search:
+    """Labels of nothing but the seeds: cells (S,) at cost (S, layers) [J]."""
+    energy = np.full(table.surface.size * layers, np.inf)
+    np.minimum.at(energy.reshape(-1, layers), cells, cost)
+    return Search(energy, np.zeros(energy.size, dtype=np.uint8), layers, backward)
+
+
+def run_search(
+    search: Search, table: MoveTable, first: NDArray[np.int64], guide: Guide,
+    targets: NDArray[np.int64] | None = None, rest: NDArray[np.float64] | None = None,
+) -> tuple[int, float, int]:  # fmt: skip
+    """Settle what follows from the cells `first`, in place: the last state, the energy to the goal, states settled."""
+    layers = search.layers
+    cols = table.energy.shape[1]
+    price = table.energy.reshape(-1, len(table.offsets))
+    if targets is None or rest is None:
+        targets, rest = np.empty(0, dtype=np.int64), np.empty((0, layers))
+    slack = 0.0 if table.never_pays else _SLACK
+    if layers == 1:
+        return search_cells(
+            search.energy_j, search.pred, price, table.jump, first, targets, np.ascontiguousarray(rest[:, 0]), guide,
+            cols, _CELL_WIDTH * table.typical_j, slack, search.backward,
+        )  # fmt: skip
+    width = table.typical_j + _TURN_WIDTH * float(table.gap_j.sum())
+    return search_headings(
+        search.energy_j, search.pred, price, table.jump, table.gap_j, first, targets, rest, guide, cols, width, slack,
+        search.backward,
+    )  # fmt: skip
