@@ -26,7 +26,7 @@ class Drive:
     """Segments and stands as columns of (n,), the only thing an effect's formula sees.
 
     length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
-    turned_rad, turned_abs_rad, gentle_turn_rad, start_mps, end_mps : as in `Segments`. grade, cross : tangents of the
+    turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade, cross : tangents of the
     ground along the heading (> 0 uphill) and across it (> 0 down to the right). roughness_m : departure of the square
     metre from its plane. elevation_m. since_s, driven_m : since the start of the run; clock_s : since that of the first
     run. run : number of the run. columns, words : what else was logged (NaN, "" : not recorded). robot : as declared.
@@ -44,8 +44,7 @@ class Drive:
     turned_rad: FloatArray
     turned_abs_rad: FloatArray
     gentle_turn_rad: FloatArray
-    start_mps: FloatArray
-    end_mps: FloatArray
+    gained_m2ps2: FloatArray
     grade: FloatArray
     cross: FloatArray
     roughness_m: FloatArray
@@ -121,8 +120,7 @@ def describe_segments(
         turned_rad=segments.heading_change_rad,
         turned_abs_rad=segments.turned_abs_rad,
         gentle_turn_rad=segments.gentle_turn_rad,
-        start_mps=segments.start_mps,
-        end_mps=segments.end_mps,
+        gained_m2ps2=segments.gained_m2ps2,
         **ground,
         since_s=segments.t0 - start,
         driven_m=driven,

@@ -87,6 +87,25 @@ def sensor_gain(drive: Drive) -> FloatArray:
 
 
 @_formula
+def level(drive: Drive) -> FloatArray:
+    """1. A factor on what the base model says of driven segments: how far its level is off."""
+    return np.where(drive.standing, 0.0, drive.predicted)[:, None]
+
+
+@_formula
+def standing(drive: Drive) -> FloatArray:
+    """W. What a stand draws beyond the declared idle power."""
+    return np.where(drive.standing, drive.duration_s, 0.0)[:, None]
+
+
+@_formula
+def plane(drive: Drive) -> FloatArray:
+    """A s/m, 1/V, 1/V. Level, and shares of the traction uphill and downhill, where neither zero nor scale is known."""
+    t, length = drive.traction_per_m, drive.length_m
+    return np.stack([length, length * np.maximum(t, 0.0), length * np.minimum(t, 0.0)], axis=1)
+
+
+@_formula
 def friction(drive: Drive) -> FloatArray:
     """1. Rolling resistance on top of the declared one."""
     return (drive.robot.weight_n * drive.length_m / drive.unit_j)[:, None]
@@ -100,23 +119,23 @@ def payload(drive: Drive, *, column: str | None = None, reference: float = 0.0) 
 
 
 @_formula
-def temperature(drive: Drive, *, reference: float) -> FloatArray:
-    """1/K. A share of the motion's energy per degree above the reference [degC]."""
-    return (drive.motion_part * _known(drive, "temperature", reference))[:, None]
+def temperature(drive: Drive, *, reference: float, of_motion: bool) -> FloatArray:
+    """1/K, or J/m/K. A share of the motion's energy, or energy, per degree above the reference [degC]."""
+    amount = drive.motion_part if of_motion else drive.length_m
+    return (amount * _known(drive, "temperature", reference))[:, None]
 
 
 @_formula
-def speed(drive: Drive, *, power: int, of_motion: bool) -> FloatArray:
-    """J/m per (m/s)^power, or a share of the motion's energy per (m/s)^power, from the robot's own speed on."""
-    away = np.where(drive.standing, 0.0, drive.speed_mps**power - drive.robot.speed_mps**power)
-    return (away * (drive.motion_part if of_motion else drive.length_m))[:, None]
+def speed(drive: Drive, *, power: int, absolute: bool) -> FloatArray:
+    """J/m per (m/s)^power: of the speed, or of what it differs from the robot's own."""
+    usual = 0.0 if absolute else drive.robot.speed_mps**power
+    return (drive.length_m * (drive.speed_mps**power - usual))[:, None]
 
 
 @_formula
-def acceleration(drive: Drive, *, both: bool) -> FloatArray:
-    """1. Of the kinetic energy gained over a segment (or gained and lost)."""
-    kinetic = 0.5 * drive.robot.mass_kg * (drive.end_mps**2 - drive.start_mps**2) / drive.unit_j
-    return (np.abs(kinetic) if both else np.maximum(kinetic, 0.0))[:, None]
+def acceleration(drive: Drive) -> FloatArray:
+    """kg. Mass (of the robot, or of what spins in it) that is brought to speed and not given back."""
+    return (drive.gained_m2ps2 / drive.unit_j)[:, None]
 
 
 @_formula

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.stats import gamma
 from scipy.stats import t as student
 
-from model.loop.effects import Term
+from model.loop.effects import FORMULAS, Term
 from model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
@@ -31,6 +31,7 @@ LEVEL_FORMULAS = frozenset({"hotel_load", "sensor_gain", "payload", "friction", 
 
 _FIELD_RIDGE = 5.0  # as many segments say that a bell curve of a field is flat
 _LEAST_RUNS = 3
+_LEVEL_HELPS = 0.005
 _BETWEEN = 0.05  # an effect with less of its variance within runs is judged by runs
 
 
@@ -49,11 +50,11 @@ class Verdict:
 
 
 class Evidence:
-    """The terms of all candidates on one set of residuals. level_sd : uncertainty of the base model's level, a share
-    of the energy. seed : of the shifts."""
+    """The terms of all candidates on one set of residuals. level_doubt : how far the base model's level may be
+    off on any day, a share of the energy. seed : of the shifts."""
 
-    def __init__(self, residuals: Residuals, terms: Sequence[Term], *, level_sd: float, seed: int = 0) -> None:
-        self.residuals, self.terms, self.level_sd, self.seed = residuals, list(terms), level_sd, seed
+    def __init__(self, residuals: Residuals, terms: Sequence[Term], *, level_doubt: float, seed: int = 0) -> None:
+        self.residuals, self.terms, self.level_doubt, self.seed = residuals, list(terms), level_doubt, seed
         drive, scale = residuals.drive, residuals.scale
         self.z = residuals.residual / scale
         blocks = [self._scaled(t.columns(drive)) for t in self.terms]
@@ -76,6 +77,7 @@ class Evidence:
         self.moving = np.flatnonzero(residuals.moving)
         self.moving = self.moving[np.lexsort((drive.since_s[self.moving], drive.run[self.moving]))]
         self._grams()
+        self._silent: dict[tuple[int, ...], IntArray] = {}
 
     def _scaled(self, columns: FloatArray) -> FloatArray:
         return columns / self.residuals.scale[:, None]
@@ -88,8 +90,18 @@ class Evidence:
         self.judge_gram = np.stack([both[rows].T @ both[rows] for rows in judged])
 
     def silent(self, chosen: Sequence[int]) -> IntArray:
-        """Columns that are refitted without a word: the level, unless a chosen effect moves it."""
-        return self.nuisance[:0] if self.moves_level(chosen) else self.nuisance
+        """Columns that are refitted without a word: the level, where that helps on held-out runs and no chosen effect
+        moves the level itself."""
+        if self.residuals.charge:
+            return self.nuisance
+        key = tuple(chosen)
+        if key not in self._silent:
+            selected = self.columns_of(chosen)
+            plain = self.held_out(selected).sum()
+            refitted = self.held_out(np.concatenate([selected, self.nuisance])).sum()
+            helps = refitted < (1.0 - _LEVEL_HELPS) * plain
+            self._silent[key] = self.nuisance if helps and not self.moves_level(chosen) else self.nuisance[:0]
+        return self._silent[key]
 
     def moves_level(self, chosen: Sequence[int]) -> bool:
         return not self.residuals.charge and any(self.terms[k].formula in LEVEL_FORMULAS for k in chosen)
@@ -123,14 +135,16 @@ class Evidence:
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
         """A verdict on each tried term, given the chosen ones."""
         selected = self.columns_of(chosen)
-        silent = self.silent(chosen)
-        bare = np.concatenate([selected, self.nuisance[:0] if not self.residuals.charge else self.nuisance])
-        with_level = np.concatenate([selected, silent])
+        with_level = np.concatenate([selected, self.nuisance])
+        bare = with_level if self.residuals.charge else selected
+        if chosen and not self.residuals.charge:
+            bare = np.concatenate([selected, self.silent(chosen)])
         error, error_level = self.held_out(bare), self.held_out(with_level)
         p_values, reasons = self._chances(chosen, tried)
         verdicts = []
         for k in tried:
-            after = self.held_out(np.concatenate([bare, self.columns[k]]))
+            kept = selected if self.moves_level([k]) else bare
+            after = self.held_out(np.concatenate([kept, self.columns[k]]))
             gain = 1.0 - after.sum() / error.sum()
             if self.moves_level([k]):
                 net, falls = gain, (error - after) / error.sum()
@@ -152,7 +166,7 @@ class Evidence:
         per_run[np.arange(rows.size), runs] = share
         taken = np.concatenate([self.columns_of(chosen), self.nuisance])
         basis = _orthonormal(np.concatenate([self.x[rows][:, taken], per_run], axis=1))
-        level_basis = _orthonormal(self.x[rows][:, np.concatenate([self.columns_of(chosen), self.silent(chosen)])])
+        level_basis = _orthonormal(self.x[rows][:, np.concatenate([self.columns_of(chosen), self.nuisance])])
         within: list[tuple[int, FloatArray]] = []
         by_run: list[int] = []
         p_values = dict.fromkeys(tried, 1.0)
@@ -212,9 +226,11 @@ class Evidence:
         spread = self.jackknife(active)[-1]
         share = self.x[self.moving][:, self.columns[k]] * self.size[self.columns[k]]
         lift = float(np.mean(share[:, 0] * self.residuals.scale[self.moving] / self.residuals.predicted[self.moving]))
-        doubt = self.level_sd / max(abs(lift), 1e-12) if self.moves_level([k]) and not self.moves_level(chosen) else 0.0
+        doubtful = self.moves_level([k]) and not self.moves_level(chosen)
+        doubt = self.level_doubt / max(abs(lift), 1e-12) if doubtful else 0.0
         freedom = self.folds.size - 1 - len(chosen)
-        return float(2.0 * student.sf(abs(value) / max(np.hypot(spread, doubt), 1e-300), max(freedom, 1)))
+        beyond = max(abs(value) - doubt, 0.0)  # a test of "more than the doubt", not of "more than nothing"
+        return float(2.0 * student.sf(beyond / max(spread, 1e-300), max(freedom, 1)))
 
     def jackknife(self, active: IntArray) -> FloatArray:
         """Standard errors of `coefficients`, leaving out a fold at a time."""
@@ -225,11 +241,9 @@ class Evidence:
 
 def _level_columns(residuals: Residuals) -> FloatArray:
     """What is refitted silently: one factor; of a charge, whose scale and zero are unknown, a plane in the traction."""
-    drive = residuals.drive
-    if not residuals.charge:
-        return residuals.predicted[:, None]
-    t = drive.traction_per_m
-    return np.stack([drive.length_m, drive.length_m * np.maximum(t, 0), drive.length_m * np.minimum(t, 0)], axis=1)
+    if residuals.charge:
+        return FORMULAS["plane"](residuals.drive)
+    return np.where(residuals.moving, residuals.predicted, 0.0)[:, None]
 
 
 def _orthonormal(columns: FloatArray, *, least: float = 1e-6) -> FloatArray:

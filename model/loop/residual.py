@@ -82,6 +82,12 @@ class Residuals:
         index = np.asarray(which)
         return Residuals(self.drive.take(index), self.measured[index], self.predicted[index], self.runs, self.charge)
 
+    def without_prediction(self) -> Residuals:
+        """The same with nothing predicted, noise judged as before."""
+        bare = Residuals(self.drive, self.measured, np.zeros(len(self)), self.runs, self.charge)
+        bare.__dict__["scale"] = self.scale
+        return bare
+
     def corrected(self, energy: FloatArray) -> Residuals:
         """The same with `energy` added to the prediction."""
         return Residuals(self.drive, self.measured, self.predicted + energy, self.runs, self.charge)

@@ -2,8 +2,8 @@
 
 Forward: of all effects that chance cannot explain and that help on held-out runs by more than a practical floor, the
 one that helps most is taken; where a physical form does nearly as well as a learned curve, the physical one. Columns
-that answer to the drive (commands, measured attitude) come once nothing else is found. Backward: an effect that the others make
-needless is dropped, and one that another would replace better is replaced.
+that answer to the drive (commands, measured attitude) come once nothing else is found. Backward: an effect that the
+others make needless is dropped, and each is put in the best of its forms given the others.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def trace(
     residuals: Residuals,
     candidates: Sequence[Candidate],
     *,
-    level_sd: float,
+    level_doubt: float,
     floors: Floors | None = None,
     shared: Callable[[int], float] | None = None,
     seed: int = 0,
@@ -71,11 +71,11 @@ def trace(
 ) -> Trace:
     """Trace residuals to effects.
 
-    level_sd : uncertainty of the base model's level, a share of the energy. shared : gain of a term that the base
-    model's own runs show as well, which is no news and does not count.
+    level_doubt : how far the base model's level may be off on any day, a share of the energy. shared : gain of a term
+    that the base model's own runs show as well, which is no news and does not count.
     """
     owner = [c for c in candidates for _ in c.variants]
-    evidence = Evidence(residuals, [v for c in candidates for v in c.variants], level_sd=level_sd, seed=seed)
+    evidence = Evidence(residuals, [v for c in candidates for v in c.variants], level_doubt=level_doubt, seed=seed)
     search = _Search(evidence, owner, floors or Floors(), shared or (lambda term: 0.0))
     ranking = search.best_of_each([])
     found: list[Found] = []
@@ -189,14 +189,11 @@ class _Search:
         alone = self.evidence.held_out(self.active(rest))
         gained = float((alone - mine).sum())
         out = []
-        for candidate in dict.fromkeys(self.owner):
-            if candidate.name in names:
+        for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
+            if candidate.name in names or verdict.p_value > ALPHA:
                 continue
-            terms = [t for t, c in enumerate(self.owner) if c is candidate]
-            errors = [self.evidence.held_out(self.active([*rest, t])) for t in terms]
-            best = min(errors, key=lambda e: float(e.sum()))
-            worse = best - mine
+            worse = self.evidence.held_out(self.active([*rest, verdict.term])) - mine
             noise = float(worse.std(ddof=1)) * np.sqrt(worse.size)
-            if worse.sum() < max(noise, 0.0) and worse.sum() < 0.1 * gained:
+            if worse.sum() < noise and worse.sum() < 0.1 * gained:
                 out.append(candidate.name)
         return out
