@@ -75,6 +75,7 @@ def find_candidates(
             refused[f"terrain_class:{key}"] = "one word only" if kinds else "no word is recorded often enough"
             continue
         found.append(_of_words(key, values[moving], kinds, unit))
+    found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
     for key in ("grade", "cross_slope", "roughness", "elevation", "speed", "turn"):
         found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
@@ -155,6 +156,21 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
     if "payload" in usable:
         logged = Term("payload", "payload", ("",), {"column": "payload", "reference": usual["payload"]})
         yield Candidate("payload", (logged,), "the same loop with and without a load")
+
+
+def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator[Candidate]:
+    """What nobody recorded and every run had its own of."""
+    drive = residuals.drive
+    runs = np.unique(drive.run[residuals.moving])
+    names = list(drive.runs)
+    if runs.size < 2 or runs.size < len(names):
+        return
+    if "wind_speed" not in usable:
+        wind = Term("wind", "by_run", (f"{unit}/m",) * 2 * len(names), {"of": "wind_constant", "runs": names})
+        yield Candidate("wind", (wind,), "one line to and fro, and one across it, in every run")
+    if "payload" not in usable and not residuals.charge:
+        load = Term("payload", "by_run", ("kg",) * len(names), {"of": "payload", "runs": names})
+        yield Candidate("payload", (load,), "the same slope up and down with every load; weigh the robot")
 
 
 def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -> Candidate:

@@ -36,7 +36,7 @@ def quantity(drive: Drive, name: str) -> FloatArray:
         return drive.columns.get(name.removeprefix("column:"), np.full(len(drive), np.nan))
     values = {
         "grade": lambda: drive.grade,
-        "cross_slope": lambda: np.abs(drive.cross),
+        "cross_slope": lambda: drive.cross_abs,
         "roughness": lambda: drive.roughness_m,
         "elevation": lambda: drive.elevation_m,
         "speed": lambda: drive.speed_mps,
@@ -141,7 +141,8 @@ def acceleration(drive: Drive) -> FloatArray:
 @_formula
 def cross_slope(drive: Drive, *, power: int) -> FloatArray:
     """1. Rolling resistance per tangent (to a power) of the slope across the motion."""
-    return (drive.robot.weight_n * drive.length_m / drive.unit_j * np.abs(drive.cross) ** power)[:, None]
+    across = drive.cross_abs if power == 1 else drive.cross_sq
+    return (drive.robot.weight_n * drive.length_m / drive.unit_j * across)[:, None]
 
 
 @_formula
@@ -186,6 +187,16 @@ def heading(drive: Drive, *, harmonics: int) -> FloatArray:
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
     waves = np.stack([f(angle) for angle in angles for f in (np.sin, np.cos)], axis=1)
     return waves * drive.length_m[:, None]
+
+
+@_formula
+def by_run(drive: Drive, *, of: str, runs: list[str]) -> FloatArray:
+    """What another formula says, with coefficients of its own in every run; in a run not listed, their mean."""
+    columns = FORMULAS[of](drive)
+    numbers = {name: k for k, name in enumerate(runs)}
+    which = np.array([numbers.get(name, -1) for name in drive.runs] or [-1])[drive.run]
+    share = np.where(which[:, None] < 0, 1.0 / len(runs), which[:, None] == np.arange(len(runs)))  # (n, runs)
+    return (share[:, :, None] * columns[:, None, :]).reshape(len(drive), -1)
 
 
 @_formula

@@ -84,6 +84,19 @@ def parse_run(content: str | bytes, *, name: str, crs: str | None = None) -> Run
     """`read_run` of a text in CSV, or of the bytes of a file, already read."""
     repairs: dict[str, int] = {}
     numbers, texts = read_table(content, name, repairs)
+    return run_of(numbers, texts, name=name, crs=crs, repairs=repairs)
+
+
+def run_of(
+    numbers: dict[str, FloatArray],
+    texts: dict[str, NDArray[np.str_]],
+    *,
+    name: str,
+    crs: str | None = None,
+    repairs: dict[str, int] | None = None,
+) -> Run:
+    """`read_run` of columns already read; repairs : what reading them has counted so far."""
+    repairs = {} if repairs is None else repairs
     if "t" not in numbers:
         raise RunsError(f"run {name}: there is no column 't' (seconds)", run=name, column="t")
     rows = _ordered_rows(numbers["t"], name, repairs)

@@ -164,7 +164,7 @@ def cut_segments(
         charge=charge,
         extras={key: _mean(values, first, last, key in ANGLE_COLUMNS)[keep] for key, values in run.extras.items()},
         texts={key: values[middle][keep] for key, values in run.texts.items()},
-        stands=_stands(t, x, y, piece, run.t, power),
+        stands=_stands(t, x, y, piece, run.t, power, run.extras.get("speed")),
         left_out=left_out,
     )
 
@@ -286,17 +286,23 @@ def _speeds(
 
 
 def _stands(
-    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], stamps: FloatArray, power: FloatArray
-) -> tuple[tuple[int, float, float], ...]:
+    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], stamps: FloatArray, power: FloatArray,
+    speed: FloatArray | None,
+) -> tuple[tuple[int, float, float], ...]:  # fmt: skip
     """(0, seconds, energy) of every stand, without its first and last half second. The robot stays where it is and
-    draws evenly: one that turns on the spot is not standing."""
+    draws evenly and little: one that turns on the spot, or that lost its position on the way, is not standing."""
     edges = np.flatnonzero(np.diff(np.concatenate([[1], (piece != 0).astype(int), [1]])))
+    usual = float(np.median(power))
     found = []
     for first, after in zip(edges[::2], edges[1::2], strict=True):
         start, end = float(t[first]) + 0.5, float(t[after - 1]) - 0.5
-        drawn = power[(stamps >= start) & (stamps <= end)]
-        still = math.hypot(x[after - 1] - x[first], y[after - 1] - y[first]) < _STANDS_WITHIN_M
-        if end - start >= 1.0 and still and drawn.size > 4 and drawn.std() < _STANDS_EVENLY * drawn.mean():
+        rows = (stamps >= start) & (stamps <= end)
+        drawn = power[rows]
+        if end - start < 1.0 or drawn.size < 5 or drawn.std() > _STANDS_EVENLY * drawn.mean() > 0:
+            continue
+        moved = math.hypot(x[after - 1] - x[first], y[after - 1] - y[first])
+        told = 0.0 if speed is None else float(np.nan_to_num(np.abs(speed[rows])).mean())
+        if moved < _STANDS_WITHIN_M and told < _STANDS_WITHIN_M and 0.0 < drawn.mean() < 0.7 * usual:
             ends = _integral(stamps, power, np.array([start, end]))
             found.append((0, end - start, float(ends[1] - ends[0])))
     return tuple(found)

@@ -23,6 +23,9 @@ FloatArray = NDArray[np.float64]
 ALPHA = 0.05
 MAX_EFFECTS = 6
 
+_STEADY = 0.6  # of the folds must gain
+_NEARLY = 0.85  # of a learned curve's gain is enough for a physical form
+
 
 @dataclass(frozen=True)
 class Floors:
@@ -114,7 +117,7 @@ class _Search:
 
     def clears_floor(self, verdict: Verdict) -> bool:
         worth = min(verdict.gain, verdict.net)
-        if worth < self.floor(verdict.term) or verdict.steady < 1.5:
+        if worth < self.floor(verdict.term) or verdict.steady < _STEADY:
             return False
         return worth - self.shared(verdict.term) >= self.floor(verdict.term)
 
@@ -144,7 +147,7 @@ class _Search:
         if not first:
             return None
         best = max(first, key=lambda f: self.score(f.verdict))
-        near = [f for f in first if self.score(f.verdict) >= 0.93 * self.score(best.verdict)]
+        near = [f for f in first if self.score(f.verdict) >= _NEARLY * self.score(best.verdict)]
         physical = [f for f in near if not f.candidate.learned]
         if best.candidate.learned and physical:
             return max(physical, key=lambda f: self.score(f.verdict))
