@@ -23,7 +23,7 @@ from model.terrain.heightmap import Heightmap
 FloatArray = NDArray[np.float64]
 
 HUSKY_TRACK_M = 1.07
-"""Effective track of a Clearpath Husky A200: wheel_separation 0.5708 m times wheel_separation_multiplier 1.875.
+"""Effective track of a Clearpath Husky A200: wheel_separation 0.571 m times wheel_separation_multiplier 1.875.
 Source: husky_control/config/control.yaml of the robot's ROS packages."""
 
 _LONGEST_GAP_S = 0.75
