@@ -68,7 +68,7 @@ def main() -> None:
 def outcomes(todo: list[tuple[str, int]], calibrator: str, work: Path, jobs: int) -> Iterator[Outcome]:
     """Try cases one by one, or in processes of their own, once every site that they need has its base model."""
     for site_seed in sorted({seed % SITES for _, seed in todo}):
-        base_model(site_seed, work)
+        base_model(site_seed, work, anew=True)
     if jobs <= 1:
         yield from (try_case(case, seed, find_calibrator(calibrator), work) for case, seed in todo)
         return

@@ -46,7 +46,10 @@ class Calibrator(Protocol):
     def calibrate(
         self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
     ) -> dict[str, Any]:
-        """The report (its format is that of report.json). Only an oracle looks at the truth."""
+        """The report (its format is that of report.json). Only an oracle looks at the truth.
+
+        Beside the heightmap lies base/, the runs that the model was made from.
+        """
 
     def predict(self, model: Path, heightmap: Path, segments: Segments, robot: Path, out: Path) -> FloatArray:
         """Energy of segments [J], (n,), by what `calibrate` left in `out`."""
@@ -176,9 +179,14 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
     return outcome
 
 
-def base_model(site_seed: int, work: Path) -> Path:
-    """The folder of a site's base model, trained once from the shipped one and kept in `work`."""
-    folder = write_base(site_seed, work / "sites" / str(site_seed))
+def base_model(site_seed: int, work: Path, *, anew: bool = False) -> Path:
+    """The folder of a site's base model, trained once from the shipped one and kept in `work`.
+
+    anew : write the site's runs again, in case the field has changed; a model of the same runs is not trained again.
+    """
+    folder = work / "sites" / str(site_seed)
+    if anew or not (folder / "base").is_dir():
+        write_base(site_seed, folder)
     files = sorted(folder.glob("base/*.csv"))
     with resources.as_file(resources.files("model") / "weights") as shipped:
         digest = hashlib.sha256((shipped / "config.json").read_bytes())
