@@ -336,17 +336,17 @@ def trace_headings(pred, jump, last, backward):
     count = 1
     state = last
     while pred[state] != SEED:
-        state = _state_before(pred[state], state, jump, backward)
+        state = state_before(pred[state], state, jump, backward)
         count += 1
     out = np.empty(count, dtype=np.int64)
     out[0] = last
     for k in range(1, count):
-        out[k] = _state_before(pred[out[k - 1]], out[k - 1], jump, backward)
+        out[k] = state_before(pred[out[k - 1]], out[k - 1], jump, backward)
     return out
 
 
 @njit(cache=True)
-def _state_before(code, state, jump, backward):
+def state_before(code, state, jump, backward):
     """The state that this one was reached from."""
     moves = jump.size
     heading = state % moves

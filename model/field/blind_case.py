@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 
 from model.errors import InputError
 from model.field.conditions import Conditions, Day
-from model.field.drives import Drive, drive_along, lawnmower, random_waypoints, winding
+from model.field.drives import Drive
 from model.field.effects import Effect
 from model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
 from model.field.logger import Logger, log_trace
+from model.field.patterns import PATTERNS, drive_of
 from model.field.robots import FieldRobot
 from model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_stands
 from model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
-from model.frames import GridFrame, wrap_angle
+from model.frames import GridFrame
 from model.terrain.synthesis import TerrainRecipe
 from model.terrain.writers import write_geotiff
 
@@ -34,7 +35,6 @@ FloatArray = NDArray[np.float64]
 
 BASE_RUNS, NEW_RUNS, OTHER_RUNS = 6, 6, 2
 _BASE_M = 4400.0
-_PATTERNS = ("lawnmower", "waypoints", "winding")
 _DAY_S = 86400.0
 
 
@@ -208,12 +208,12 @@ def _drive_day(
     """The runs of a day one after another, on one battery."""
     weather: Day = day_for(effects, rng)
     payload_logged = bool(rng.random() < 0.7)
-    pattern = int(rng.integers(len(_PATTERNS)))
+    pattern = int(rng.integers(len(PATTERNS)))
     clock = day * _DAY_S + float(rng.uniform(7.5, 9.0)) * 3600.0
     metres, charge = 0.0, 0.97
     driven = []
     for number, length in enumerate(lengths_m):
-        drive = _drive(_PATTERNS[(pattern + number) % len(_PATTERNS)], site, robot, float(length), rng)
+        drive = drive_of(PATTERNS[(pattern + number) % len(PATTERNS)], site, robot, float(length), rng)
         drawn = Conditions.drawn(rng, start_s=clock, driven_m=metres, charge=charge, day=weather)
         conditions = conditions_for(effects, drawn, robot, rng, payload_logged=payload_logged)
         chance = int(rng.integers(2**31))
@@ -230,54 +230,6 @@ def _drive_day(
         charge -= float(trace.energy_j()[-1]) / 3600.0 / robot.declared.battery_wh
         clock += float(trace.t[-1]) + float(rng.uniform(0.3, 1.6)) * 3600.0
     return driven
-
-
-def _drive(pattern: str, site: Site, robot: FieldRobot, length_m: float, rng: np.random.Generator) -> Drive:
-    """A drive of about this length: lines in any direction, straight legs, or one long bend after another."""
-    west, south, east, north = site.drivable
-    inside = (west + 1.0, south + 1.0, east - 1.0, north - 1.0)
-    if pattern == "lawnmower":
-        spacing = (inside[2] - inside[0]) * (inside[3] - inside[1]) / length_m
-        heading = float(rng.uniform(0.0, math.pi))
-        points = lawnmower(inside, spacing_m=spacing, heading_rad=heading)
-        while _length(points) < length_m:
-            spacing *= 0.95
-            points = lawnmower(inside, spacing_m=spacing, heading_rad=heading)
-        return drive_along(_cut_to(points, length_m), speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.8)
-    if pattern == "winding":
-        points = winding(inside, length_m, rng)
-        return drive_along(points, speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.3)
-    points = _without_reversals(random_waypoints(inside, int(length_m / 2.0), rng, least_leg_m=8.0))
-    return drive_along(_cut_to(points, 1.05 * length_m), speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.8)
-
-
-def _without_reversals(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Those of the points that can be driven to one after another without a turn of more than 110 degrees."""
-    kept = list(points[:2])
-    for point in points[2:]:
-        before = math.atan2(kept[-1][0] - kept[-2][0], kept[-1][1] - kept[-2][1])
-        ahead = math.atan2(point[0] - kept[-1][0], point[1] - kept[-1][1])
-        if abs(wrap_angle(ahead - before)) < math.radians(110.0) and math.dist(kept[-1], point) > 3.0:
-            kept.append(point)
-    return kept
-
-
-def _length(points: Sequence[tuple[float, float]]) -> float:
-    return sum(math.dist(a, b) for a, b in zip(points, points[1:], strict=False))
-
-
-def _cut_to(points: Sequence[tuple[float, float]], length_m: float) -> list[tuple[float, float]]:
-    """The first `length_m` of a polyline, to 2 m."""
-    kept = [points[0]]
-    left = length_m
-    for a, b in zip(points, points[1:], strict=False):
-        leg = math.dist(a, b)
-        share = min(left / leg, 1.0)
-        kept.append((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
-        left -= leg
-        if left < 2.0:
-            break
-    return kept
 
 
 def _log(trace: Trace, run: _Driven, robot: FieldRobot, effects: Sequence[Effect], seed: int, path: Path) -> None:

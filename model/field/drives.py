@@ -127,10 +127,10 @@ def winding(
     heading = math.atan2(centre[0] - x, centre[1] - y)
     points = [(x, y)]
     for bend in bends:
-        ahead = x + 3.0 * math.sin(heading), y + 3.0 * math.cos(heading)
+        ahead = x + 3.5 * math.sin(heading), y + 3.5 * math.cos(heading)
         if not (west <= ahead[0] <= east and south <= ahead[1] <= north):
             inward = float(wrap_angle(math.atan2(centre[0] - x, centre[1] - y) - heading))
-            bend = math.copysign(0.6, inward)
+            bend = math.copysign(0.8, inward)
         heading += bend * step
         x, y = x + step * math.sin(heading), y + step * math.cos(heading)
         points.append((x, y))

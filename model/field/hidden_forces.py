@@ -102,7 +102,10 @@ class Speed(Effect):
 
 @dataclass(frozen=True)
 class Acceleration(Effect):
-    """Stop-and-go every few metres, with rotors behind the gears that must be spun up (kg, as felt at the ground)."""
+    """Stop-and-go every few metres, with rotors behind the gears that must be spun up (kg, as felt at the ground).
+
+    The gears lock themselves: what the rotors hold does not come back when they slow down.
+    """
 
     rotors_kg: float
     every_m: float = 5.0
@@ -117,13 +120,16 @@ class Acceleration(Effect):
         return replace(drive, speed_mps=drive.speed_mps * (1.0 - 0.75 * np.exp(-0.5 * (near / 0.5) ** 2)))
 
     def force_n(self, ride: Ride) -> FloatArray:
-        gained = 0.5 * np.diff(ride.drive.speed_mps**2, prepend=ride.drive.speed_mps[0] ** 2)
         step = np.maximum(np.diff(ride.path_m, prepend=ride.path_m[0]), 1e-6)
-        return self.rotors_kg * gained / step
+        return self.rotors_kg * self._spun_up(ride) / step
 
     def amount(self, ride: Ride) -> FloatArray:
-        gained = 0.5 * np.diff(ride.drive.speed_mps**2, prepend=ride.drive.speed_mps[0] ** 2)
-        return np.cumsum(np.maximum(gained, 0.0))
+        return np.cumsum(self._spun_up(ride))
+
+    @staticmethod
+    def _spun_up(ride: Ride) -> FloatArray:
+        """Half the square of the speed, gained over each step [m2/s2]."""
+        return np.maximum(0.5 * np.diff(ride.drive.speed_mps**2, prepend=ride.drive.speed_mps[0] ** 2), 0.0)
 
 
 @dataclass(frozen=True)

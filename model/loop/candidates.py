@@ -24,6 +24,7 @@ _RESPONSE = re.compile(
     r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|motor|wheel|odom|duty|pwm|rpm|torque|slip"
 )
 _COPY = 0.97
+_USUAL = {"temperature": 20.0, "payload": 0.0}
 _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 40
 
@@ -49,12 +50,12 @@ class Candidate:
 
 
 def find_candidates(
-    residuals: Residuals, columns: Mapping[str, FloatArray], *, warm_c: float = 20.0
+    residuals: Residuals, columns: Mapping[str, FloatArray], *, usual: Mapping[str, float] | None = None
 ) -> tuple[list[Candidate], dict[str, str]]:
     """(candidates, refused: name -> why).
 
-    columns : mean voltage [V], current [A] and power [W] of each row, that nothing may copy. warm_c : temperature at
-    which the base model holds.
+    columns : mean voltage [V], current [A] and power [W] of each row, that nothing may copy. usual : of a logged
+    column, the value at which the base model holds.
     """
     drive, moving = residuals.drive, residuals.moving
     unit, amount = ("A s", "A") if residuals.charge else ("J", "W")
@@ -67,13 +68,14 @@ def find_candidates(
     if not residuals.charge:
         found += _of_level()
     usable = _usable(residuals, columns, refused)
-    found += _of_weather(residuals, usable, warm_c, unit)
+    found += _of_weather(residuals, usable, _USUAL | dict(usual or {}), unit)
     for key, values in sorted(drive.words.items()):
         kinds = [w for w in np.unique(values[moving]) if w and (values[moving] == w).sum() >= 10]
         if len(kinds) < 2:
             refused[f"terrain_class:{key}"] = "one word only" if kinds else "no word is recorded often enough"
             continue
         found.append(_of_words(key, values[moving], kinds, unit))
+    found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
     for key in ("grade", "cross_slope", "roughness", "elevation", "speed", "turn"):
         found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
@@ -103,13 +105,13 @@ def _of_path(unit: str) -> Iterator[Candidate]:
     sides = Term("turning", "turning_sides", (rad, rad))
     yield Candidate("turning", (plain, *saturating, *both, sides), "curves of several radii on level ground, both ways")
     speeds = tuple(
-        Term("speed", "speed", ("1/(m/s)" if of else f"{unit}/m per m/s",), {"power": p, "of_motion": of})
-        for p in (1, 2)
-        for of in (False, True)
-    )
+        Term("speed", "speed", (f"{unit}/m per m/s",) if p == 1 else (f"{unit}/m per (m/s)^{p}",),
+             {"power": p, "absolute": absolute})
+        for p in (1, 2) for absolute in (False, True)
+    )  # fmt: skip
     yield Candidate("speed", speeds, "the same line at several speeds")
-    gains = tuple(Term("acceleration", "acceleration", ("",), {"both": b}) for b in (False, True))
-    yield Candidate("acceleration", gains, "starts and stops on level ground", planner=False)
+    spin = Term("acceleration", "acceleration", ("kg",))
+    yield Candidate("acceleration", (spin,), "starts and stops on level ground", planner=False)
     across = tuple(Term("cross_slope", "cross_slope", ("",), {"power": p}) for p in (1, 2))
     yield Candidate("cross_slope", across, "along a side slope, and beside it on the level")
     down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
@@ -136,11 +138,15 @@ def _of_level() -> Iterator[Candidate]:
                     "one level line at two speeds, and a climb")  # fmt: skip
 
 
-def _of_weather(residuals: Residuals, usable: list[str], warm_c: float, unit: str) -> Iterator[Candidate]:
-    drive, moving = residuals.drive, residuals.moving
+def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, float], unit: str) -> Iterator[Candidate]:
+    drive = residuals.drive
     if "temperature" in usable:
-        warmth = Term("temperature", "temperature", ("1/K",), {"reference": warm_c})
-        yield Candidate("temperature", (warmth,), "the same loop on a cold and on a warm day")
+        warm = {"reference": usual["temperature"]}
+        warmth = tuple(
+            Term("temperature", "temperature", ("1/K" if of else f"{unit}/m/K",), warm | {"of_motion": of})
+            for of in (True, False)
+        )
+        yield Candidate("temperature", warmth, "the same loop on a cold and on a warm day")
     if "wind_speed" in usable and "wind_from" in drive.columns:
         air = (
             Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
@@ -148,15 +154,29 @@ def _of_weather(residuals: Residuals, usable: list[str], warm_c: float, unit: st
         )
         yield Candidate("wind", air, "one line to and fro in a wind")
     if "payload" in usable:
-        middle = float(np.nanmean(drive.columns["payload"][moving]))
-        logged = Term("payload", "payload", ("",), {"column": "payload", "reference": round(middle, 3)})
+        logged = Term("payload", "payload", ("",), {"column": "payload", "reference": usual["payload"]})
         yield Candidate("payload", (logged,), "the same loop with and without a load")
+
+
+def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator[Candidate]:
+    """What nobody recorded and every run had its own of."""
+    drive = residuals.drive
+    runs = np.unique(drive.run[residuals.moving])
+    names = list(drive.runs)
+    if runs.size < 2 or runs.size < len(names):
+        return
+    if "wind_speed" not in usable:
+        wind = Term("wind", "by_run", (f"{unit}/m",) * 2 * len(names), {"of": "wind_constant", "runs": names})
+        yield Candidate("wind", (wind,), "one line to and fro, and one across it, in every run")
+    if "payload" not in usable and not residuals.charge:
+        load = Term("payload", "by_run", ("kg",) * len(names), {"of": "payload", "runs": names})
+        yield Candidate("payload", (load,), "the same slope up and down with every load; weigh the robot")
 
 
 def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -> Candidate:
     """All words against the most common one, and each word alone against all others."""
     usual = max(kinds, key=lambda w: int((values == w).sum()))
-    rest = [[str(w) for w in kinds if w != usual]] + ([[str(w)] for w in kinds] if len(kinds) > 2 else [])
+    rest = [[str(w) for w in kinds if w != usual]] + [[str(w)] for w in kinds]
     name = "terrain_class" if key in ("terrain", "ground", "surface") else f"terrain_class:{key}"
     variants = tuple(
         Term(name, "words", (("" if of else f"{unit}/m"),) * len(some),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.frames import heading_vector
-from model.loop.segments import Segments
+from model.loop.segments import TURN_LIMITS_RADPS, Segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -26,11 +26,13 @@ class Drive:
     """Segments and stands as columns of (n,), the only thing an effect's formula sees.
 
     length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
-    turned_rad, turned_abs_rad, gentle_turn_rad, start_mps, end_mps : as in `Segments`. grade, cross : tangents of the
-    ground along the heading (> 0 uphill) and across it (> 0 down to the right). roughness_m : departure of the square
-    metre from its plane. elevation_m. since_s, driven_m : since the start of the run; clock_s : since that of the first
-    run. run : number of the run. columns, words : what else was logged (NaN, "" : not recorded). robot : as declared.
-    unit_j : joules of one unit of energy here (1, or the nominal voltage for charge in ampere seconds).
+    turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade, cross : tangents of the ground
+    along the heading (> 0 uphill) and across it (> 0 down to the right). cross_abs, cross_sq : mean of the magnitude
+    and of the square of the tangent across, as the wheels feel it along the segment. roughness_m : departure of the
+    square metre from its plane. elevation_m. since_s, driven_m : since the start of the run; clock_s : since that of
+    the first run. run : number of the run, an index into `runs`, which tells runs apart by name and first stamp.
+    columns, words : what else was logged (NaN, "" : not recorded). robot : as declared. unit_j : joules of one unit of
+    energy here (1, or the nominal voltage for charge in ampere seconds).
     """
 
     robot: Robot
@@ -44,10 +46,11 @@ class Drive:
     turned_rad: FloatArray
     turned_abs_rad: FloatArray
     gentle_turn_rad: FloatArray
-    start_mps: FloatArray
-    end_mps: FloatArray
+    gained_m2ps2: FloatArray
     grade: FloatArray
     cross: FloatArray
+    cross_abs: FloatArray
+    cross_sq: FloatArray
     roughness_m: FloatArray
     elevation_m: FloatArray
     since_s: FloatArray
@@ -56,6 +59,7 @@ class Drive:
     columns: dict[str, FloatArray] = field(default_factory=dict)
     words: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     unit_j: float = 1.0
+    runs: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return int(self.x.size)
@@ -102,7 +106,7 @@ def describe_segments(
 ) -> tuple[Drive, FloatArray]:
     """The segments, and after them the stands, as a `Drive`; and what was measured over each [J, or A s]."""
     n = len(segments)
-    ground = _ground(heightmap, segments.x, segments.y, segments.heading_rad)
+    ground = _ground(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     first = np.array([segments.t0[segments.run == k].min(initial=math.inf) for k in range(len(segments.runs))])
     start = first[segments.run] if n else np.zeros(0)
     driven = np.zeros(n)
@@ -121,8 +125,7 @@ def describe_segments(
         turned_rad=segments.heading_change_rad,
         turned_abs_rad=segments.turned_abs_rad,
         gentle_turn_rad=segments.gentle_turn_rad,
-        start_mps=segments.start_mps,
-        end_mps=segments.end_mps,
+        gained_m2ps2=segments.gained_m2ps2,
         **ground,
         since_s=segments.t0 - start,
         driven_m=driven,
@@ -130,11 +133,45 @@ def describe_segments(
         columns=dict(segments.extras),
         words=dict(segments.texts),
         unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
+        runs=tuple(f"{name}@{stamp:.1f}" for name, stamp in zip(segments.runs, first, strict=True)),
     )
     if not with_stands or not segments.stands:
         return drive, segments.energy_j
     run, seconds, energy = (np.array(values) for values in zip(*segments.stands, strict=True))
     return _with_stands(drive, run.astype(np.int64), seconds), np.concatenate([segments.energy_j, energy])
+
+
+def planned_drive(
+    heightmap: Heightmap,
+    robot: Robot,
+    x: FloatArray,
+    y: FloatArray,
+    heading_rad: FloatArray,
+    traction_per_m: ArrayLike,
+    conditions: Mapping[str, float],
+) -> Drive:
+    """Straight 1 m segments at cruising speed that nobody has driven yet. conditions : logged columns as expected."""
+    n = x.size
+    zero = np.zeros(n)
+    return Drive(
+        robot=robot,
+        run=np.zeros(n, dtype=np.int64),
+        x=x,
+        y=y,
+        heading_rad=heading_rad,
+        length_m=np.ones(n),
+        duration_s=np.full(n, 1.0 / robot.speed_mps),
+        traction_per_m=np.asarray(traction_per_m, dtype=np.float64),
+        turned_rad=zero,
+        turned_abs_rad=zero,
+        gentle_turn_rad=np.zeros((n, len(TURN_LIMITS_RADPS))),
+        gained_m2ps2=zero,
+        **_ground(heightmap, robot, x, y, heading_rad),
+        since_s=zero,
+        driven_m=zero,
+        clock_s=zero,
+        columns={key: np.full(n, value) for key, value in conditions.items()},
+    )
 
 
 def _with_stands(drive: Drive, run: NDArray[np.int64], seconds: FloatArray) -> Drive:
@@ -168,20 +205,36 @@ def concatenate_drives(parts: Sequence[Drive]) -> Drive:
     return replace(parts[0], **changed)
 
 
-def _ground(heightmap: Heightmap, x: FloatArray, y: FloatArray, heading_rad: FloatArray) -> dict[str, FloatArray]:
+def _ground(
+    heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray
+) -> dict[str, Any]:
     """Slopes, roughness and height of the square metre around each centre, along its heading; NaN where unknown."""
     dx, dy = heading_vector(heading_rad)
-    along, right = np.meshgrid(*[np.linspace(-_REACH_M, _REACH_M, _SIDE)] * 2, indexing="ij")
-    a, r = along.ravel(), right.ravel()
-    heights = heightmap.sample(
-        x[:, None] + np.outer(dx, a) + np.outer(dy, r), y[:, None] + np.outer(dy, a) - np.outer(dx, r)
-    )  # (n, 25)
+
+    def heights_at(along: FloatArray, right: FloatArray) -> FloatArray:
+        return heightmap.sample(
+            x[:, None] + np.outer(dx, along) + np.outer(dy, right),
+            y[:, None] + np.outer(dy, along) - np.outer(dx, right),
+        )
+
+    side = np.linspace(-_REACH_M, _REACH_M, _SIDE)
+    a, r = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
+    heights = heights_at(a, r)  # (n, 25)
     plane = np.stack([np.ones_like(a), a, r], axis=1)
     coefficients = heights @ np.linalg.pinv(plane).T  # (n, 3)
     rest = heights - coefficients @ plane.T
+    axles = np.concatenate([side - 0.5 * robot.length_m, side + 0.5 * robot.length_m])
+    half = np.full(axles.size, 0.5 * robot.width_m)
+    tilt = (heights_at(axles, -half) - heights_at(axles, half)) / robot.width_m  # (n, 10), > 0 down to the right
+    roll = 0.5 * (tilt[:, :_SIDE] + tilt[:, _SIDE:])
+    cross = -coefficients[:, 2]
+    off_map = ~np.isfinite(roll)  # the wheels reach further than the square metre
+    roll = np.where(off_map, cross[:, None], roll)
     return {
         "grade": coefficients[:, 1],
-        "cross": -coefficients[:, 2],
+        "cross": cross,
+        "cross_abs": np.abs(roll).mean(axis=1),
+        "cross_sq": (roll**2).mean(axis=1),
         "roughness_m": np.sqrt(np.mean(rest**2, axis=1)),
         "elevation_m": coefficients[:, 0],
     }

@@ -36,7 +36,7 @@ def quantity(drive: Drive, name: str) -> FloatArray:
         return drive.columns.get(name.removeprefix("column:"), np.full(len(drive), np.nan))
     values = {
         "grade": lambda: drive.grade,
-        "cross_slope": lambda: np.abs(drive.cross),
+        "cross_slope": lambda: drive.cross_abs,
         "roughness": lambda: drive.roughness_m,
         "elevation": lambda: drive.elevation_m,
         "speed": lambda: drive.speed_mps,
@@ -87,6 +87,25 @@ def sensor_gain(drive: Drive) -> FloatArray:
 
 
 @_formula
+def level(drive: Drive) -> FloatArray:
+    """1. A factor on what the base model says of driven segments: how far its level is off."""
+    return np.where(drive.standing, 0.0, drive.predicted)[:, None]
+
+
+@_formula
+def standing(drive: Drive) -> FloatArray:
+    """W. What a stand draws beyond the declared idle power."""
+    return np.where(drive.standing, drive.duration_s, 0.0)[:, None]
+
+
+@_formula
+def plane(drive: Drive) -> FloatArray:
+    """A s/m, 1/V, 1/V. Level, and shares of the traction uphill and downhill, where neither zero nor scale is known."""
+    t, length = drive.traction_per_m, drive.length_m
+    return np.stack([length, length * np.maximum(t, 0.0), length * np.minimum(t, 0.0)], axis=1)
+
+
+@_formula
 def friction(drive: Drive) -> FloatArray:
     """1. Rolling resistance on top of the declared one."""
     return (drive.robot.weight_n * drive.length_m / drive.unit_j)[:, None]
@@ -100,29 +119,30 @@ def payload(drive: Drive, *, column: str | None = None, reference: float = 0.0) 
 
 
 @_formula
-def temperature(drive: Drive, *, reference: float) -> FloatArray:
-    """1/K. A share of the motion's energy per degree above the reference [degC]."""
-    return (drive.motion_part * _known(drive, "temperature", reference))[:, None]
+def temperature(drive: Drive, *, reference: float, of_motion: bool) -> FloatArray:
+    """1/K, or J/m/K. A share of the motion's energy, or energy, per degree above the reference [degC]."""
+    amount = drive.motion_part if of_motion else drive.length_m
+    return (amount * _known(drive, "temperature", reference))[:, None]
 
 
 @_formula
-def speed(drive: Drive, *, power: int, of_motion: bool) -> FloatArray:
-    """J/m per (m/s)^power, or a share of the motion's energy per (m/s)^power, from the robot's own speed on."""
-    away = np.where(drive.standing, 0.0, drive.speed_mps**power - drive.robot.speed_mps**power)
-    return (away * (drive.motion_part if of_motion else drive.length_m))[:, None]
+def speed(drive: Drive, *, power: int, absolute: bool) -> FloatArray:
+    """J/m per (m/s)^power: of the speed, or of what it differs from the robot's own."""
+    usual = 0.0 if absolute else drive.robot.speed_mps**power
+    return (drive.length_m * (drive.speed_mps**power - usual))[:, None]
 
 
 @_formula
-def acceleration(drive: Drive, *, both: bool) -> FloatArray:
-    """1. Of the kinetic energy gained over a segment (or gained and lost)."""
-    kinetic = 0.5 * drive.robot.mass_kg * (drive.end_mps**2 - drive.start_mps**2) / drive.unit_j
-    return (np.abs(kinetic) if both else np.maximum(kinetic, 0.0))[:, None]
+def acceleration(drive: Drive) -> FloatArray:
+    """kg. Mass (of the robot, or of what spins in it) that is brought to speed and not given back."""
+    return (drive.gained_m2ps2 / drive.unit_j)[:, None]
 
 
 @_formula
 def cross_slope(drive: Drive, *, power: int) -> FloatArray:
     """1. Rolling resistance per tangent (to a power) of the slope across the motion."""
-    return (drive.robot.weight_n * drive.length_m / drive.unit_j * np.abs(drive.cross) ** power)[:, None]
+    across = drive.cross_abs if power == 1 else drive.cross_sq
+    return (drive.robot.weight_n * drive.length_m / drive.unit_j * across)[:, None]
 
 
 @_formula
@@ -167,6 +187,16 @@ def heading(drive: Drive, *, harmonics: int) -> FloatArray:
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
     waves = np.stack([f(angle) for angle in angles for f in (np.sin, np.cos)], axis=1)
     return waves * drive.length_m[:, None]
+
+
+@_formula
+def by_run(drive: Drive, *, of: str, runs: list[str]) -> FloatArray:
+    """What another formula says, with coefficients of its own in every run; in a run not listed, their mean."""
+    columns = FORMULAS[of](drive)
+    numbers = {name: k for k, name in enumerate(runs)}
+    which = np.array([numbers.get(name, -1) for name in drive.runs] or [-1])[drive.run]
+    share = np.where(which[:, None] < 0, 1.0 / len(runs), which[:, None] == np.arange(len(runs)))  # (n, runs)
+    return (share[:, :, None] * columns[:, None, :]).reshape(len(drive), -1)
 
 
 @_formula

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import gamma
+from scipy.stats import chi2, gamma
 from scipy.stats import t as student
 
-from model.loop.effects import Term
+from model.loop.effects import FORMULAS, Term
 from model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
@@ -31,14 +31,18 @@ LEVEL_FORMULAS = frozenset({"hotel_load", "sensor_gain", "payload", "friction", 
 
 _FIELD_RIDGE = 5.0  # as many segments say that a bell curve of a field is flat
 _LEAST_RUNS = 3
+_LEVEL_HELPS = 0.005
 _BETWEEN = 0.05  # an effect with less of its variance within runs is judged by runs
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """On one term. gain : share by which the held-out squared error falls; net : the same when the level is refitted
-    without the effect too. p_value : allowing for all that was tried (1 where it cannot be asked). steady : mean over
-    folds of the gain, over its standard error. why : where it cannot be asked, why."""
+    """On one term.
+
+    gain : share by which the held-out squared error falls; net : the same of what is left when the level is refitted
+    with and without the effect. p_value : allowing for all that was tried (1 where it cannot be asked). steady : share of the folds in which it
+    helps. why : where it cannot be asked, why.
+    """
 
     term: int
     gain: float
@@ -49,11 +53,11 @@ class Verdict:
 
 
 class Evidence:
-    """The terms of all candidates on one set of residuals. level_sd : uncertainty of the base model's level, a share
-    of the energy. seed : of the shifts."""
+    """The terms of all candidates on one set of residuals. level_doubt : how far the base model's level may be
+    off on any day, a share of the energy. seed : of the shifts."""
 
-    def __init__(self, residuals: Residuals, terms: Sequence[Term], *, level_sd: float, seed: int = 0) -> None:
-        self.residuals, self.terms, self.level_sd, self.seed = residuals, list(terms), level_sd, seed
+    def __init__(self, residuals: Residuals, terms: Sequence[Term], *, level_doubt: float, seed: int = 0) -> None:
+        self.residuals, self.terms, self.level_doubt, self.seed = residuals, list(terms), level_doubt, seed
         drive, scale = residuals.drive, residuals.scale
         self.z = residuals.residual / scale
         blocks = [self._scaled(t.columns(drive)) for t in self.terms]
@@ -76,39 +80,65 @@ class Evidence:
         self.moving = np.flatnonzero(residuals.moving)
         self.moving = self.moving[np.lexsort((drive.since_s[self.moving], drive.run[self.moving]))]
         self._grams()
+        self._silent: dict[tuple[int, ...], IntArray] = {}
 
     def _scaled(self, columns: FloatArray) -> FloatArray:
         return columns / self.residuals.scale[:, None]
 
     def _grams(self) -> None:
         both = np.concatenate([self.x, self.z[:, None]], axis=1)
-        fold, moving = self.residuals.fold, self.residuals.moving
-        self.fit_gram = np.stack([both[fold == f].T @ both[fold == f] for f in self.folds])  # (F, K + 1, K + 1)
-        judged = [(fold == f) & moving for f in self.folds]
-        self.judge_gram = np.stack([both[rows].T @ both[rows] for rows in judged])
+
+        def products(fold: IntArray) -> tuple[FloatArray, FloatArray]:
+            """(of all rows of each fold, of its moving ones): (F, K + 1, K + 1) each."""
+            rows = [np.flatnonzero(fold == f) for f in np.unique(fold)]
+            moving = [r[self.residuals.moving[r]] for r in rows]
+            return np.stack([both[r].T @ both[r] for r in rows]), np.stack([both[r].T @ both[r] for r in moving])
+
+        self.fit_gram, self.judge_gram = products(self.residuals.fold)
+        self.block_grams = products(self.residuals.block)
+        self.own_of_runs = {int(c) for t, k in zip(self.terms, self.columns, strict=True) if t.formula == "by_run"
+                            for c in k}  # fmt: skip
 
     def silent(self, chosen: Sequence[int]) -> IntArray:
-        """Columns that are refitted without a word: the level, unless a chosen effect moves it."""
-        return self.nuisance[:0] if self.moves_level(chosen) else self.nuisance
+        """Columns that are refitted without a word: the level, where that helps on held-out runs and no chosen effect
+        moves the level itself."""
+        if self.residuals.charge:
+            return self.nuisance
+        key = tuple(chosen)
+        if key not in self._silent:
+            selected = self.columns_of(chosen)
+            plain = self.held_out(selected).sum()
+            refitted = self.held_out(np.concatenate([selected, self.nuisance])).sum()
+            helps = refitted < (1.0 - _LEVEL_HELPS) * plain
+            self._silent[key] = self.nuisance if helps and not self.moves_level(chosen) else self.nuisance[:0]
+        return self._silent[key]
 
     def moves_level(self, chosen: Sequence[int]) -> bool:
-        return not self.residuals.charge and any(self.terms[k].formula in LEVEL_FORMULAS for k in chosen)
+        terms = [self.terms[k] for k in chosen]
+        return not self.residuals.charge and any(
+            t.formula in LEVEL_FORMULAS or t.settings.get("of") in LEVEL_FORMULAS for t in terms
+        )
 
     def columns_of(self, chosen: Sequence[int]) -> IntArray:
         return np.concatenate([self.nuisance[:0], *(self.columns[k] for k in chosen)]).astype(np.int64)
 
-    def held_out(self, active: IntArray) -> FloatArray:
-        """(folds,) squared error [scaled] of each fold's moving segments, fitted to all others."""
+    def held_out(self, active: IntArray, *, blocks: bool = False) -> FloatArray:
+        """(folds,) squared error [scaled] of each fold's moving segments, fitted to all others. Where runs have
+        coefficients of their own (or with `blocks`) a fold is a third of every run."""
+        if blocks or not self.own_of_runs.isdisjoint(active.tolist()):
+            fit_gram, judge_gram = self.block_grams
+        else:
+            fit_gram, judge_gram = self.fit_gram, self.judge_gram
         if active.size == 0:
-            return self.judge_gram[:, -1, -1]
-        inner = self.fit_gram[:, active[:, None], active]
-        right = self.fit_gram[:, active, -1]
+            return judge_gram[:, -1, -1]
+        inner = fit_gram[:, active[:, None], active]
+        right = fit_gram[:, active, -1]
         left = inner.sum(axis=0) - inner + np.diag(self.ridge[active])
         beta = np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0]
-        judged = self.judge_gram[:, active[:, None], active]
-        cross = self.judge_gram[:, active, -1]
+        judged = judge_gram[:, active[:, None], active]
+        cross = judge_gram[:, active, -1]
         return (
-            self.judge_gram[:, -1, -1]
+            judge_gram[:, -1, -1]
             - 2.0 * np.einsum("fk,fk->f", beta, cross)
             + np.einsum("fk,fkl,fl->f", beta, judged, beta)
         )
@@ -123,14 +153,18 @@ class Evidence:
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
         """A verdict on each tried term, given the chosen ones."""
         selected = self.columns_of(chosen)
-        silent = self.silent(chosen)
-        bare = np.concatenate([selected, self.nuisance[:0] if not self.residuals.charge else self.nuisance])
-        with_level = np.concatenate([selected, silent])
-        error, error_level = self.held_out(bare), self.held_out(with_level)
+        with_level = np.concatenate([selected, self.nuisance])
+        bare = with_level if self.residuals.charge else selected
+        if chosen and not self.residuals.charge:
+            bare = np.concatenate([selected, self.silent(chosen)])
+        before = {b: (self.held_out(bare, blocks=b), self.held_out(with_level, blocks=b)) for b in (False, True)}
         p_values, reasons = self._chances(chosen, tried)
         verdicts = []
         for k in tried:
-            after = self.held_out(np.concatenate([bare, self.columns[k]]))
+            own = self.terms[k].formula == "by_run"
+            error, error_level = before[own]
+            kept = selected if self.moves_level([k]) else bare
+            after = self.held_out(np.concatenate([kept, self.columns[k]]))
             gain = 1.0 - after.sum() / error.sum()
             if self.moves_level([k]):
                 net, falls = gain, (error - after) / error.sum()
@@ -138,8 +172,8 @@ class Evidence:
                 refitted = self.held_out(np.concatenate([with_level, self.columns[k]]))
                 net = 1.0 - refitted.sum() / error_level.sum()
                 falls = (error_level - refitted) / error_level.sum()
-            spread = falls.std(ddof=1) / np.sqrt(falls.size)
-            steady = float(falls.mean() / max(spread, 1e-12))
+                gain = max(gain, (error_level - refitted).sum() / error.sum())
+            steady = float((falls > 0).mean())
             verdicts.append(Verdict(k, float(gain), float(net), p_values[k], steady, reasons.get(k, "")))
         return verdicts
 
@@ -152,7 +186,8 @@ class Evidence:
         per_run[np.arange(rows.size), runs] = share
         taken = np.concatenate([self.columns_of(chosen), self.nuisance])
         basis = _orthonormal(np.concatenate([self.x[rows][:, taken], per_run], axis=1))
-        level_basis = _orthonormal(self.x[rows][:, np.concatenate([self.columns_of(chosen), self.silent(chosen)])])
+        level_basis = _orthonormal(self.x[rows][:, np.concatenate([self.columns_of(chosen), self.nuisance])])
+        selected_basis = _orthonormal(self.x[rows][:, self.columns_of(chosen)])
         within: list[tuple[int, FloatArray]] = []
         by_run: list[int] = []
         p_values = dict.fromkeys(tried, 1.0)
@@ -161,6 +196,9 @@ class Evidence:
             block = self.x[rows][:, self.columns[k]]
             left = block - basis @ (basis.T @ block)
             free = block - level_basis @ (level_basis.T @ block)
+            if self.terms[k].settings.get("of") in LEVEL_FORMULAS:
+                p_values[k] = self._differ_between_runs(selected_basis, per_run)
+                continue
             if self.moves_level([k]) or (left**2).sum() < _BETWEEN * max((free**2).sum(), 1e-12):
                 size = (block if self.moves_level([k]) else free) ** 2
                 if size.sum() < 1e-4 * rows.size * block.shape[1]:
@@ -212,9 +250,18 @@ class Evidence:
         spread = self.jackknife(active)[-1]
         share = self.x[self.moving][:, self.columns[k]] * self.size[self.columns[k]]
         lift = float(np.mean(share[:, 0] * self.residuals.scale[self.moving] / self.residuals.predicted[self.moving]))
-        doubt = self.level_sd / max(abs(lift), 1e-12) if self.moves_level([k]) and not self.moves_level(chosen) else 0.0
+        doubtful = self.moves_level([k]) and not self.moves_level(chosen)
+        doubt = self.level_doubt / max(abs(lift), 1e-12) if doubtful else 0.0
         freedom = self.folds.size - 1 - len(chosen)
-        return float(2.0 * student.sf(abs(value) / max(np.hypot(spread, doubt), 1e-300), max(freedom, 1)))
+        beyond = max(abs(value) - doubt, 0.0)  # a test of "more than the doubt", not of "more than nothing"
+        return float(2.0 * student.sf(beyond / max(spread, 1e-300), max(freedom, 1)))
+
+    def _differ_between_runs(self, chosen_level: FloatArray, per_run: FloatArray) -> float:
+        """p of the runs' levels being no further off than the base model's usually are."""
+        z = self.z[self.moving]
+        z = z - chosen_level @ (chosen_level.T @ z)
+        offs = (per_run.T @ z) / (per_run**2).sum(axis=0)
+        return float(chi2.sf(float(((offs / self.level_doubt) ** 2).sum()), offs.size))
 
     def jackknife(self, active: IntArray) -> FloatArray:
         """Standard errors of `coefficients`, leaving out a fold at a time."""
@@ -225,11 +272,9 @@ class Evidence:
 
 def _level_columns(residuals: Residuals) -> FloatArray:
     """What is refitted silently: one factor; of a charge, whose scale and zero are unknown, a plane in the traction."""
-    drive = residuals.drive
-    if not residuals.charge:
-        return residuals.predicted[:, None]
-    t = drive.traction_per_m
-    return np.stack([drive.length_m, drive.length_m * np.maximum(t, 0), drive.length_m * np.minimum(t, 0)], axis=1)
+    if residuals.charge:
+        return FORMULAS["plane"](residuals.drive)
+    return np.where(residuals.moving, residuals.predicted, 0.0)[:, None]
 
 
 def _orthonormal(columns: FloatArray, *, least: float = 1e-6) -> FloatArray:

@@ -78,9 +78,24 @@ class Residuals:
             out[mine] = k * blocks + np.minimum(np.arange(mine.size) * blocks // max(mine.size, 1), blocks - 1)
         return out
 
+    @cached_property
+    def block(self) -> NDArray[np.int64]:
+        """(n,) another way to hold out: the same third of every run, for effects that each run has its own of."""
+        out = np.zeros(len(self), dtype=np.int64)
+        for run in np.unique(self.drive.run):
+            mine = np.flatnonzero(self.drive.run == run)
+            out[mine] = np.arange(mine.size) * 3 // max(mine.size, 1)
+        return out
+
     def take(self, which: ArrayLike) -> Residuals:
         index = np.asarray(which)
         return Residuals(self.drive.take(index), self.measured[index], self.predicted[index], self.runs, self.charge)
+
+    def without_prediction(self) -> Residuals:
+        """The same with nothing predicted, noise judged as before."""
+        bare = Residuals(self.drive, self.measured, np.zeros(len(self)), self.runs, self.charge)
+        bare.__dict__["scale"] = self.scale
+        return bare
 
     def corrected(self, energy: FloatArray) -> Residuals:
         """The same with `energy` added to the prediction."""

@@ -1,4 +1,4 @@
-"""Measured runs: read a CSV log, repair what loggers break by stated rules, and count every repair.
+"""Measured runs: read a log (CSV or Parquet), repair what loggers break by stated rules, and count every repair.
 
 Rules, in this order (the key in `Run.repairs` in brackets; a key is there only when its count is not zero):
 
@@ -70,20 +70,33 @@ class Run:
 
 
 def read_run(path: str | Path, *, crs: str | None = None) -> Run:
-    """Read a run in CSV: `t`, `x`,`y` (or `lat`,`lon` with the map's `crs`), `current` or `current_*`, and optionally
-    `voltage` and any further column. Raises RunsError naming file, column and row."""
+    """Read a run in CSV or Parquet: `t`, `x`,`y` (or `lat`,`lon` with the map's `crs`), `current` or `current_*`, and
+    optionally `voltage` and any further column. Raises RunsError naming file, column and row."""
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        content = path.read_bytes()
+    except OSError as error:
         raise RunsError(f"run {path}: {error}", path=str(path)) from error
-    return parse_run(text, name=path.name, crs=crs)
+    return parse_run(content, name=path.name, crs=crs)
 
 
-def parse_run(text: str, *, name: str, crs: str | None = None) -> Run:
-    """`read_run` of a text already read."""
+def parse_run(content: str | bytes, *, name: str, crs: str | None = None) -> Run:
+    """`read_run` of a text in CSV, or of the bytes of a file, already read."""
     repairs: dict[str, int] = {}
-    numbers, texts = read_table(text, name, repairs)
+    numbers, texts = read_table(content, name, repairs)
+    return run_of(numbers, texts, name=name, crs=crs, repairs=repairs)
+
+
+def run_of(
+    numbers: dict[str, FloatArray],
+    texts: dict[str, NDArray[np.str_]],
+    *,
+    name: str,
+    crs: str | None = None,
+    repairs: dict[str, int] | None = None,
+) -> Run:
+    """`read_run` of columns already read; repairs : what reading them has counted so far."""
+    repairs = {} if repairs is None else repairs
     if "t" not in numbers:
         raise RunsError(f"run {name}: there is no column 't' (seconds)", run=name, column="t")
     rows = _ordered_rows(numbers["t"], name, repairs)

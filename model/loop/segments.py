@@ -37,6 +37,8 @@ _SMOOTHING_S = 0.3  # or one interval
 _TRACK_HEADING_S = 0.5  # directions need more smoothing than places
 _COMPASS_AGREES_RAD = 0.25
 _STAND_S = 1.0
+_STANDS_WITHIN_M = 0.05
+_STANDS_EVENLY = 0.25
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,11 @@ class Segments:
     x, y : the centre [m]. heading_rad : of p -> q. energy_j : drawn from the battery [J], or charge [A s] if `charge`.
     duration_s. driven_m : horizontal length of the track. heading_change_rad : of the track from p to q, > 0 to the
     right. turned_abs_rad : turns to both sides added up. gentle_turn_rad : (n, 7), the same where every rate of turning
-    counts up to the limits `TURN_LIMITS_RADPS` only. start_mps, end_mps : speeds at p and q. voltage_v (NaN where it
-    was not recorded), current_a : means. t0 : stamp at p. run : index into `runs`. extras : mean of each further numeric
-    column (NaN where blank); texts : text columns at the middle. stands : (run, seconds, energy) of every stand of the
-    robot for 2 s or more, its first and last half second left out. left_out : reason -> count.
+    counts up to the limits `TURN_LIMITS_RADPS` only. gained_m2ps2 : half the square of the
+    speed, what it rose by between p and q (falls do not count). voltage_v (NaN where it
+    was not recorded), current_a : means. t0 : stamp at p. run : index into `runs`. extras : mean of each further
+    numeric column (NaN where blank); texts : text columns at the middle. stands : (run, seconds, energy) of every
+    stand of 2 s or more without its first and last half second. left_out : reason -> count.
     """
 
     x: FloatArray
@@ -61,8 +64,7 @@ class Segments:
     heading_change_rad: FloatArray
     turned_abs_rad: FloatArray
     gentle_turn_rad: FloatArray
-    start_mps: FloatArray
-    end_mps: FloatArray
+    gained_m2ps2: FloatArray
     voltage_v: FloatArray
     current_a: FloatArray
     t0: FloatArray
@@ -135,7 +137,8 @@ def cut_segments(
     (px, qx), (py, qy), (pt, qt) = at(x), at(y), at(t)
     ps, qs = at(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))]))
     turned, turned_abs, gentle = _turned(t, _headings(run, good, np.cumsum(gap), interval, speed), ends)
-    start_mps, end_mps = at(speed)
+    rises = np.maximum(np.diff(0.5 * _speeds(run, good, np.cumsum(gap), interval, speed) ** 2, prepend=0.0), 0.0)
+    gained_p, gained_q = at(np.cumsum(np.where(gap, 0.0, rises)))
     power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
     energy = _integral(run.t, power, qt) - _integral(run.t, power, pt)
     first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
@@ -143,7 +146,7 @@ def cut_segments(
     columns = {
         "x": (px + qx) / 2, "y": (py + qy) / 2, "heading_rad": heading_of(qx - px, qy - py), "energy_j": energy,
         "duration_s": qt - pt, "driven_m": qs - ps, "heading_change_rad": turned, "t0": pt,
-        "turned_abs_rad": turned_abs, "gentle_turn_rad": gentle, "start_mps": start_mps, "end_mps": end_mps,
+        "turned_abs_rad": turned_abs, "gentle_turn_rad": gentle, "gained_m2ps2": gained_q - gained_p,
         "voltage_v": voltage, "current_a": _mean(run.current_a, first, last, False),
     }  # fmt: skip
     bent = (qs - ps) > max_driven_ratio * length_m
@@ -161,7 +164,7 @@ def cut_segments(
         charge=charge,
         extras={key: _mean(values, first, last, key in ANGLE_COLUMNS)[keep] for key, values in run.extras.items()},
         texts={key: values[middle][keep] for key, values in run.texts.items()},
-        stands=_stands(t, piece, run.t, power),
+        stands=_stands(t, x, y, piece, run.t, power, run.extras.get("speed")),
         left_out=left_out,
     )
 
@@ -268,15 +271,38 @@ def _turned(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[Float
     return between(step), between(np.abs(step)), np.stack(gentle, axis=1)
 
 
+def _speeds(
+    run: Run, good: NDArray[np.int64], piece: NDArray[np.int64], interval: float, track: FloatArray
+) -> FloatArray:
+    """Speed at the rows `good` [m/s]: the `speed` column, evened out, where it agrees with the track; else its."""
+    logged = run.extras.get("speed")
+    if logged is None or np.isfinite(logged[good]).mean() < 0.8:
+        return track
+    known = np.isfinite(logged)
+    told = np.interp(run.t[good], run.t[known], logged[known])
+    if np.median(np.abs(told - track)) > 0.2 * float(np.median(track)):
+        return track
+    return _smooth(run.t[good], told, told, piece, max(_SMOOTHING_S, interval))[0]
+
+
 def _stands(
-    t: FloatArray, piece: NDArray[np.int64], stamps: FloatArray, power: FloatArray
-) -> tuple[tuple[int, float, float], ...]:
-    """(0, seconds, energy) of every stand, without its first and last half second."""
+    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], stamps: FloatArray, power: FloatArray,
+    speed: FloatArray | None,
+) -> tuple[tuple[int, float, float], ...]:  # fmt: skip
+    """(0, seconds, energy) of every stand, without its first and last half second. The robot stays where it is and
+    draws evenly and little: one that turns on the spot, or that lost its position on the way, is not standing."""
     edges = np.flatnonzero(np.diff(np.concatenate([[1], (piece != 0).astype(int), [1]])))
+    usual = float(np.median(power))
     found = []
     for first, after in zip(edges[::2], edges[1::2], strict=True):
         start, end = float(t[first]) + 0.5, float(t[after - 1]) - 0.5
-        if end - start >= 1.0:
+        rows = (stamps >= start) & (stamps <= end)
+        drawn = power[rows]
+        if end - start < 1.0 or drawn.size < 5 or drawn.std() > _STANDS_EVENLY * drawn.mean() > 0:
+            continue
+        moved = math.hypot(x[after - 1] - x[first], y[after - 1] - y[first])
+        told = 0.0 if speed is None else float(np.nan_to_num(np.abs(speed[rows])).mean())
+        if moved < _STANDS_WITHIN_M and told < _STANDS_WITHIN_M and 0.0 < drawn.mean() < 0.7 * usual:
             ends = _integral(stamps, power, np.array([start, end]))
             found.append((0, end - start, float(ends[1] - ends[0])))
     return tuple(found)

@@ -2,8 +2,8 @@
 
 Forward: of all effects that chance cannot explain and that help on held-out runs by more than a practical floor, the
 one that helps most is taken; where a physical form does nearly as well as a learned curve, the physical one. Columns
-that answer to the drive (commands, measured attitude) come once nothing else is found. Backward: an effect that the others make
-needless is dropped, and one that another would replace better is replaced.
+that answer to the drive (commands, measured attitude) come once nothing else is found. Backward: an effect that the
+others make needless is dropped, and each is put in the best of its forms given the others.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ FloatArray = NDArray[np.float64]
 
 ALPHA = 0.05
 MAX_EFFECTS = 6
+
+_STEADY = 0.6  # of the folds must gain
+_NEARLY = 0.85  # of a learned curve's gain is enough for a physical form
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def trace(
     residuals: Residuals,
     candidates: Sequence[Candidate],
     *,
-    level_sd: float,
+    level_doubt: float,
     floors: Floors | None = None,
     shared: Callable[[int], float] | None = None,
     seed: int = 0,
@@ -71,11 +74,11 @@ def trace(
 ) -> Trace:
     """Trace residuals to effects.
 
-    level_sd : uncertainty of the base model's level, a share of the energy. shared : gain of a term that the base
-    model's own runs show as well, which is no news and does not count.
+    level_doubt : how far the base model's level may be off on any day, a share of the energy. shared : gain of a term
+    that the base model's own runs show as well, which is no news and does not count.
     """
     owner = [c for c in candidates for _ in c.variants]
-    evidence = Evidence(residuals, [v for c in candidates for v in c.variants], level_sd=level_sd, seed=seed)
+    evidence = Evidence(residuals, [v for c in candidates for v in c.variants], level_doubt=level_doubt, seed=seed)
     search = _Search(evidence, owner, floors or Floors(), shared or (lambda term: 0.0))
     ranking = search.best_of_each([])
     found: list[Found] = []
@@ -114,7 +117,7 @@ class _Search:
 
     def clears_floor(self, verdict: Verdict) -> bool:
         worth = min(verdict.gain, verdict.net)
-        if worth < self.floor(verdict.term) or verdict.steady < 1.5:
+        if worth < self.floor(verdict.term) or verdict.steady < _STEADY:
             return False
         return worth - self.shared(verdict.term) >= self.floor(verdict.term)
 
@@ -144,7 +147,7 @@ class _Search:
         if not first:
             return None
         best = max(first, key=lambda f: self.score(f.verdict))
-        near = [f for f in first if self.score(f.verdict) >= 0.93 * self.score(best.verdict)]
+        near = [f for f in first if self.score(f.verdict) >= _NEARLY * self.score(best.verdict)]
         physical = [f for f in near if not f.candidate.learned]
         if best.candidate.learned and physical:
             return max(physical, key=lambda f: self.score(f.verdict))
@@ -189,14 +192,11 @@ class _Search:
         alone = self.evidence.held_out(self.active(rest))
         gained = float((alone - mine).sum())
         out = []
-        for candidate in dict.fromkeys(self.owner):
-            if candidate.name in names:
+        for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
+            if candidate.name in names or verdict.p_value > ALPHA:
                 continue
-            terms = [t for t, c in enumerate(self.owner) if c is candidate]
-            errors = [self.evidence.held_out(self.active([*rest, t])) for t in terms]
-            best = min(errors, key=lambda e: float(e.sum()))
-            worse = best - mine
+            worse = self.evidence.held_out(self.active([*rest, verdict.term])) - mine
             noise = float(worse.std(ddof=1)) * np.sqrt(worse.size)
-            if worse.sum() < max(noise, 0.0) and worse.sum() < 0.1 * gained:
+            if worse.sum() < noise and worse.sum() < 0.1 * gained:
                 out.append(candidate.name)
         return out

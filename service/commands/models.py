@@ -111,7 +111,9 @@ def _toml(robot: Robot) -> str:
 Heightmap = Annotated[Path | None, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")]
 Runs = Annotated[
     list[str] | None,
-    typer.Option("--runs", metavar="GLOB", help="Runs (CSV): a file, a folder or a quoted pattern; may be repeated."),
+    typer.Option(
+        "--runs", metavar="GLOB", help="Runs (CSV, Parquet): file, folder or quoted pattern; may be repeated."
+    ),
 ]
 RobotFile = Annotated[
     Path | None, typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in rover]")
@@ -238,15 +240,18 @@ def evaluate(
 
 
 def find_runs(patterns: list[str]) -> list[Path]:
-    """The files that patterns name, sorted within each; a folder means every CSV in it. Raises RunsError for none."""
+    """The files that patterns name, sorted within each; a folder means every CSV and Parquet file in it.
+
+    Raises RunsError for none.
+    """
     from glob import glob
 
     from model.errors import RunsError
 
     files = []
     for pattern in patterns:
-        inside = f"{pattern}/*.csv" if Path(pattern).is_dir() else pattern
-        found = sorted(Path(name) for name in glob(inside))
+        inside = [f"{pattern}/*.csv", f"{pattern}/*.parquet"] if Path(pattern).is_dir() else [pattern]
+        found = sorted(Path(name) for each in inside for name in glob(each))
         if not found:
             raise RunsError(f"no run is called {pattern}", pattern=pattern)
         files += found

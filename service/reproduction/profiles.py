@@ -29,8 +29,8 @@ class Profile:
     seeds: int = 5
     width_m: float = 60.0
     height_m: float = 40.0
-    lane_m: float = 0.44
-    strips: int = 18
+    lane_m: float = 0.5
+    strips: int = 15
     waypoints: int = 60
     waypoint_runs: int = 6
     curve_m: tuple[int, ...] = (0, 50, 200, 1000, 4400)

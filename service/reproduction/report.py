@@ -75,7 +75,7 @@ def report(summary: Summary, setting: Mapping[str, Any], *, command: str, figure
         "## Training strategies\n",
         _strategies(summary),
         "## Whole routes\n",
-        "Error of a whole run's energy (about 250 m; turning segments included), mean over runs, percent.\n",
+        "Error of a whole run's energy (250 to 300 m; turning segments included), mean over runs, percent.\n",
         _table(summary, METHODS, "route_relative_error", [r for r in _TESTS if r not in ("V-D", "V-E shifted")]),
         _curve(summary),
         _heightmaps(summary, setting),

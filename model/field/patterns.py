@@ -1,0 +1,63 @@
+"""Drives of a given length over a site, as a day in the field has them: lines, legs from point to point, bends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from model.field.drives import Drive, drive_along, lawnmower, random_waypoints, winding
+from model.field.robots import FieldRobot
+from model.field.sites import Site
+from model.frames import wrap_angle
+
+PATTERNS = ("lawnmower", "waypoints", "winding")
+
+
+def drive_of(pattern: str, site: Site, robot: FieldRobot, length_m: float, rng: np.random.Generator) -> Drive:
+    """A drive of this length, to some per cent, at the robot's declared speed; pattern : one of `PATTERNS`."""
+    west, south, east, north = site.drivable
+    inside = (west + 1.0, south + 1.0, east - 1.0, north - 1.0)
+    if pattern == "lawnmower":
+        spacing = (inside[2] - inside[0]) * (inside[3] - inside[1]) / length_m
+        heading = float(rng.uniform(0.0, math.pi))
+        points = lawnmower(inside, spacing_m=spacing, heading_rad=heading)
+        while _length(points) < length_m:
+            spacing *= 0.95
+            points = lawnmower(inside, spacing_m=spacing, heading_rad=heading)
+        return drive_along(_cut_to(points, length_m), speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.8)
+    if pattern == "winding":
+        points = winding(inside, length_m, rng)
+        return drive_along(points, speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.3)
+    points = _without_reversals(random_waypoints(inside, int(length_m / 2.0), rng, least_leg_m=8.0))
+    return drive_along(_cut_to(points, 1.05 * length_m), speed_mps=robot.declared.speed_mps, rng=rng, corner_m=0.8)
+
+
+def _without_reversals(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Those of the points that can be driven to one after another without a turn of more than 110 degrees."""
+    kept = list(points[:2])
+    for point in points[2:]:
+        before = math.atan2(kept[-1][0] - kept[-2][0], kept[-1][1] - kept[-2][1])
+        ahead = math.atan2(point[0] - kept[-1][0], point[1] - kept[-1][1])
+        if abs(wrap_angle(ahead - before)) < math.radians(110.0) and math.dist(kept[-1], point) > 3.0:
+            kept.append(point)
+    return kept
+
+
+def _length(points: Sequence[tuple[float, float]]) -> float:
+    return sum(math.dist(a, b) for a, b in zip(points, points[1:], strict=False))
+
+
+def _cut_to(points: Sequence[tuple[float, float]], length_m: float) -> list[tuple[float, float]]:
+    """The first `length_m` of a polyline, to 2 m."""
+    kept = [points[0]]
+    left = length_m
+    for a, b in zip(points, points[1:], strict=False):
+        leg = math.dist(a, b)
+        share = min(left / leg, 1.0)
+        kept.append((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
+        left -= leg
+        if left < 2.0:
+            break
+    return kept

@@ -1,0 +1,183 @@
+"""A calibrated model: a base model, and the effects that measured runs showed it to lack. Immutable once written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from model.errors import ConflictError, ModelError
+from model.frames import GridFrame
+from model.loop.drive import Drive, describe_segments, planned_drive
+from model.loop.effects import Term
+from model.loop.segments import Segments
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from model.traction import TractionSource
+
+FloatArray = NDArray[np.float64]
+
+CALIBRATION_FILE = "calibration.json"
+FORMAT = 1
+_CHUNK = 400_000  # cells x headings described at a time
+
+
+class SegmentSource(TractionSource, Protocol):
+    """A base model: lattices and single segments."""
+
+    def segment_traction(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> NDArray[np.float64]: ...
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What a calibration adds to a base model.
+
+    terms : everything on top of it. planner : per term, whether a planner knows what it depends on. charge : the base
+    prediction's scale is unknown, so that the terms replace it. turn_j_per_rad : of the turns that were driven on
+    average. conditions : logged columns at which plans are made unless told otherwise (their means on the runs).
+    evidence : the report's effects, JSON-able.
+    """
+
+    terms: tuple[Term, ...]
+    planner: tuple[bool, ...]
+    charge: bool = False
+    turn_j_per_rad: float = 0.0
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    evidence: Sequence[Mapping[str, Any]] = ()
+
+    def predict(self, drive: Drive, *, planner_only: bool = False) -> FloatArray:
+        """(n,) energy of every row [J, or A s]; without its log where only what a planner knows may be used."""
+        total = np.zeros(len(drive)) if self.charge else drive.predicted.copy()
+        for term, known in zip(self.terms, self.planner, strict=True):
+            if known or not planner_only:
+                total += term.energy(drive)
+        return total
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "terms": [t.as_dict() for t in self.terms], "planner": list(self.planner), "charge": self.charge,
+            "turn_j_per_rad": self.turn_j_per_rad, "conditions": dict(self.conditions),
+            "evidence": [dict(e) for e in self.evidence],
+        }  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Correction:
+        """Raises ModelError where something is missing."""
+        try:
+            return cls(
+                tuple(Term.from_dict(t) for t in values["terms"]), tuple(bool(p) for p in values["planner"]),
+                bool(values["charge"]), float(values["turn_j_per_rad"]), dict(values["conditions"]),
+                list(values["evidence"]),
+            )  # fmt: skip
+        except (KeyError, TypeError, ValueError) as error:
+            raise ModelError(f"a calibration is not complete: {error!r}") from error
+
+
+class CalibratedPredictor:
+    """A base model with a correction, asked like any other model."""
+
+    def __init__(self, base: SegmentSource, correction: Correction, *, name: str, version: str) -> None:
+        self.base, self.correction, self.name, self.version = base, correction, name, version
+
+    def provenance(self) -> dict[str, Any]:
+        """What the model is, JSON-able."""
+        effects = [t.as_dict() for t in self.correction.terms]
+        return {
+            "name": self.name, "kind": "calibrated", "version": self.version, "base": self.base.provenance(),
+            "effects": effects,
+        }  # fmt: skip
+
+    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
+        """Those of the base, and effects that plans cannot contain."""
+        found = list(self.base.warnings(heightmap, robot))
+        for term, known in zip(self.correction.terms, self.correction.planner, strict=True):
+            if not known:
+                found.append(f"the effect {term.name} needs what only a log knows: it is not in plans")
+        return found
+
+    def robot_with_turning(self, robot: Robot) -> Robot:
+        """The robot with what its turns were found to cost."""
+        return replace(robot, turn_j_per_rad=max(robot.turn_j_per_rad + self.correction.turn_j_per_rad, 0.0))
+
+    def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
+        """(n,) predicted energy of measured segments [J, or A s] from all that is known of them; NaN where the map is
+        unknown."""
+        traction = self.base.segment_traction(heightmap, robot, segments.x, segments.y, segments.heading_rad)
+        drive, _ = describe_segments(segments, heightmap, robot, traction, with_stands=False)
+        return np.where(np.isfinite(traction) & np.isfinite(drive.grade), self.correction.predict(drive), np.nan)
+
+    def segment_traction(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> FloatArray:
+        """(n,) [J/m] of straight 1 m segments at cruising speed, effects included; NaN where the map is unknown."""
+        xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
+        traction = self.base.segment_traction(heightmap, robot, xs, ys, headings)
+        return self._with_effects(heightmap, robot, xs, ys, headings, traction)
+
+    def traction_per_m(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
+    ) -> NDArray[np.float32]:
+        """(rows, cols, headings) float32 [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
+        traction = self.base.traction_per_m(heightmap, robot, frame, headings_rad)
+        x, y = frame.centres()
+        rows = max(1, _CHUNK // (x.size * len(headings_rad)))
+        for start in range(0, y.size, rows):
+            part = traction[start : start + rows]
+            cells = np.broadcast_arrays(x[None, :, None], y[start : start + rows, None, None], headings_rad)
+            xs, ys, headings = (c.ravel() for c in cells)
+            flat = self._with_effects(heightmap, robot, xs, ys, headings, part.ravel())
+            traction[start : start + rows] = flat.reshape(part.shape)
+        return traction
+
+    def _with_effects(
+        self, heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray,
+        traction: NDArray[Any],
+    ) -> FloatArray:  # fmt: skip
+        """Traction whose price is the calibrated one.
+
+        Where the effects leave less than nothing of the motion, the price says so as far as regeneration does.
+        """
+        if self.correction.charge:
+            raise ConflictError(
+                f"the model {self.name} was calibrated on charge without voltage: it predicts ampere seconds, and "
+                "joules of a plan would need the battery's voltage"
+            )
+        drive = planned_drive(heightmap, robot, x, y, heading_rad, traction, self.correction.conditions)
+        motion = self.correction.predict(drive, planner_only=True) - drive.hotel_part
+        down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)
+        return np.where(motion >= 0, motion, down)
+
+
+def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[str, Any]) -> str:
+    """Write `calibration.json` into a folder that has none. base : what and where the base model is. Returns the
+    version, the SHA-256 of the content (16 hex digits). Raises ConflictError where a calibration is there already."""
+    path = Path(folder) / CALIBRATION_FILE
+    if path.exists():
+        raise ConflictError(f"{path} is there already: a model version is never changed", path=str(path))
+    content = {"format": FORMAT, "base": dict(base), **correction.as_dict()}
+    version = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"version": version, **content}, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return version
+
+
+def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str]:
+    """(correction, base, version) of a folder. Raises ModelError where the file is broken or was changed."""
+    path = Path(folder) / CALIBRATION_FILE
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        version = content.pop("version")
+    except (OSError, ValueError, KeyError, AttributeError) as error:
+        raise ModelError(f"{path} cannot be read: {error!r}") from error
+    found = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+    if content.get("format") != FORMAT or found != version:
+        raise ModelError(f"{path} is not the calibration {version} that was written", version=found, expected=version)
+    return Correction.from_dict(content), dict(content["base"]), str(version)

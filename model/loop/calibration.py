@@ -1,0 +1,181 @@
+"""Calibrate: from residuals to the effects that the model lacks, and how much better it predicts with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.loop.candidates import Candidate, find_candidates
+from model.loop.effects import Term
+from model.loop.evidence import Verdict
+from model.loop.fitting import Fit, fit_terms
+from model.loop.residual import Residuals
+from model.loop.shared import SharedErrors, shared_errors
+from model.loop.trace import ALPHA, Floors, Trace, trace
+
+FloatArray = NDArray[np.float64]
+
+_WITH_BASE = Floors(physical=0.03, learned=0.06, place=0.06)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that was found, fitted. low, high : 95 % intervals of its coefficients. share : of the residual's
+    squared size that goes with it. planner : stated in what a planner knows beforehand."""
+
+    term: Term
+    low: FloatArray
+    high: FloatArray
+    p_value: float
+    share: float
+    planner: bool
+    reveals: str
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """effects : found, the most telling first. silent : what was refitted without being an effect (the level).
+    shared : corrections known from the base model's own runs. before, after, after_planner : errors on held-out runs
+    (mean_relative, rmse, bias). residuals : as traced. held_out : (n,) prediction of each row by a fit without its
+    run."""
+
+    effects: tuple[Effect, ...]
+    silent: tuple[Term, ...]
+    shared: SharedErrors
+    before: dict[str, Any]
+    after: dict[str, Any]
+    after_planner: dict[str, Any]
+    trace: Trace = field(repr=False)
+    candidates: tuple[Candidate, ...] = field(repr=False)
+    refused: dict[str, str]
+    residuals: Residuals = field(repr=False)
+    first: FloatArray = field(repr=False)
+    held_out: FloatArray = field(repr=False)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Everything on top of the base prediction: shared corrections, the level, the effects."""
+        return (*self.shared.terms, *self.silent, *(e.term for e in self.effects))
+
+
+def calibrate(
+    measured: Residuals,
+    *,
+    electric: Mapping[str, FloatArray] | None = None,
+    base: Residuals | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Trace residuals of new runs, given those of the base model's own runs where they are known.
+
+    electric : mean voltage, current and power of each row, which no candidate may copy. Of a charge, neither the scale
+    nor the zero is known, so that a plane in the base model's traction is fitted first and "before" is its error.
+    """
+    shared = shared_errors(None if measured.charge else base)
+    plane = _plane_terms(measured)
+    if plane:
+        first_fit = fit_terms(measured.without_prediction(), plane)
+        before_energy = first_fit.held_out
+        residuals = measured.without_prediction().corrected(_total(first_fit.terms, measured))
+    else:
+        before_energy = measured.predicted
+        residuals = measured.corrected(_total(shared.terms, measured))
+    candidates, refused = find_candidates(residuals, electric or {}, usual=_usual(base))
+    terms = [v for c in candidates for v in c.variants]
+    known = shared.gains(terms)
+    floors = _WITH_BASE if shared.residuals is not None else Floors()
+    traced = trace(
+        residuals, candidates, level_doubt=shared.level_doubt, floors=floors, shared=lambda k: float(known[k]),
+        seed=seed, progress=progress,
+    )  # fmt: skip
+    start = measured.without_prediction() if plane else residuals
+    silent: list[Term] = list(plane)
+    chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
+    if chosen and not plane and traced.evidence.silent(traced.chosen).size:
+        silent = [Term("level", "level", ("",))]
+    fit = fit_terms(start, [*silent, *chosen])
+    effects = _effects(traced, fit, len(silent))
+    held = start.predicted + fit.held_out if chosen else before_energy
+    planner = [e.term for e in effects if e.planner]
+    held_planner = start.predicted + fit_terms(start, [*silent, *planner]).held_out if planner else before_energy
+    return Calibration(
+        effects,
+        fit.terms[: len(silent)] if chosen or plane else (),
+        shared,
+        _errors(measured, before_energy),
+        _errors(measured, held),
+        _errors(measured, held_planner),
+        traced,
+        tuple(candidates),
+        refused,
+        residuals,
+        before_energy,
+        held,
+    )
+
+
+def _total(terms: Sequence[Term], residuals: Residuals) -> FloatArray:
+    return np.sum([t.energy(residuals.drive) for t in terms], axis=0) if terms else np.zeros(len(residuals))
+
+
+def _plane_terms(measured: Residuals) -> tuple[Term, ...]:
+    """Of a charge: what replaces the prediction whose scale and zero nobody knows."""
+    return (Term("level", "plane", ("A s/m", "1/V", "1/V")),) if measured.charge else ()
+
+
+def _usual(base: Residuals | None) -> dict[str, float]:
+    """Means of what was logged on the base model's own runs: there it holds."""
+    if base is None:
+        return {}
+    means = {k: v[np.isfinite(v)] for k, v in base.drive.columns.items()}
+    return {k: round(float(v.mean()), 3) for k, v in means.items() if v.size}
+
+
+def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
+    total = float(traced.evidence.judge_gram[:, -1, -1].sum())
+    chosen = traced.chosen
+    out = []
+    for k, found in enumerate(traced.found):
+        rest = [c for c in chosen if c != found.verdict.term]
+        lost = _error(traced, rest, silent=False) - _error(traced, chosen)
+        out.append(
+            Effect(
+                fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k], found.verdict.p_value,
+                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.planner, found.candidate.reveals,
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _error(traced: Trace, chosen: Sequence[int], *, silent: bool = True) -> float:
+    """Held-out squared error [scaled], with the level refitted or (unless nothing else is known) as it is."""
+    evidence = traced.evidence
+    level = evidence.silent(chosen) if silent or evidence.residuals.charge else evidence.nuisance[:0]
+    return float(evidence.held_out(np.concatenate([evidence.columns_of(chosen), level])).sum())
+
+
+def _errors(measured: Residuals, predicted: FloatArray) -> dict[str, Any]:
+    """Mean relative error, root mean square and bias (measured - predicted) over all moving rows, and by run."""
+    moving = measured.moving
+    energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
+    run = measured.drive.run[moving]
+    relative = np.abs(away) / np.maximum(np.abs(energy), 1e-9)
+    return {
+        "mean_relative": float(relative.mean()),
+        "rmse": float(np.sqrt(np.mean(away**2))),
+        "bias": float(away.mean()),
+        "by_run": {measured.runs[k]: float(relative[run == k].mean()) for k in np.unique(run)},
+    }
+
+
+def verdict_words(verdict: Verdict) -> str:
+    """Why a candidate was not taken."""
+    if verdict.why:
+        return verdict.why
+    if verdict.p_value > ALPHA:
+        return "chance does as well"
+    return "it helps too little on held-out runs"

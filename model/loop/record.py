@@ -1,0 +1,57 @@
+"""Residuals as a file: the runs a model was made from, kept beside it, so that later runs can be held against them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from model.errors import ModelError
+from model.loop.drive import Drive
+from model.loop.residual import Residuals
+from model.robot import Robot
+
+RECORD_FILE = "base_runs.npz"
+
+
+def save_record(folder: str | Path, residuals: Residuals) -> None:
+    """Write `base_runs.npz` into a model's folder."""
+    drive = residuals.drive
+    arrays: dict[str, Any] = {
+        f.name: getattr(drive, f.name) for f in fields(drive) if isinstance(getattr(drive, f.name), np.ndarray)
+    }
+    arrays |= {f"column:{key}": values for key, values in drive.columns.items()}
+    arrays |= {f"word:{key}": values for key, values in drive.words.items()}
+    arrays["measured"], arrays["base"] = residuals.measured, residuals.predicted
+    about = {"robot": drive.robot.as_dict(), "unit_j": drive.unit_j, "names": drive.runs, "charge": residuals.charge}
+    about["runs"] = residuals.runs
+    np.savez_compressed(Path(folder) / RECORD_FILE, about=np.array(json.dumps(about)), **arrays)
+
+
+def read_record(folder: str | Path) -> Residuals | None:
+    """The runs a model was made from; None where its folder has no record. Raises ModelError where it is broken."""
+    path = Path(folder) / RECORD_FILE
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        about = json.loads(str(arrays.pop("about")))
+        measured, predicted = arrays.pop("measured"), arrays.pop("base")
+        columns = {k.removeprefix("column:"): arrays.pop(k) for k in list(arrays) if k.startswith("column:")}
+        words = {k.removeprefix("word:"): arrays.pop(k) for k in list(arrays) if k.startswith("word:")}
+        robot = Robot.from_mapping(about["robot"])
+        drive = Drive(
+            robot=robot,
+            **arrays,
+            columns=columns,
+            words=words,
+            unit_j=float(about["unit_j"]),
+            runs=tuple(about["names"]),
+        )
+        return Residuals(drive, measured, predicted, tuple(about["runs"]), bool(about["charge"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ModelError(f"{path} is damaged: {error!r}") from error

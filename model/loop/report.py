@@ -1,0 +1,120 @@
+"""What a calibration found, as a JSON-able document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from model.loop.calibration import Calibration, Effect, verdict_words
+from model.loop.effects import Term
+
+
+def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
+    """The report. before : the base model's provenance; after : the calibrated model's version, None where there is
+    none."""
+    moving = found.residuals.moving
+    held = (found.residuals.measured - found.held_out)[moving] / np.maximum(found.held_out[moving], 1e-9)
+    segments = int(moving.sum())
+    return {
+        "verdict": "effects_added" if found.effects else "nothing_found",
+        "target": "charge_as" if found.residuals.charge else "energy_j",
+        "segments": {"fit": segments, "held_out": segments},
+        "error": {"before": found.before, "after": found.after, "after_planner": found.after_planner},
+        "effects": [_effect(e) for e in found.effects],
+        "candidates": _candidates(found),
+        "confounded": [[name, *rivals] for name, rivals in found.trace.confounded.items()],
+        "to_separate": {
+            c.name: c.reveals for c in found.candidates if any(c.name in (n, *r) for n, r in _groups(found).items())
+        },
+        "remaining": {"p_value": found.trace.remaining_p, "std_relative": float(held.std())},
+        "refused": dict(found.refused),
+        "base_corrections": [t.as_dict() for t in (*found.shared.terms, *found.silent)],
+        "model": {"before": {"name": before["name"], "version": before["version"]}, "after": after},
+    }
+
+
+def _groups(found: Calibration) -> dict[str, list[str]]:
+    return found.trace.confounded
+
+
+def _effect(effect: Effect) -> dict[str, Any]:
+    names = coefficient_names(effect.term)
+    return {
+        "name": effect.term.name,
+        "where": where_words(effect.term),
+        "form": effect.term.formula,
+        "settings": dict(effect.term.settings),
+        "coefficients": [
+            {"name": name, "value": value, "unit": unit, "ci95": [float(low), float(high)]}
+            for name, value, unit, low, high in zip(
+                names, effect.term.coefficients, effect.term.units, effect.low, effect.high, strict=True
+            )
+        ],
+        "p_value": effect.p_value,
+        "share_of_residual_variance": effect.share,
+        "in_plans": effect.planner,
+        "reveals": effect.reveals,
+    }
+
+
+def _candidates(found: Calibration) -> list[dict[str, Any]]:
+    taken = {e.term.name: e for e in found.effects}
+    last = {c.name: v for c, v in found.trace.remaining}
+    out = []
+    for candidate, verdict in found.trace.ranking:
+        row: dict[str, Any] = {
+            "name": candidate.name, "p_value": _finite(verdict.p_value), "held_out_gain": _finite(verdict.gain),
+            "taken": candidate.name in taken,
+        }  # fmt: skip
+        if candidate.name not in taken:
+            row["why_not"] = verdict_words(last.get(candidate.name, verdict))
+        out.append(row)
+    first = [r for r in out if r["taken"]]
+    return [*sorted(first, key=lambda r: list(taken).index(r["name"])), *(r for r in out if not r["taken"])]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def coefficient_names(term: Term) -> list[str]:
+    """What each coefficient of a term is called."""
+    count, settings = len(term.coefficients), term.settings
+    if term.formula == "by_run":
+        per = count // len(settings["runs"])
+        parts = [""] if per == 1 else [" east", " north"]
+        return [f"{run}{part}" for run in settings["runs"] for part in parts]
+    if term.formula == "words":
+        return [str(word) for word in settings["values"]]
+    if term.formula == "smooth":
+        knots = settings["knots"]
+        return [f"at {knot:.4g}" for k, knot in enumerate(knots) if k != len(knots) // 2]
+    if term.formula == "place":
+        return [f"at x {x:.1f}, y {y:.1f}" for x, y in settings["centres"]]
+    if term.formula == "wind_constant":
+        return ["east", "north"]
+    if term.formula == "heading":
+        return [f"{wave} {k}h" for k in range(1, settings["harmonics"] + 1) for wave in ("sin", "cos")]
+    if term.formula == "turning_both":
+        return ["turning", f"turning up to {settings['limit_radps']:g} rad/s"]
+    if term.formula == "turning_sides":
+        return ["right", "left"]
+    return [term.name]
+
+
+def where_words(term: Term) -> str:
+    """Where a term acts, in words."""
+    if term.formula == "disk":
+        s = term.settings
+        return f"within {s['radius_m']:g} m of x {s['x']:.1f}, y {s['y']:.1f}"
+    if term.formula == "turning" and term.settings.get("limit_radps"):
+        return f"everywhere; saturates at {term.settings['limit_radps']:g} rad/s"
+    if not term.where:
+        return "everywhere"
+    if "word" in term.where:
+        return f"where {term.where['word']} is {term.where['is']}"
+    side = "above" if "above" in term.where else "below"
+    return f"where {term.where['over'].removeprefix('column:')} is {side} {term.where[side]:.4g}"

@@ -1,0 +1,88 @@
+"""What the base model's own runs already show of its errors: no news in other runs, and no evidence of a new effect.
+
+A model is never perfect on the runs it was made from: a logged payload that it is not told of, a level that is some
+per cent off. Such terms are found there by held-out runs and added to the prediction, before new runs are traced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from model.loop.effects import Term
+from model.loop.evidence import Evidence
+from model.loop.residual import Residuals
+
+_LEAST_GAIN = 0.01
+_USUAL_DOUBT = 0.05
+_LEAST_DOUBT = 0.035
+
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """terms : corrections of the base prediction, fitted. level_doubt : how far the model's level may be off on another
+    day, a share of the energy. residuals : of the base runs, corrected (None where there are none)."""
+
+    terms: tuple[Term, ...] = ()
+    level_doubt: float = _USUAL_DOUBT
+    residuals: Residuals | None = field(default=None, repr=False)
+
+    def gains(self, terms: Sequence[Term]) -> np.ndarray:
+        """(terms,) share of the base runs' own squared error that each explains there, held out; 0 without runs."""
+        if self.residuals is None:
+            return np.zeros(len(terms))
+        evidence = Evidence(self.residuals, terms, level_doubt=self.level_doubt)
+        before = evidence.held_out(evidence.nuisance).sum()
+        after = [evidence.held_out(np.concatenate([evidence.nuisance, c])).sum() for c in evidence.columns]
+        return np.maximum(1.0 - np.array(after) / before, 0.0)
+
+
+def shared_errors(base: Residuals | None) -> SharedErrors:
+    """Corrections that hold over the runs the base model was made from."""
+    if base is None:
+        return SharedErrors()
+    always = [Term("level", "level", ("",))]
+    if base.drive.standing.any():
+        always.append(Term("standing", "standing", ("W",)))
+    evidence = Evidence(base, [*always, *_known_forms(base)], level_doubt=_USUAL_DOUBT)
+    chosen = list(range(len(always)))
+    while True:
+        error = evidence.held_out(evidence.columns_of(chosen)).sum()
+        rest = [k for k in range(len(evidence.terms)) if k not in chosen]
+        after = {k: evidence.held_out(evidence.columns_of([*chosen, k])).sum() for k in rest}
+        best = min(after, key=lambda k: after[k], default=None)
+        if best is None or after[best] > (1.0 - _LEAST_GAIN) * error:
+            break
+        chosen.append(best)
+    values = evidence.coefficients(evidence.columns_of(chosen))
+    terms = tuple(evidence.terms[k].fitted(values[i : i + 1]) for i, k in enumerate(chosen))
+    corrected = base.corrected(np.sum([t.energy(base.drive) for t in terms], axis=0))
+    return SharedErrors(terms, _level_spread(corrected), corrected)
+
+
+def _known_forms(base: Residuals) -> list[Term]:
+    """What everybody knows to cost energy, one coefficient each."""
+    forms = [
+        Term("turning", "turning", ("J/rad",), {"limit_radps": None}),
+        Term("cross_slope", "cross_slope", ("",), {"power": 1}),
+        Term("climbing", "climbing", ("",)),
+        Term("braking", "braking", ("",), {"from_grade": None}),
+        Term("battery", "battery", ("ohm",)),
+    ]
+    carried = base.drive.columns.get("payload")
+    if carried is not None and np.isfinite(carried).any() and np.nanmax(carried) > np.nanmin(carried):
+        reference = round(float(np.nanmean(carried)), 3)
+        forms.append(Term("payload", "payload", ("",), {"column": "payload", "reference": reference}))
+    return forms
+
+
+def _level_spread(base: Residuals) -> float:
+    """How far the level of a day's runs may be off: two standard deviations of single base runs, within reason."""
+    moving = base.moving
+    run, z = base.drive.run[moving], base.residual[moving]
+    shares = np.array([z[run == k].sum() / base.predicted[moving][run == k].sum() for k in np.unique(run)])
+    if shares.size < 3:
+        return _USUAL_DOUBT
+    return float(np.clip(2.0 * shares.std(ddof=1), _LEAST_DOUBT, _USUAL_DOUBT))

@@ -1,0 +1,116 @@
+"""Other good ways from a start to a goal: each locally as good as the best, none a mere bulge of another.
+
+Plateaus (Jones 2007; Abraham et al. 2013, "Alternative routes in road networks"): a stretch of moves that both the
+least-energy tree from the start and the one towards the goal use. The way start - plateau - goal follows least-energy
+paths into the plateau, along it and out of it, so no detour shorter than the plateau makes it cheaper. Both trees are
+energy fields, and all plateaus come out of them at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from model.errors import InputError
+from planner.buckets import SEED, SETTLED, TURNED_LEFT, TURNED_RIGHT, state_before
+from planner.edges import Points
+from planner.fields import field_from, field_towards
+from planner.lattice import CostLattice
+from planner.moves import MoveTable
+from planner.search import GridPath, grid_search, joined_points
+from planner.states import Search
+
+
+def alternative_paths(
+    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, count: int = 3, stretch: float = 1.3,
+    plateau: float = 0.1, apart_m: float | None = None, share: float = 0.3,
+) -> list[GridPath]:  # fmt: skip
+    """The best way and up to `count` - 1 others, cheapest first.
+
+    start, goal : (2,) (row, col). stretch : the most energy of another way, in multiples of the best one's; plateau :
+    the least energy of the stretch that makes it a way of its own, as a share of the best one's; apart_m, share : at
+    least this share of its length lies more than `apart_m` [m] (default: a twentieth of the best way's length, at least
+    three cells) from every way before it. Raises NoRouteError, InputError.
+    """
+    if count < 1 or stretch < 1.0 or not 0.0 < plateau <= 1.0 or not 0.0 <= share <= 1.0:
+        raise InputError(
+            f"alternatives need count >= 1, stretch >= 1, plateau in (0, 1] and share in [0, 1], got count {count}, "
+            f"stretch {stretch:g}, plateau {plateau:g}, share {share:g}"
+        )
+    best = grid_search(lattice, table, start, goal)
+    found = [best]
+    if count == 1 or best.energy_j <= 0.0:
+        return found
+    spacing = lattice.frame.resolution_m
+    if apart_m is None:
+        apart_m = max(3.0 * spacing, 0.05 * spacing * float(np.hypot(*np.diff(best.points, axis=0).T).sum()))
+    ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
+    via, length = _plateaus(ahead, behind, table)
+    good = np.flatnonzero((length >= plateau * best.energy_j) & (via <= stretch * best.energy_j))
+    apart = _metres_from(lattice, best)
+    for state in good[np.argsort(via[good] - length[good], kind="stable")]:  # long plateaus first
+        into = ahead.trace(table, int(state))[::-1] // ahead.layers
+        cells = np.append(into, behind.trace(table, int(state))[1:] // behind.layers)
+        cells = cells[np.append(True, np.diff(cells) != 0)]  # turns on the spot
+        if np.unique(cells).size < cells.size or np.mean(apart[cells] > apart_m) < share:
+            continue
+        found.append(GridPath(joined_points(lattice, start, cells, goal), float(via[state]), 0))
+        if len(found) == count:
+            break
+        apart = np.minimum(apart, _metres_from(lattice, found[-1]))
+    return sorted(found, key=lambda path: path.energy_j)
+
+
+def _metres_from(lattice: CostLattice, path: GridPath) -> NDArray[np.float64]:
+    """(cells,) distance [m] of every cell from the nearest vertex of a grid path."""
+    away = np.ones(lattice.frame.shape, dtype=bool)
+    row, col = np.rint(path.points).astype(int).T
+    away[row, col] = False
+    return distance_transform_edt(away).ravel() * lattice.frame.resolution_m
+
+
+def _plateaus(ahead: Search, behind: Search, table: MoveTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(states,) energy [J] of the best way through each state that begins a plateau (inf elsewhere), and the plateau's.
+
+    ahead, behind : the searches from the start and towards the goal.
+    """
+    return _measure_plateaus(ahead.energy_j, ahead.pred, behind.energy_j, behind.pred, table.jump, ahead.layers)
+
+
+@njit(cache=True, nogil=True)
+def _measure_plateaus(ahead, ahead_pred, behind, behind_pred, jump, layers):
+    states = ahead.size
+    after = np.full(states, -1, dtype=np.int64)  # the next state of a plateau
+    begins = np.ones(states, dtype=np.bool_)
+    for state in range(states):
+        if not (ahead[state] < np.inf and behind[state] < np.inf):
+            continue
+        if layers == 1:
+            code = behind_pred[state] & (SETTLED - 1)
+            if code == 0:
+                continue
+            following = state + jump[code - 1]
+            shared = ahead_pred[following] & (SETTLED - 1) == code
+        else:
+            code = behind_pred[state]
+            if code == SEED:
+                continue
+            following = state_before(code, state, jump, True)
+            # what turned right on the way back is a turn to the left on the way there
+            mirrored = TURNED_LEFT if code == TURNED_RIGHT else TURNED_RIGHT if code == TURNED_LEFT else code
+            shared = ahead_pred[following] == mirrored
+        if shared:
+            after[state] = following
+            begins[following] = False
+    via = np.full(states, np.inf)
+    length = np.zeros(states)
+    for state in range(states):
+        if after[state] >= 0 and begins[state]:
+            end = after[state]
+            while after[end] >= 0:
+                end = after[end]
+            via[state] = ahead[state] + behind[state]
+            length[state] = ahead[end] - ahead[state]
+    return via, length

@@ -1,0 +1,111 @@
+"""`python -m tests.loop --effects turning,wind --seeds 8`: try a calibrator on blind cases and print the table.
+
+Base models and finished outcomes are kept in --work: a run that was cut off goes on, and `--table` alone prints
+what is there. Two effects together are joined by "+", no effect is "none".
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import importlib
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from model.field.hidden_draws import EFFECT_NAMES
+from tests.loop.cases import SITES, Calibrator, Outcome, append_outcome, base_model, read_outcomes, try_case
+from tests.loop.table import LEGEND, table_of
+
+PAIRS = ("turning+wind", "payload+hotel_load", "terrain_class+turning", "braking+temperature", "drift+cross_slope")
+CALIBRATOR = "tests.loop.calibrators:Nothing"
+
+
+def find_calibrator(spec: str) -> Calibrator:
+    """`module:name` of a class or a function without arguments that makes a calibrator."""
+    module, _, name = spec.partition(":")
+    made: Calibrator = getattr(importlib.import_module(module), name)()
+    return made
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m tests.loop", description=__doc__.splitlines()[0])
+    parser.add_argument("--effects", default="all", help="names joined by commas, or all, singles, pairs")
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--calibrator", default=CALIBRATOR, metavar="MODULE:NAME", help=f"[default: {CALIBRATOR}]")
+    parser.add_argument("--work", type=Path, default=Path("data/blind"), help="base models and outcomes are kept here")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the document (model/loop/BLIND.md) too")
+    parser.add_argument("--table", action="store_true", help="try nothing, only show what is there")
+    options = parser.parse_args()
+    singles = ("none", *EFFECT_NAMES)
+    known = {"all": (*singles, *PAIRS), "singles": singles, "pairs": PAIRS}
+    cases = known.get(options.effects) or tuple(options.effects.split(","))
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    options.work.mkdir(parents=True, exist_ok=True)
+    kept = options.work / f"{options.calibrator.replace(':', '.')}.jsonl"
+    done = {(o.case, o.seed): o for o in read_outcomes(kept)}
+    wanted = [(case, seed) for case in cases for seed in seeds]
+    if not options.table:
+        todo = [key for key in wanted if key not in done]
+        for number, outcome in enumerate(outcomes(todo, options.calibrator, options.work, options.jobs), start=1):
+            append_outcome(kept, outcome)
+            done[outcome.case, outcome.seed] = outcome
+            print(f"{number}/{len(todo)} {outcome.case} {outcome.seed}: {', '.join(outcome.found) or 'nothing'}"
+                  f" {outcome.new_before:.3f} -> {outcome.new_after:.3f} ({outcome.tried_s:.0f} s)",
+                  file=sys.stderr)  # fmt: skip
+    text = table_of([done[key] for key in wanted if key in done])
+    print(text)
+    if options.write is not None:
+        options.write.write_text(document(text, options), encoding="utf-8")
+
+
+def outcomes(todo: list[tuple[str, int]], calibrator: str, work: Path, jobs: int) -> Iterator[Outcome]:
+    """Try cases one by one, or in processes of their own, once every site that they need has its base model."""
+    for site_seed in sorted({seed % SITES for _, seed in todo}):
+        base_model(site_seed, work, anew=True)
+    if jobs <= 1:
+        yield from (try_case(case, seed, find_calibrator(calibrator), work) for case, seed in todo)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+        yield from pool.map(_try, todo, [calibrator] * len(todo), [work] * len(todo))
+
+
+def _try(key: tuple[str, int], calibrator: str, work: Path) -> Outcome:
+    return try_case(*key, find_calibrator(calibrator), work)
+
+
+def _one_thread() -> None:
+    import numba
+    import torch
+
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+
+
+def document(table: str, options: argparse.Namespace) -> str:
+    """What is committed: the table with its command, date and machine."""
+    command = f"python -m tests.loop --effects {options.effects} --seeds {options.seeds}"
+    command += f" --calibrator {options.calibrator}" if options.calibrator != CALIBRATOR else ""
+    return (
+        "# Blind cases\n\n"
+        "The simulated field hides effects in runs (`model/field/blind_case.py`), and the loop is given only the "
+        "runs. Field and loop share no formula.\n\n"
+        f"`{command}`, {dt.date.today()}, {os.cpu_count()} cores of {_processor()}, Python {platform.python_version()}."
+        f"\n\n{table}\n\n{LEGEND}\n"
+    )
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+if __name__ == "__main__":
+    main()

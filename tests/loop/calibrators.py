@@ -1,0 +1,85 @@
+"""Calibrators that need no cleverness, to try the harness with: one that finds nothing, one that is told the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.energy.predictor import load_predictor
+from model.field.blind_case import BlindTruth
+from model.loop.segments import Segments
+from model.robot import Robot
+from model.terrain.readers import read_heightmap
+from service.learning import read_segments
+from tests.loop.cases import extra_energy
+
+FloatArray = NDArray[np.float64]
+
+
+class Nothing:
+    """Finds nothing, whatever there is."""
+
+    def calibrate(
+        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
+    ) -> dict[str, Any]:
+        _, segments = read_segments(runs, Robot.from_toml(robot), crs=read_heightmap(heightmap).frame.crs)
+        before = _mean_error(self.predict(model, heightmap, segments, robot, out), segments)
+        return {
+            "verdict": "nothing_found",
+            "error": {"before": {"mean_relative": before}, "after": {"mean_relative": before}},
+            "effects": [],
+        }
+
+    def predict(self, model: Path, heightmap: Path, segments: Segments, robot: Path, out: Path) -> FloatArray:
+        return base_energy(model, heightmap, segments, robot)
+
+
+class Oracle:
+    """Knows the truth: names every effect, with a coefficient between 2 % below and above the true one, and adds
+    exactly what the effects took."""
+
+    def calibrate(
+        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
+    ) -> dict[str, Any]:
+        self._truth = truth
+        _, segments = read_segments(runs, Robot.from_toml(robot), crs=read_heightmap(heightmap).frame.crs)
+        before = _mean_error(base_energy(model, heightmap, segments, robot), segments)
+        after = _mean_error(self.predict(model, heightmap, segments, robot, out), segments)
+        known = {c.effect: c for c in truth.coefficients}
+        return {
+            "verdict": "effects_added" if truth.effects else "nothing_found",
+            "error": {"before": {"mean_relative": before}, "after": {"mean_relative": after}},
+            "effects": [{"name": n, "coefficients": [_stated(known[n])] if n in known else []} for n in truth.names],
+        }
+
+    def predict(self, model: Path, heightmap: Path, segments: Segments, robot: Path, out: Path) -> FloatArray:
+        energy = base_energy(model, heightmap, segments, robot)
+        for k, name in enumerate(segments.runs):
+            mine = segments.run == k
+            for place in ("new", "other_site"):
+                run = self._truth.runs.get(f"{place}/{name}")
+                if run is not None and run.t[0] - 60.0 < float(segments.t0[mine][0]) < run.t[-1]:
+                    energy[mine] += extra_energy(run, segments.take(mine))
+        return energy
+
+
+def base_energy(model: Path, heightmap: Path, segments: Segments, robot: Path) -> FloatArray:
+    """What the base model says of segments [J], (n,)."""
+    declared = Robot.from_toml(robot)
+    ground = read_heightmap(heightmap)
+    traction = load_predictor(model).segment_traction(ground, declared, segments.x, segments.y, segments.heading_rad)
+    return np.array(declared.price_per_m(traction))
+
+
+def _stated(known: Any) -> dict[str, Any]:
+    low, high = sorted((0.98 * known.value, 1.02 * known.value))
+    return {"name": known.effect, "value": known.value, "unit": known.unit, "ci95": [low, high]}
+
+
+def _mean_error(predicted: FloatArray, segments: Segments) -> float:
+    known = np.isfinite(predicted)
+    return float(np.mean(np.abs(predicted - segments.energy_j)[known] / segments.energy_j[known]))

@@ -1,0 +1,86 @@
+"""The table of many outcomes, in Markdown: a row for each kind of case, and what must hold of all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tests.loop.cases import Outcome
+
+HEAD = (
+    "| hidden | cases | first right | all named | before | after | clean | floor | after / clean "
+    "| second site: before, after, told, clean | gain | coefficient | covered | wrong names | s |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+)
+
+LEGEND = (
+    "*first right*: the first effect named is the hidden one (none: nothing is named). *before*, *after*: mean "
+    "relative error on held-out runs of new/ as the report states it; *clean*: of the same base model on the same "
+    "drives without any effect; *floor*: of a model that knows terrain and effects. *Second site*: the base model, the "
+    "calibrated one, the base model told what the effect truly took, and the base model without the effect; *gain*: "
+    "the share of told's gain that the calibrated one has (median). *coefficient*: median of |stated - true| / |true| "
+    "where a unit is shared; *covered*: true ones within the stated 95 % interval. *s*: median of the calibration."
+)
+
+
+def table_of(outcomes: Sequence[Outcome]) -> str:
+    """Rows by case in order of first appearance, and a row of all."""
+    names = list(dict.fromkeys(o.case for o in outcomes))
+    rows = [_row(name, [o for o in outcomes if o.case == name]) for name in names]
+    hidden = [o for o in outcomes if o.true]
+    if len({o.case for o in hidden}) > 1:
+        rows.append(_row("**all hidden**", hidden))
+    return "\n".join([HEAD, *rows])
+
+
+def _row(name: str, cases: Sequence[Outcome]) -> str:
+    fits = [fit for case in cases for fit in case.fits]
+    shares = [case.gain_share for case in cases if case.gain_share is not None]
+    wrong = Counter(name for case in cases for name in case.false_finds)
+    near = _median([abs(fit.value - fit.true) / abs(fit.true) for fit in fits])
+    inside = sum(fit.low <= fit.true <= fit.high for fit in fits)
+    second = [_mean(cases, each) for each in (_before, _after, _told, _clean)]
+    cells = [
+        name,
+        str(len(cases)),
+        f"{sum(case.first_right for case in cases)}/{len(cases)}",
+        f"{sum(case.all_right for case in cases)}/{len(cases)}",
+        f"{_mean(cases, lambda o: o.new_before):.1%}",
+        f"{_mean(cases, lambda o: o.new_after):.1%}",
+        f"{_mean(cases, lambda o: o.new_clean):.1%}",
+        f"{_mean(cases, lambda o: o.floor):.1%}",
+        f"{_mean(cases, lambda o: o.new_after / o.new_clean):.2f}",
+        ", ".join(f"{value:.1%}" for value in second),
+        f"{_median(shares):.0%}" if shares else "",
+        f"{near:.0%}" if fits else "",
+        f"{inside}/{len(fits)}" if fits else "",
+        ", ".join(f"{word} {count}" for word, count in wrong.most_common()),
+        f"{_median([case.tried_s for case in cases]):.0f}",
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _before(case: Outcome) -> float:
+    return case.other_before
+
+
+def _after(case: Outcome) -> float:
+    return case.other_after
+
+
+def _told(case: Outcome) -> float:
+    return case.other_told
+
+
+def _clean(case: Outcome) -> float:
+    return case.other_clean
+
+
+def _mean(cases: Sequence[Outcome], value: Callable[[Outcome], float]) -> float:
+    return float(np.mean([value(case) for case in cases]))
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else float("nan")

@@ -1,0 +1,65 @@
+"""Other ways: each drivable, priced as it claims, truly another one, and the obvious ones are found."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from model.errors import InputError, NoRouteError
+from model.robot import Robot
+from planner.alternatives import alternative_paths
+from planner.edges import path_price
+from planner.moves import move_table
+from planner.search import grid_search
+from tests.reference.lattices import ascii_lattice, random_lattice
+
+ISLANDS = """
+    .........................
+    .........................
+    .....###############.....
+    .....###############.....
+    .....###############.....
+    a.......................b
+    .....###############.....
+    .....###############.....
+    .....###############.....
+    .........................
+"""
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.01])
+def test_the_ways_round_two_islands_are_three(turn):
+    lattice, at = ascii_lattice(ISLANDS, robot=Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn))
+    ends = [np.array(lattice.frame.rowcol(*at[name])) for name in "ab"]
+    paths = alternative_paths(lattice, move_table(lattice), *ends, count=5, stretch=1.5)
+    through = [next(int(row) for row, col in path.points if abs(col - 12) <= 1) for path in paths]
+    assert through[0] == 5
+    assert sorted(through[1:3]) == [1, 9]  # north and south of both, hugging them
+    assert len(paths) == 3
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10**6), turn=st.sampled_from([0.0, 20.0]), regeneration=st.sampled_from([0.0, 0.4]))
+def test_other_ways_are_drivable_and_priced_as_claimed(seed, turn, regeneration):
+    rng = np.random.default_rng(seed)
+    lattice = random_lattice(rng, 30, 30, turn_j_per_rad=turn, regeneration=regeneration)
+    table = move_table(lattice)
+    start, goal = rng.uniform(0.0, 29.0, (2, 2))
+    try:
+        paths = alternative_paths(lattice, table, start, goal, count=4, stretch=1.4, plateau=0.05, share=0.2)
+    except NoRouteError:
+        return
+    best = grid_search(lattice, table, start, goal)
+    assert paths[0].energy_j == best.energy_j
+    for path in paths:
+        assert path.energy_j <= max(1.4 * best.energy_j, best.energy_j)
+        price = path_price(lattice, path.points)
+        assert price == pytest.approx(path.energy_j, rel=1e-6, abs=1e-3)
+        np.testing.assert_array_equal(path.points[[0, -1]], [start, goal])
+
+
+def test_what_cannot_be_asked_is_refused():
+    lattice, at = ascii_lattice("a...b\n.....")
+    ends = [np.array(lattice.frame.rowcol(*at[name])) for name in "ab"]
+    with pytest.raises(InputError, match="stretch 0.5"):
+        alternative_paths(lattice, move_table(lattice), *ends, stretch=0.5)

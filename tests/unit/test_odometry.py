@@ -1,0 +1,101 @@
+"""Wheel speeds into tracks: arcs in closed form, turns on the spot, and the real Husky where it lies beside."""
+
+import math
+
+import numpy as np
+import pytest
+
+from model.errors import InputError, RunsError
+from model.loop.odometry import HUSKY_TRACK_M, cut_travel, flat_heightmap, integrate, read_odometry
+from model.loop.segments import cut_segments
+
+
+def write(path, left, right, current=3.0, **more):
+    n = len(left)
+    columns = {"time": np.arange(n) / 6.5, "curL": np.full(n, current), "curR": np.full(n, -current), "velL": left}
+    columns |= {"velR": right, **more}
+    rows = [",".join(str(v) for v in row) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join([",".join(columns), *rows]))
+    return path
+
+
+def test_constant_wheel_speeds_are_a_circle():
+    t = np.arange(0.0, 60.0, 0.15)
+    x, y, heading = integrate(t, np.full(t.size, 0.6), np.full(t.size, 0.4), track_m=1.0)
+    # v = 0.5 m/s and 0.2 rad/s to the right: a circle of 2.5 m about (2.5, 0)
+    np.testing.assert_allclose(heading, 0.2 * t)
+    np.testing.assert_allclose(np.hypot(x - 2.5, y), 2.5, rtol=1e-12)
+    np.testing.assert_allclose(x, 2.5 - 2.5 * np.cos(0.2 * t), atol=1e-9)
+
+
+def test_nothing_is_driven_over_a_gap_or_back_in_time():
+    t = np.array([0.0, 0.5, 30.0, 30.5, 30.2, 30.7])
+    _, y, _ = integrate(t, np.full(6, 1.0), np.full(6, 1.0), track_m=1.0)
+    np.testing.assert_allclose(y, [0.0, 0.5, 0.5, 1.0, 1.0, 1.5])
+
+
+def test_a_straight_log_becomes_a_run_for_the_segments(tmp_path):
+    run = read_odometry(write(tmp_path / "snow_00.csv", np.full(200, 0.5), np.full(200, 0.5)), terrain="snow")
+    segments = cut_segments(run, charge=True)
+    travelled = cut_travel(run)
+    assert len(segments) >= 14
+    assert len(travelled) == 15  # 199 steps at 6.5 Hz and 0.5 m/s are 15.3 m
+    for each in (segments, travelled):
+        np.testing.assert_allclose(each.energy_j, 6.0 * 2.0, rtol=1e-3)  # both magnitudes, 2 s per metre
+        np.testing.assert_allclose(each.turned_abs_rad, 0.0, atol=1e-6)
+        assert set(each.texts["terrain"]) == {"snow"}
+    ground = flat_heightmap([run])
+    assert np.isfinite(ground.sample(travelled.x, travelled.y)).all()
+    assert (ground.heights == 0).all()
+
+
+def test_turning_on_the_spot_is_wheel_travel(tmp_path):
+    run = read_odometry(write(tmp_path / "ice.csv", np.full(200, 0.2), np.full(200, -0.2)), track_m=0.8)
+    assert np.nanmax(np.abs(run.x)) == 0.0
+    segments = cut_travel(run)
+    assert len(segments) == 6  # 30.6 s at 0.2 m/s
+    np.testing.assert_allclose(segments.heading_change_rad, 0.4 / 0.8 * 5.0, rtol=1e-6)  # 5 s per metre
+    np.testing.assert_allclose(segments.gentle_turn_rad[:, 0], 0.05 * 5.0, rtol=1e-6)
+    np.testing.assert_allclose(segments.energy_j, 6.0 * 5.0, rtol=1e-6)
+    np.testing.assert_allclose(segments.extras["speed"], 0.0, atol=1e-12)
+
+
+def test_stands_divide_a_run(tmp_path):
+    speed = np.concatenate([np.full(45, 0.5), np.zeros(30), np.full(45, 0.5)])
+    segments = cut_travel(read_odometry(write(tmp_path / "a.csv", speed, speed)))
+    assert len(segments) == 6
+    assert segments.duration_s.max() == pytest.approx(2.0, rel=0.01)
+    assert segments.left_out == {"remainders": 2}
+
+
+def test_what_is_missing_is_named(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_text("time,velL,curL,curR\n" + "\n".join(f"{k},1,1,1" for k in range(9)))
+    with pytest.raises(RunsError, match="'velR'"):
+        read_odometry(file)
+    with pytest.raises(InputError, match="track"):
+        read_odometry(file, track_m=0.0)
+    with pytest.raises(InputError, match="no run"):
+        flat_heightmap([])
+
+
+def test_the_husky_turns_dearer_on_loam_than_on_ice(real_data):
+    def charge_per_s(name):
+        run = read_odometry(real_data / "husky" / f"{name}.csv", track_m=HUSKY_TRACK_M)
+        segments = cut_travel(run)
+        return len(segments), float(segments.energy_j.sum() / segments.duration_s.sum())
+
+    # the data's README: sandy loam about 22 A turning and 7.7 A straight, ice 6.4 and 4.9 A
+    assert charge_per_s("sandy_loam_10")[1] == pytest.approx(22.0, rel=0.15)
+    assert charge_per_s("ice_08")[1] == pytest.approx(7.0, rel=0.15)
+    count, straight = charge_per_s("sandy_loam_12")
+    assert count > 10
+    assert straight == pytest.approx(7.7, rel=0.2)
+
+
+def test_real_odometry_is_metres_long(real_data):
+    run = read_odometry(real_data / "husky" / "mixed_00.csv")
+    assert {"SNOW", "ASPHALT", "FLOORING"} <= set(run.texts["terrain"])
+    segments = cut_travel(run)
+    assert len(segments) == pytest.approx(250, abs=30)
+    assert math.isclose(segments.driven_m.sum(), len(segments))
