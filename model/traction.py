@@ -27,5 +27,5 @@ class TractionSource(Protocol):
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """(rows, cols, headings) float32 at the cell centres of `frame`, NaN where the map is unknown: traction [J/m], and
-        the standard deviation of a 1 m segment's energy [J], None from a source that does not know it."""
+        """(rows, cols, headings) float32 at the cell centres of `frame`, NaN where the map is unknown: traction [J/m],
+        and the standard deviation of a 1 m segment's energy [J], None from a source that does not know it."""

@@ -43,6 +43,8 @@ class CostLattice:
     gradient : (rows, cols, 2) float32, rise per metre towards east and north of the plane through the square metre.
     blocked : (rows, cols) uint8, a `Blocked` code that holds for every heading. Limits that depend on the heading
         follow from `gradient` and the robot, see `blocked_by_heading`.
+    std_j : (rows, cols, headings) float32 [J], standard deviation of the energy of the 1 m segment centred at the cell;
+        None where the model does not know how far off it may be.
     provenance : JSON-able record of model, heightmap hash, settings, versions and warnings.
     """
 
@@ -53,6 +55,7 @@ class CostLattice:
     gradient: NDArray[np.float32]
     blocked: NDArray[np.uint8]
     provenance: dict[str, Any] = field(default_factory=dict)
+    std_j: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         shapes = {
@@ -61,6 +64,8 @@ class CostLattice:
             "gradient": (*self.frame.shape, 2),
             "blocked": self.frame.shape,
         }
+        if self.std_j is not None:
+            shapes["std_j"] = self.traction_per_m.shape
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"lattice: {name} has shape {getattr(self, name).shape}, expected {shape}")
@@ -104,6 +109,7 @@ class CostLattice:
             elevation_m=self.elevation_m[part],
             gradient=self.gradient[part],
             blocked=self.blocked[part],
+            std_j=None if self.std_j is None else self.std_j[part],
         )
 
     def blocked_by_heading(self) -> NDArray[np.uint8]:

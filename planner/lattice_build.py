@@ -7,6 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.errors import InputError, TooLargeError
 from model.frames import heading_bins
@@ -51,11 +52,15 @@ def build_lattice(
     elevation = np.empty(frame.shape, dtype=np.float32)
     gradient = np.empty((*frame.shape, 2), dtype=np.float32)
     blocked = np.empty(frame.shape, dtype=np.uint8)
+    std: NDArray[np.float32] | None = None
     for row0 in range(0, frame.rows, strip_rows):
         strip = slice(row0, min(row0 + strip_rows, frame.rows))
         window = frame.window(strip.start, strip.stop)
         elevation[strip], gradient[strip], blocked[strip] = ground_limits(heightmap, window, robot)
-        traction[strip] = source.traction_per_m(heightmap, robot, window, angles)
+        traction[strip], strip_std = source.traction_and_std(heightmap, robot, window, angles)
+        if strip_std is not None:
+            std = np.empty_like(traction) if std is None else std
+            std[strip] = strip_std
         silent = np.isnan(traction[strip]).any(axis=2) & (blocked[strip] == Blocked.FREE)
         blocked[strip][silent] = Blocked.UNKNOWN
         if progress is not None:
@@ -74,4 +79,4 @@ def build_lattice(
         "headings": headings,
         "warnings": source.warnings(heightmap, robot),
     }
-    return CostLattice(frame, robot, traction, elevation, gradient, blocked, provenance)
+    return CostLattice(frame, robot, traction, elevation, gradient, blocked, provenance, std)

@@ -20,6 +20,7 @@ from planner.lattice import Blocked, CostLattice
 
 FORMAT = "joulemap.cost-lattice/1"
 _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
+_OPTIONAL = ("std_j",)
 
 
 def save_lattice(lattice: CostLattice, path: str | Path) -> None:
@@ -31,8 +32,10 @@ def save_lattice(lattice: CostLattice, path: str | Path) -> None:
     partial = path.with_name(path.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     group = zarr.open_group(partial, mode="w")
-    for name in _ARRAYS:
+    for name in (*_ARRAYS, *_OPTIONAL):
         data = getattr(lattice, name)
+        if data is None:
+            continue
         chunks = tuple(min(256, n) for n in data.shape[:2]) + data.shape[2:]
         group.create_array(name, data=data, chunks=chunks)
     group.attrs.update(_metadata(lattice))
@@ -59,7 +62,7 @@ def load_lattice(path: str | Path) -> CostLattice:
     if meta.get("format") != FORMAT:
         raise InputError(f"{path} holds format {meta.get('format')!r}, expected {FORMAT!r}", path=str(path))
     try:
-        arrays = {name: np.ascontiguousarray(group[name][:]) for name in _ARRAYS}  # type: ignore[index]
+        arrays = {name: np.ascontiguousarray(group[name][:]) for name in (*_ARRAYS, *_OPTIONAL) if name in group}  # type: ignore[index]
         return CostLattice(
             frame=GridFrame(**meta["frame"]),
             robot=Robot.from_mapping(meta["robot"]),
@@ -71,8 +74,10 @@ def load_lattice(path: str | Path) -> CostLattice:
 
 
 def export_npz(lattice: CostLattice) -> bytes:
-    """A compressed npz: energy_per_m, blocked (by heading), headings_rad, elevation_m and the metadata as JSON."""
+    """A compressed npz: energy_per_m, blocked (by heading), headings_rad, elevation_m, std_j where it is known, and the
+    metadata as JSON."""
     out = io.BytesIO()
+    known: dict[str, Any] = {} if lattice.std_j is None else {"std_j": lattice.std_j}
     np.savez_compressed(
         out,
         energy_per_m=lattice.energy_per_m,
@@ -80,6 +85,7 @@ def export_npz(lattice: CostLattice) -> bytes:
         headings_rad=heading_bins(lattice.headings),
         elevation_m=lattice.elevation_m,
         metadata=json.dumps(_metadata(lattice)),
+        **known,
     )
     return out.getvalue()
 
@@ -106,5 +112,10 @@ def _metadata(lattice: CostLattice) -> dict[str, Any]:
         "robot": lattice.robot.as_dict(),
         "provenance": lattice.provenance,
         "blocked_codes": {str(int(reason)): reason.label for reason in Blocked},
-        "units": {"traction_per_m": "J/m", "elevation_m": "m", "gradient": "m/m towards east, north"},
+        "units": {
+            "traction_per_m": "J/m",
+            "std_j": "J of a 1 m segment",
+            "elevation_m": "m",
+            "gradient": "m/m towards east, north",
+        },
     }

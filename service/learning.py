@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from model.energy.artifact import Artifact, read_artifact, save_artifact
-from model.energy.evaluation import errors, evaluate_segments
-from model.energy.examples import RESNET_SIZE, cut_examples
+from model.energy.artifact import Artifact, predictor_of, read_artifact, save_artifact
+from model.energy.domain import Domain
+from model.energy.evaluation import coverage, errors
+from model.energy.examples import RESNET_SIZE, Examples, cut_examples
+from model.energy.examples import concatenate as concatenated
 from model.energy.predictor import Predictor
 from model.energy.resnet import ResNetEnergy, load_backbone
-from model.energy.training import (
-    Network,
-    TrainingOptions,
-    predicted_energy,
-    train_network,
-)
+from model.energy.tracks import SQUARE
+from model.energy.training import Network, TrainingOptions, averaged, train_network
+from model.energy.uncertainty import FEWEST, Spread, fit_spread
 from model.errors import InputError, RunsError
+from model.loop.prediction import Prediction, predict_segments
 from model.loop.runs import Run, read_run
 from model.loop.segments import Segments, concatenate, cut_segments
 from model.robot import Robot
@@ -28,13 +30,22 @@ from model.terrain.heightmap import Heightmap
 from service.pretraining import MAX_TURN_RAD
 
 LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
+FINE_TUNING_RATE = 5e-4
 CHECKPOINT = "training.pt"
-BATCH = 32  # a day of driving is about a thousand segments: large batches would leave too few steps
+BATCH = {"compact": 64, "resnet18": 32}  # a day of driving is about a thousand segments: larger leave too few steps
+EPOCHS = {"compact": 12, "resnet18": 60}  # of the compact network's data there are `_COPIES` times as many
+FOLDS = 5
+"""Parts into which the runs are divided for cross-fitting, whole runs at a time."""
+_STRETCHES = 4  # of a single run, each then held out whole
+_COPIES = 8
+"""Every segment is learned from so many sides (compact): as driven, and with the world turned by random angles. Runs
+often go to and fro in one direction, and a network that has seen no other errs in all others."""
 
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """What a training left. segments : learned from and held out; held_out : errors on `held_out_runs`."""
+    """What a training left. segments : learned from and held out; held_out : errors on `held_out_runs`, each predicted
+    by a network that had not seen it. turn_j_per_rad : what turning took beyond straight driving [J/rad]."""
 
     version: str
     segments: int
@@ -42,21 +53,25 @@ class TrainedModel:
     held_out_runs: list[str]
     held_out: dict[str, Any]
     epochs: int
+    turn_j_per_rad: float
 
 
-def read_segments(files: Sequence[Path], robot: Robot, *, crs: str | None) -> tuple[list[Run], Segments]:
+def read_segments(
+    files: Sequence[Path], robot: Robot, *, crs: str | None, charge: bool = False
+) -> tuple[list[Run], Segments]:
     """Every run, and their 1 m segments in joules.
 
-    Of a run without voltage the energy is its charge times the robot's nominal voltage. Raises RunsError.
+    Of a run without voltage, and of every run if `charge`, the energy is its charge times the robot's nominal voltage.
+    Raises RunsError.
     """
     if not files:
         raise RunsError("there is no run to read: no file has such a name")
     runs = [read_run(file, crs=crs) for file in files]
     parts = []
     for run in runs:
-        charge = run.voltage_v is None
-        cut = cut_segments(run, charge=charge)
-        parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if charge else cut)
+        counted = charge or run.voltage_v is None
+        cut = cut_segments(run, charge=counted)
+        parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
     return runs, concatenate(parts)
 
 
@@ -70,76 +85,206 @@ def train_on_runs(
     start_from: Path | None = None,
     backbone: Path | None = None,
     patch_size: int = RESNET_SIZE,
-    epochs: int = 60,
+    epochs: int | None = None,
     seed: int = 0,
+    charge: bool = False,
     resume: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> TrainedModel:
-    """Train on measured runs over a heightmap and write the model's folder `out`; segments in turns are left out.
+    """Train on measured runs over a heightmap and write the model's folder `out`.
 
-    start_from : a model's folder to fine-tune; backbone : a ResNet18 file with torchvision's names (resnet18 only);
-    patch_size : rows and columns of a resnet18 patch (256 in the paper); resume : go on where a training of the same
-    data and settings was cut off (its state is kept in `out` until it ends). A share of the runs is held out whole; the
-    best weights on those are kept. Raises InputError, ModelError, RunsError.
+    A compact network that starts from another (`start_from`, a model's folder) is cross-fitted: the runs are dealt
+    whole into `FOLDS` parts, one network is fine-tuned without each, and the model is the mean of their weights. So
+    every run is predicted by a network that has not seen it: that gives the held-out errors and the model's spread,
+    and no run is lost to the model. Otherwise a share of the runs is held out whole, and training stops when those no
+    longer improve. Networks learn from straight segments; what turning takes beyond them is fitted to the held-out ones.
+
+    backbone : a ResNet18 file with torchvision's names (resnet18 only); patch_size : rows and columns of a resnet18
+    patch (256 in the paper); epochs : at most [12 for compact, 60 for resnet18]; charge : as `read_segments`; resume :
+    go on where a training of the same data and settings was cut off (its state is kept in `out` until it ends). Raises
+    InputError, ModelError, RunsError.
     """
     if backbone is not None and (architecture != "resnet18" or start_from is not None):
         raise InputError("weights for a backbone go with the resnet18 architecture, and not with a model to start from")
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
-    straight = segments.take(np.abs(segments.heading_change_rad) < MAX_TURN_RAD)
-    examples = cut_examples(
-        heightmap, robot, straight.x, straight.y, straight.heading_rad, straight.energy_j,
-        run=straight.run, architecture=architecture, size=patch_size,
-    )  # fmt: skip
+    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
     parent = read_artifact(start_from) if start_from is not None else None
     start: Network | None = parent.net if parent is not None else None
     if backbone is not None:
         start = ResNetEnergy()
         start.backbone = load_backbone(backbone)
-    options = TrainingOptions(epochs=epochs, batch=BATCH, learning_rate=LEARNING_RATE.get(architecture, 1e-3))
-    checkpoint = out / CHECKPOINT
-    out.mkdir(parents=True, exist_ok=True)
+    work = _Training(
+        heightmap, robot, segments, architecture, patch_size, start, parent.domain if parent else None, out, seed
+    )
     if not resume:
-        checkpoint.unlink(missing_ok=True)
-    result = train_network(
-        examples, architecture=architecture, seed=seed, start_from=start, options=options, checkpoint=checkpoint,
-        progress=progress,
-    )  # fmt: skip
-    held = examples.select(np.isin(examples.run, result.held_out_runs))
-    held_out = errors(predicted_energy(result.net, held), held.energy_j, held.run)
-    names = [segments.runs[k] for k in result.held_out_runs]
+        work.forget()
+    out.mkdir(parents=True, exist_ok=True)
+    crossed = architecture == "compact" and parent is not None
+    rate = FINE_TUNING_RATE if crossed else LEARNING_RATE.get(architecture, 1e-3)
+    options = TrainingOptions(
+        epochs=epochs or EPOCHS.get(architecture, 60), batch=BATCH.get(architecture, 32), learning_rate=rate
+    )
+    if crossed:
+        net, held, passes = work.cross_fit(replace(options, keep_last=True), seed, progress)
+    else:
+        net, held, passes = work.fit(options, seed, progress)
+    apart = segments.take(np.concatenate([mine for mine, _ in held]))
+    predicted = np.concatenate([p.energy_j for _, p in held])
+    turn = _turning(apart, predicted, robot)
+    predicted = predicted + turn * np.abs(apart.heading_change_rad)
+    known = np.isfinite(predicted)
+    stds = np.concatenate([np.full(p.energy_j.size, np.nan) if p.std_j is None else p.std_j for _, p in held])
+    held_out = errors(predicted[known], apart.energy_j[known], apart.run[known])
+    spread = Spread()
+    if known.sum() >= FEWEST:
+        spread = fit_spread(apart.energy_j[known], predicted[known], stds[known], apart.run[known])
+    names = [segments.runs[int(k)] for k in np.unique(apart.run)]
     training = {
         "data": "measured runs",
-        "data_hash": examples.data_hash,
+        "data_hash": work.examples.data_hash,
         "heightmap": heightmap.data_hash,
         "robot": robot.as_dict(),
         "runs": list(segments.runs),
         "held_out_runs": names,
         "held_out": held_out,
         "seed": seed,
-        "epochs": result.epochs,
+        "epochs": passes,
         "started_from": str(start_from or backbone or ""),
     }
-    size = {"size": patch_size} if architecture == "resnet18" else {}
-    domain = examples.domain() if parent is None else parent.domain.joined(examples.domain())
-    version = save_artifact(out, Artifact(result.net, domain, training=training, **size))
-    checkpoint.unlink(missing_ok=True)
-    return TrainedModel(version, len(examples), list(segments.runs), names, held_out, result.epochs)
+    artifact = replace(work.artifact(net), spread=spread, turn_j_per_rad=turn, training=training)
+    version = save_artifact(out, artifact)
+    work.forget()
+    return TrainedModel(version, work.known, list(segments.runs), names, held_out, passes, turn)
 
 
-def evaluate_on_runs(predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path]) -> dict[str, Any]:
+class _Training:
+    """The examples of one training, and the two ways to fit a network to them."""
+
+    def __init__(
+        self, heightmap: Heightmap, robot: Robot, segments: Segments, architecture: str, patch_size: int,
+        start: Network | None, learned: Domain | None, out: Path, seed: int,
+    ) -> None:  # fmt: skip
+        self.heightmap, self.robot, self.segments, self.out = heightmap, robot, segments, out
+        self.architecture, self.start, self.patch_size = architecture, start, patch_size
+        self.part = _parts(segments)
+        straight = np.flatnonzero(np.abs(segments.heading_change_rad) < MAX_TURN_RAD)
+        s = segments.take(straight)
+        payload = np.nan_to_num(s.extras.get("payload", np.zeros(len(s))))
+        turns = np.zeros((1, len(s)))
+        if architecture == "compact":
+            angles = np.random.default_rng([seed, len(s)]).uniform(0.0, 2.0 * math.pi, (_COPIES - 1, len(s)))
+            turns = np.concatenate([turns, angles])
+        self.examples: Examples = concatenated([
+            cut_examples(
+                heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=self.part[straight], payload_kg=payload,
+                architecture=architecture, size=patch_size, turned_rad=turned,
+            )
+            for turned in turns
+        ])  # fmt: skip
+        self.known = len(self.examples) // len(turns)
+        mine = self.examples.domain() if len(self.examples) else None
+        carried = (min(0.0, float(payload.min(initial=0.0))), max(0.0, float(payload.max(initial=0.0))))
+        self.domain = replace(mine, payload_kg=carried) if mine else None
+        if self.domain is not None and learned is not None:
+            self.domain = learned.joined(self.domain)
+
+    def artifact(self, net: Network) -> Artifact:
+        if self.domain is None:
+            raise InputError(
+                "none of the segments lies on ground that the heightmap knows", segments=len(self.segments)
+            )
+        return Artifact(net, self.domain, self.patch_size if self.architecture == "resnet18" else SQUARE)
+
+    def fit(
+        self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None
+    ) -> tuple[Network, list[tuple[NDArray[np.int64], Prediction]], int]:
+        """One network, stopped by held-out parts: (network, what it says of their segments, epochs)."""
+        result = train_network(
+            self.examples, architecture=self.architecture, seed=seed, start_from=self.start, options=options,
+            checkpoint=self.out / CHECKPOINT, progress=progress,
+        )  # fmt: skip
+        return result.net, [self._judged(result.net, result.held_out_runs)], result.epochs
+
+    def cross_fit(
+        self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None
+    ) -> tuple[Network, list[tuple[NDArray[np.int64], Prediction]], int]:
+        """A network without each fold of the parts: (their mean, what each says of its fold, epochs)."""
+        parts = np.random.default_rng(seed).permutation(np.unique(self.examples.run))
+        folds = [fold.tolist() for fold in np.array_split(parts, min(FOLDS, parts.size))]
+        nets, held = [], []
+        for k, fold in enumerate(folds):
+            result = train_network(
+                self.examples, seed=seed, start_from=self.start, held_out_runs=fold, options=options,
+                checkpoint=self._checkpoint(k),
+                progress=None if progress is None else _share(progress, k, len(folds)),
+            )  # fmt: skip
+            nets.append(result.net)
+            held.append(self._judged(result.net, fold))
+        return averaged(nets), held, options.epochs
+
+    def _judged(self, net: Network, parts: Sequence[int]) -> tuple[NDArray[np.int64], Prediction]:
+        """(indices of all segments of some parts, turns too; what a network that did not see them says)."""
+        mine = np.flatnonzero(np.isin(self.part, parts))
+        predictor = predictor_of(self.artifact(net), {}, name="")
+        return mine, predict_segments(predictor, self.heightmap, self.robot, self.segments.take(mine))
+
+    def forget(self) -> None:
+        """Remove the state of trainings that were cut off."""
+        for k in range(FOLDS):
+            self._checkpoint(k).unlink(missing_ok=True)
+        (self.out / CHECKPOINT).unlink(missing_ok=True)
+
+    def _checkpoint(self, fold: int) -> Path:
+        return self.out / f"{fold}.{CHECKPOINT}"
+
+
+def _share(progress: Callable[[float], None], k: int, count: int) -> Callable[[float], None]:
+    return lambda done: progress((k + done) / count)
+
+
+def _parts(segments: Segments) -> NDArray[np.int64]:
+    """What is held out together, (n,): a run; or a stretch of it, where there is only one."""
+    if np.unique(segments.run).size > 1:
+        return segments.run
+    return np.arange(len(segments)) * _STRETCHES // max(len(segments), 1)
+
+
+def _turning(segments: Segments, predicted_j: NDArray[np.float64], robot: Robot) -> float:
+    """Energy of turning [J/rad] beyond what straight driving explains, at least 0: the least-squares slope of what is
+    left, over the square of the prediction, once the time that turns take longer has its idle power."""
+    turned = np.abs(segments.heading_change_rad)
+    longer = np.maximum(segments.duration_s - segments.driven_m / robot.speed_mps, 0.0)
+    rest = segments.energy_j - predicted_j - robot.idle_power_w * longer
+    use = np.isfinite(rest) & (turned >= MAX_TURN_RAD)
+    if use.sum() < FEWEST:
+        return 0.0
+    rest = rest[use] - np.nanmedian(rest[~use]) if (~use).any() else rest[use]
+    weight = 1.0 / predicted_j[use] ** 2
+    slope = float((weight * rest * turned[use]).sum() / (weight * turned[use] ** 2).sum())
+    return round(max(slope, 0.0), 3) if math.isfinite(slope) else 0.0
+
+
+def evaluate_on_runs(
+    predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path], *, charge: bool = False
+) -> dict[str, Any]:
     """Errors of a predictor on measured runs over a heightmap, JSON-able.
 
-    The numbers of `model.energy.training.errors`, with runs named; `unknown`: segments on unknown ground; `repairs`
-    and `left_out`: what was mended in the logs, and what was not made a segment, by rule. Raises RunsError, InputError.
+    The numbers of `model.energy.evaluation.errors`, with runs named; `coverage`: share of segments inside the
+    predicted 50, 80 and 90 % intervals, where the model has some; `unknown`: segments on unknown ground; `repairs` and
+    `left_out`: what was mended in the logs, and what was not made a segment, by rule. Raises RunsError, InputError.
     """
-    runs, segments = read_segments(files, robot, crs=heightmap.frame.crs)
-    found = evaluate_segments(
-        predictor, heightmap, robot, segments.x, segments.y, segments.heading_rad, segments.energy_j, run=segments.run
-    )
+    runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    said = predict_segments(predictor, heightmap, robot, segments)
+    known = np.isfinite(said.energy_j)
+    found = errors(said.energy_j[known], segments.energy_j[known], segments.run[known])
     by_run = {segments.runs[int(k)]: value for k, value in found.pop("route_relative_errors").items()}
+    covered = None
+    if said.std_j is not None:
+        covered = coverage(segments.energy_j[known], said.energy_j[known], said.std_j[known], predictor.spread)
     return {
         "model": predictor.name,
         **found,
+        "coverage": covered,
+        "unknown": int((~known).sum()),
         "route_relative_errors": by_run,
         "repairs": {run.name: run.repairs for run in runs if run.repairs},
         "left_out": segments.left_out,

@@ -23,7 +23,8 @@ from model.energy.artifact import Artifact, save_artifact
 from model.energy.evaluation import errors
 from model.energy.examples import Examples, concatenate, cut_examples
 from model.energy.physics import eq5_traction_per_m, fit_rolling_resistance
-from model.energy.training import TrainingOptions, predicted_energy, train_network
+from model.energy.training import TrainingOptions, predicted, train_network
+from model.energy.uncertainty import fit_spread
 from model.errors import InputError
 from model.field.drives import drive_along, random_waypoints
 from model.field.robot_dynamics import FieldRobot, Ground
@@ -47,9 +48,9 @@ _DECLARED_SPREAD = 0.08  # how well an owner knows the rolling resistance (stand
 
 
 PRETRAINING = TrainingOptions(
-    epochs=18, patience=18, batch=512, learning_rate=2e-3, weight_decay=0.05, feature_jitter=0.1
+    epochs=14, patience=14, batch=512, learning_rate=2e-3, weight_decay=0.05, feature_jitter=0.1
 )
-DEFAULT_SITES = 1200
+DEFAULT_SITES = 2000
 DEFAULT_SEED = 20261121
 """The shipped network's seed and number of sites."""
 _ASIDE = 0.08  # of the sites to stop by, and as many again to report errors on
@@ -83,6 +84,8 @@ def train_default(
         progress=lambda p: report(0.4 + 0.6 * p),
     )  # fmt: skip
     judged = examples.select(test & (examples.regeneration == 0.0))
+    energy, std = predicted(result.net, judged)
+    spread = fit_spread(judged.energy_j, energy, std, judged.run)
     training: dict[str, Any] = {
         "data": "simulated sites and robots (service.pretraining)",
         "command": f"joulemap train --seed {seed} --out DIR",
@@ -94,11 +97,11 @@ def train_default(
         "options": asdict(options),
         "epochs": result.epochs,
         "held_out_sites": count,
-        "held_out": _summary(predicted_energy(result.net, judged), judged),
+        "held_out": _summary(energy, judged),
         "baselines": baselines(judged),
     }
     domain = replace(examples.domain(), max_slope_deg=MAX_SLOPE_DEG)
-    version = save_artifact(out, Artifact(result.net, domain, training=training))
+    version = save_artifact(out, Artifact(result.net, domain, spread=spread, training=training))
     return {**training, "version": version}
 
 

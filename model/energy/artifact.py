@@ -33,14 +33,16 @@ class Artifact:
     """A trained network and how it was made.
 
     domain : what it learned. size : rows and columns of what it reads. spread : how far off it was on runs it had not
-    seen. training : JSON-able facts: seed, data_hash,
-    held_out (errors of whole runs that were not trained on), command, parent (the version it was fine-tuned from).
+    seen. turn_j_per_rad : what its runs took for turning beyond straight driving. training : JSON-able facts: seed,
+    data_hash, held_out (errors of whole runs that were not trained on), command, parent (the version it was fine-tuned
+    from).
     """
 
     net: Network
     domain: Domain
     size: int = SQUARE
-    spread: Spread = Spread()
+    spread: Spread = field(default_factory=Spread)
+    turn_j_per_rad: float = 0.0
     training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -70,6 +72,7 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
         "network": network,
         "domain": artifact.domain.as_dict(),
         "spread": artifact.spread.as_dict(),
+        "turn_j_per_rad": artifact.turn_j_per_rad,
         "training": dict(artifact.training),
     }
     (folder / CONFIG_FILE).unlink(missing_ok=True)
@@ -114,7 +117,8 @@ def read_artifact(folder: str | Path) -> Artifact:
     if not isinstance(size, int):
         raise ModelError(f"{folder / CONFIG_FILE} does not say the size of a patch", size=str(size))
     domain, spread = Domain.from_dict(config.get("domain") or {}), Spread.from_dict(config.get("spread") or {})
-    return Artifact(net.eval(), domain, size, spread, config.get("training") or {})
+    turn = float(config.get("turn_j_per_rad", 0.0))
+    return Artifact(net.eval(), domain, size, spread, turn, config.get("training") or {})
 
 
 def load_artifact(folder: str | Path, *, name: str | None = None) -> CompactPredictor | ResNetPredictor:
@@ -124,11 +128,17 @@ def load_artifact(folder: str | Path, *, name: str | None = None) -> CompactPred
     config = _read_config(folder)
     provenance = {"kind": artifact.architecture, "version": config["version"], "config": config}
     name = name or folder.resolve().name
+    return predictor_of(artifact, provenance, name=name)
+
+
+def predictor_of(
+    artifact: Artifact, provenance: Mapping[str, Any], *, name: str
+) -> CompactPredictor | ResNetPredictor:  # fmt: skip
+    """The predictor that an artifact's network is."""
+    known: dict[str, Any] = {"name": name, "spread": artifact.spread, "turn_j_per_rad": artifact.turn_j_per_rad}
     if isinstance(artifact.net, CompactNet):
-        return CompactPredictor(artifact.net, artifact.domain, provenance, name=name, spread=artifact.spread)
-    return ResNetPredictor(
-        artifact.net, artifact.domain, provenance, size=artifact.size, name=name, spread=artifact.spread
-    )
+        return CompactPredictor(artifact.net, artifact.domain, provenance, **known)
+    return ResNetPredictor(artifact.net, artifact.domain, provenance, size=artifact.size, **known)
 
 
 def _read_config(folder: Path) -> dict[str, Any]:

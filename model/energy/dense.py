@@ -38,16 +38,17 @@ class CompactPredictor(Learned):
     """
 
     def __init__(
-        self, net: CompactNet, domain: Domain, provenance: Mapping[str, Any], *, name: str, spread: Spread | None = None
+        self, net: CompactNet, domain: Domain, provenance: Mapping[str, Any], *, name: str,
+        spread: Spread | None = None, turn_j_per_rad: float = 0.0,
     ) -> None:  # fmt: skip
-        super().__init__(name, domain, provenance, spread=spread)
+        super().__init__(name, domain, provenance, spread=spread, turn_j_per_rad=turn_j_per_rad)
         self.net = net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at the
-        cell centres of `frame`; NaN where the map is unknown.
+        """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at
+        the cell centres of `frame`; NaN where the map is unknown.
 
         Spacings of 1, 1/2, 1/3 ... 1/8 m are answered by dense passes, any other by one square per cell.
         """

@@ -30,12 +30,14 @@ class Domain:
     """Ranges (low, high) of what a model was trained on.
 
     robot : by the keys of `ROBOT_KEYS` and "hotel_over_weight" (idle energy per metre over m g). resolution_m : of the
-    heightmaps. max_slope_deg : steepest ground.
+    heightmaps. max_slope_deg : steepest ground. payload_kg : logged on top of the robot's mass; a model accounts for a
+    logged payload as far as this range, and beyond it only when a calibration has found it to matter.
     """
 
     robot: dict[str, tuple[float, float]]
     resolution_m: tuple[float, float]
     max_slope_deg: float
+    payload_kg: tuple[float, float] = (0.0, 0.0)
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -46,7 +48,8 @@ class Domain:
         try:
             robot = {str(k): (float(v[0]), float(v[1])) for k, v in values["robot"].items()}
             low, high = values["resolution_m"]
-            return cls(robot, (float(low), float(high)), float(values["max_slope_deg"]))
+            least, most = values.get("payload_kg", (0.0, 0.0))
+            return cls(robot, (float(low), float(high)), float(values["max_slope_deg"]), (float(least), float(most)))
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise ModelError(f"the model does not say what it learned from: {error!r}") from error
 
@@ -60,7 +63,8 @@ class Domain:
             min(self.resolution_m[0], other.resolution_m[0]),
             max(self.resolution_m[1], other.resolution_m[1]),
         )
-        return Domain(robot, resolution, max(self.max_slope_deg, other.max_slope_deg))
+        payload = min(self.payload_kg[0], other.payload_kg[0]), max(self.payload_kg[1], other.payload_kg[1])
+        return Domain(robot, resolution, max(self.max_slope_deg, other.max_slope_deg), payload)
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """One sentence for every value outside: the value, and the limits."""
@@ -89,15 +93,17 @@ class Domain:
 
 
 class Learned(ABC):
-    """The part that all predictors of a trained network share: a name, its record, where it may be believed, and what
-    its held-out runs said of it."""
+    """The part that all predictors of a trained network share: a name, its record, where it may be believed, what its
+    held-out runs said of it, and what its runs took for turning [J/rad] beyond straight driving."""
 
     def __init__(
-        self, name: str, domain: Domain, provenance: Mapping[str, Any], *, spread: Spread | None = None
+        self, name: str, domain: Domain, provenance: Mapping[str, Any], *, spread: Spread | None = None,
+        turn_j_per_rad: float = 0.0,
     ) -> None:  # fmt: skip
         self.name = name
         self.domain = domain
         self.spread = spread or Spread()
+        self.turn_j_per_rad = turn_j_per_rad
         self._provenance = dict(provenance)
 
     def provenance(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How well a predictor says what measured segments cost."""
+"""How well predicted energies say what measured segments cost."""
 
 from __future__ import annotations
 
@@ -7,32 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.energy.predictor import Predictor
+from model.energy.uncertainty import LEVELS, Spread
 from model.errors import InputError
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-
-
-def evaluate_segments(
-    predictor: Predictor,
-    heightmap: Heightmap,
-    robot: Robot,
-    x: ArrayLike,
-    y: ArrayLike,
-    heading_rad: ArrayLike,
-    energy_j: ArrayLike,
-    *,
-    run: ArrayLike = 0,
-) -> dict[str, Any]:
-    """How well a predictor says what measured 1 m segments, centred at (x, y), cost. Arrays of (n,).
-
-    Returns the numbers of `errors` and `unknown`, the segments whose ground the heightmap does not know.
-    """
-    arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run)
-    xs, ys, heading, energy = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in arrays[:4])
-    predicted = robot.price_per_m(predictor.segment_traction(heightmap, robot, xs, ys, heading))
-    known = np.isfinite(predicted)
-    return errors(predicted[known], energy[known], arrays[4].ravel()[known]) | {"unknown": int((~known).sum())}
 
 
 def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[str, Any]:
@@ -60,3 +36,13 @@ def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[
         "route_relative_error": float(np.mean(list(by_run.values()))),
         "route_relative_errors": by_run,
     }
+
+
+def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spread: Spread) -> dict[str, float]:
+    """Share of measured segments inside the predicted intervals, by level in percent: {"50": ..., "80": ..., ...}."""
+    energy = np.asarray(energy_j, dtype=np.float64)
+    inside = {}
+    for level in LEVELS:
+        low, high = spread.interval(predicted_j, std_j, level)
+        inside[f"{100 * level:.0f}"] = float(np.mean((low <= energy) & (energy <= high)))
+    return inside

@@ -16,7 +16,7 @@ from model.energy.physics import SEGMENT_M, tan_grade
 from model.energy.tracks import PIXEL_M, REACH_M, SQUARE
 from model.errors import InputError, ModelError
 from model.frames import heading_vector
-from model.robot import Robot
+from model.robot import GRAVITY_MPS2, Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.patches import cut_patches, cut_squares
 
@@ -98,20 +98,24 @@ def cut_examples(
     energy_j: ArrayLike,
     *,
     run: ArrayLike = 0,
+    payload_kg: ArrayLike = 0.0,
     architecture: str = "compact",
     size: int = RESNET_SIZE,
+    turned_rad: ArrayLike = 0.0,
 ) -> Examples:
-    """Examples from 1 m segments centred at (x, y) [m], (n,) each. run : (n,) or one number.
+    """Examples from 1 m segments centred at (x, y) [m], (n,) each. run, payload_kg : (n,) or one number.
 
     Segments whose ground the heightmap does not know are left out (compare `len`). size : of a ResNet18 patch.
-    Raises ModelError for an unknown architecture.
+    turned_rad : squares are cut as if the world, ground and motion, were turned clockwise by so much, (n,) (compact
+    only): the same energy, seen from another side. Raises ModelError for an unknown architecture.
     """
-    arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run)
+    arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run, payload_kg, turned_rad)
     xs, ys, heading, energy = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in arrays[:4])
     runs = np.ascontiguousarray(arrays[4], dtype=np.int64).ravel()
+    turned = np.asarray(arrays[6], dtype=np.float64).ravel()
     grade = tan_grade(heightmap, xs, ys, heading)
     if architecture == "compact":
-        inputs = cut_squares(heightmap, xs, ys, size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M)
+        inputs = cut_squares(heightmap, xs, ys, size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M, turned_rad=turned)
     elif architecture == "resnet18":
         inputs = cut_patches_around(heightmap, xs, ys, heading, size=size)
     else:
@@ -125,10 +129,11 @@ def cut_examples(
     def kept(values: FloatArray) -> NDArray[np.float32]:
         return values[known].astype(np.float32)
 
+    weight_n = GRAVITY_MPS2 * (robot.mass_kg + np.asarray(arrays[5], dtype=np.float64).ravel())
     return Examples(
         inputs[known],
         np.tile(robot_features(robot, heightmap.resolution_m), (n, 1)),
-        kept(heading), kept(grade), same(robot.weight_n), same(robot.rolling_resistance), same(robot.hotel_per_m),
+        kept(heading + turned), kept(grade), kept(weight_n), same(robot.rolling_resistance), same(robot.hotel_per_m),
         same(robot.regeneration), same(robot.nominal_voltage_v), kept(energy), runs[known],
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The compact network's head over a tile of a lattice, compiled: `CompactNet.ask` for every cell and heading at once."""
+"""The compact network's head over a tile of a lattice, compiled: `CompactNet.ask` for all cells and headings."""
 
 from __future__ import annotations
 
@@ -39,11 +39,13 @@ class Headings:
 
 
 @njit(cache=True, nogil=True)
-def answer_tile(heights, series, basis, stencil, own, sign, per_width, weights, known, price, traction, std):  # fmt: skip
+def answer_tile(  # fmt: skip
+    heights, series, basis, stencil, own, sign, per_width, weights, known, price, traction, std
+):
     """Fill a tile: traction [J/m] (holding the grade before) and the standard deviation of a segment's energy [J].
 
     heights : (8 rows + 9, 8 cols + 9) [m], the working pixels around the cells. series : (rows, cols, units * C).
-    basis, stencil, own, sign, per_width : as in `Headings`. weights : as from `CompactNet.folded_head`. known : a mu, c,
+    basis, stencil, own, sign, per_width : as in `Headings`. weights : as from `CompactNet.folded_head`. known : a mu, c
     and the weight [N]. price : the robot's hotel_per_m and regeneration, the energy of level ground [J], and the factor
     of the spread (as `segment_std`). traction, std : (rows, cols, K) float32.
     """

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
+from model.energy.uncertainty import Spread
 from model.errors import InputError
 from model.frames import GridFrame, heading_vector, wrap_angle
 from model.robot import Robot
@@ -139,6 +140,7 @@ class PhysicsPredictor:
     """The paper's eq. 5 with the robot's declared rolling resistance: no weights, exact on planes, knows no bumps."""
 
     name = "physics"
+    spread = Spread()
 
     def provenance(self) -> dict[str, Any]:
         """What the predictor is, JSON-able."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.energy.physics import PhysicsPredictor
+from model.energy.uncertainty import Spread
 from model.errors import ModelError
 from model.frames import GridFrame
 from model.robot import Robot
@@ -25,6 +26,10 @@ class Predictor(TractionSource, Protocol):
 
     Both ways to ask answer the same for the same place and heading, to float32 rounding.
     """
+
+    @property
+    def spread(self) -> Spread:
+        """How wide the intervals of its answers are."""
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]

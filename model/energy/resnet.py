@@ -135,17 +135,17 @@ class ResNetPredictor(Learned):
 
     def __init__(
         self, net: ResNetEnergy, domain: Domain, provenance: Mapping[str, Any], *, size: int, name: str,
-        spread: Spread | None = None,
+        spread: Spread | None = None, turn_j_per_rad: float = 0.0,
     ) -> None:  # fmt: skip
-        super().__init__(name, domain, provenance, spread=spread)
+        super().__init__(name, domain, provenance, spread=spread, turn_j_per_rad=turn_j_per_rad)
         self.net = net.eval()
         self.size = size
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at the
-        cell centres of `frame`; NaN where the map is unknown."""
+        """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at
+        the cell centres of `frame`; NaN where the map is unknown."""
         x, y = frame.centres()
         shape = frame.rows, frame.cols, len(headings_rad)
         places = np.broadcast_arrays(x[None, :, None], y[:, None, None], np.asarray(headings_rad)[None, None, :])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from model.energy.compact import CompactNet, heading_basis
 from model.energy.examples import ARCHITECTURES, Examples
 from model.energy.resnet import ResNetEnergy
 from model.energy.tracks import SQUARE, track_features
-from model.energy.uncertainty import LEAST_SHARE
+from model.energy.uncertainty import LEAST_SHARE, USUAL_SPREAD, segment_std
 from model.errors import InputError, ModelError
 
 Network = CompactNet | ResNetEnergy
@@ -39,7 +40,8 @@ class TrainingOptions:
     mirror images (compact), mirror images (resnet18). freeze_backbone : train the resnet18 head alone. held_out_share
     : of the runs, where none are named. feature_jitter : noise on what a compact network is told of the robot, over
     the features' ranges, so that it cannot know a robot again by its numbers. loss : "relative" (Huber of the
-    relative error) or "mse" (of the scaled energy e = E / V, as in the paper).
+    relative error) or "mse" (of the scaled energy e = E / V, as in the paper). keep_last : train for all `epochs` and
+    keep the last weights, so that the held-out runs chose nothing and judge fairly.
     """
 
     epochs: int = 60
@@ -52,6 +54,7 @@ class TrainingOptions:
     held_out_share: float = 0.15
     feature_jitter: float = 0.0
     loss: str = "relative"
+    keep_last: bool = False
 
     def __post_init__(self) -> None:
         if self.loss not in ("relative", "mse"):
@@ -118,16 +121,34 @@ def choose_held_out(examples: Examples, options: TrainingOptions, seed: int) -> 
     return sorted(int(r) for r in np.random.default_rng(seed).choice(runs, count, replace=False))
 
 
-def predicted_energy(net: Network, examples: Examples, *, batch: int = 2048) -> NDArray[np.float64]:
-    """Energy [J] of every example, (n,): traction through the battery's price."""
+def averaged(nets: Sequence[Network]) -> Network:
+    """The network with the mean of the weights of several that were fine-tuned from one: they lie in one valley, and
+    their mean predicts as well as their ensemble at the price of one (Wortsman et al. 2022, "model soups")."""
+    mean = deepcopy(nets[0])
+    states = [net.state_dict() for net in nets]
+    mean.load_state_dict({
+        key: torch.stack([s[key] for s in states]).mean(0) if value.is_floating_point() else value
+        for key, value in states[0].items()
+    })  # fmt: skip
+    return mean.eval()
+
+
+def predicted(
+    net: Network, examples: Examples, *, batch: int = 2048
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(energy, its standard deviation as the network believes it) [J] of every example, (n,) each."""
     net.eval()
     data = _Tensors(examples)
-    out = np.empty(len(examples))
+    energy, relative = np.empty(len(examples)), np.full(len(examples), USUAL_SPREAD)
     with torch.inference_mode():
         for k in range(0, len(examples), batch):
             part = torch.arange(k, min(k + batch, len(examples)))
-            out[k : k + batch] = data.answer(net, part, leak=0.0).energy.numpy()
-    return out
+            answer = data.answer(net, part, leak=0.0)
+            energy[part.numpy()] = answer.energy.numpy()
+            if answer.spread is not None:
+                relative[part.numpy()] = torch.exp(answer.spread).numpy()
+    level = examples.hotel_per_m + examples.weight_n * examples.rolling_resistance
+    return energy, segment_std(energy, relative, level, factor=1.0)
 
 
 @contextmanager
@@ -136,9 +157,11 @@ def _threads(count: int | None) -> Iterator[None]:
     one thread is nearly as fast on an idle machine and many times faster on a busy one, and its sums never reorder."""
     before = torch.get_num_threads()
     torch.set_num_threads(count or before)
+    torch.set_flush_denormal(True)  # momenta of silent units decay to numbers that cost a hundred times as much
     try:
         yield
     finally:
+        torch.set_flush_denormal(False)
         torch.set_num_threads(before)
 
 
@@ -260,11 +283,12 @@ class _Trainer:
     def run(self, checkpoint: Path | None, progress: Callable[[float], None] | None) -> None:
         if checkpoint is not None and checkpoint.exists():
             self._resume(checkpoint)
-        while len(self.history) < self.options.epochs and len(self.history) - self.best_epoch < self.options.patience:
+        patience = self.options.epochs if self.options.keep_last else self.options.patience
+        while len(self.history) < self.options.epochs and len(self.history) - self.best_epoch < patience:
             loss = self._epoch(len(self.history))
             error = self._held_out_error()
             self.history.append({"train_loss": loss, "held_out_error": error})
-            if error < self.best_error:
+            if error < self.best_error or self.options.keep_last:
                 self.best = {k: v.clone() for k, v in self.net.state_dict().items()}
                 self.best_error, self.best_epoch = error, len(self.history)
             if checkpoint is not None:

@@ -20,7 +20,8 @@ USUAL_SPREAD = 0.1
 """Share of the energy that a network without an opinion is taken to err by."""
 LEAST_SHARE = 0.2
 """Errors are relative to the energy, but at least to this share of that of level ground."""
-_FEWEST = 20
+FEWEST = 20
+"""Held-out segments that a spread needs."""
 _NORMAL_99 = 0.9248
 """Mean square of a standard normal variable, given that it is among the 99 % smallest in size."""
 
@@ -74,10 +75,10 @@ class Spread:
         return math.hypot(self.run_share * float(energy.sum()), math.sqrt(self.correlation_m * float((std**2).sum())))
 
 
-def segment_std(price_j: ArrayLike, relative: ArrayLike, least_j: float, *, factor: float) -> FloatArray:
-    """Standard deviation [J] of 1 m segments: relative to their price, but at least to a share of `least_j`, the energy
+def segment_std(price_j: ArrayLike, relative: ArrayLike, level_j: ArrayLike, *, factor: float) -> FloatArray:
+    """Standard deviation [J] of 1 m segments: relative to their price, but at least to a share of `level_j`, the energy
     of level ground (a braking segment costs nothing and is still uncertain)."""
-    return factor * np.asarray(relative) * np.maximum(price_j, LEAST_SHARE * least_j)
+    return np.asarray(factor * np.asarray(relative) * np.maximum(price_j, LEAST_SHARE * np.asarray(level_j)))
 
 
 def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, run: ArrayLike) -> Spread:
@@ -90,8 +91,8 @@ def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, ru
     """
     energy, predicted = np.asarray(energy_j, dtype=np.float64), np.asarray(predicted_j, dtype=np.float64)
     std, runs = np.asarray(std_j, dtype=np.float64), np.asarray(run)
-    if energy.size < _FEWEST:
-        raise InputError(f"{energy.size} held-out segments are too few to tell a spread, {_FEWEST} are needed")
+    if energy.size < FEWEST:
+        raise InputError(f"{energy.size} held-out segments are too few to tell a spread, {FEWEST} are needed")
     error = (energy - predicted) / std
     size = np.sort(np.abs(error))
     kept = size[: max(1, math.ceil(0.99 * size.size))]
@@ -113,4 +114,3 @@ def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, ru
     correlation = (1.0 + neighbour) / (1.0 - neighbour)  # of a first-order autoregression: sum of its correlations
     run_share = math.sqrt(float(np.mean(np.square(shares)))) if shares else Spread.run_share
     return Spread(factor, quantiles, run_share, correlation, int(energy.size))
-

@@ -35,8 +35,9 @@ def cut_patches(
 
 
 def cut_squares(
-    heightmap: Heightmap, x: ArrayLike, y: ArrayLike, *, size: int, pixel_m: float, pad_m: float = 0.0
-) -> NDArray[np.float32]:
+    heightmap: Heightmap, x: ArrayLike, y: ArrayLike, *, size: int, pixel_m: float, pad_m: float = 0.0,
+    turned_rad: ArrayLike = 0.0,
+) -> NDArray[np.float32]:  # fmt: skip
     """North-up squares centred at (x, y). x, y [m] : (n,), or broadcast to it.
 
     Returns (n, size, size) float32 [m]: row 0 is north, column 0 west, pixel centres (i - (size - 1) / 2) pixel_m from
@@ -47,10 +48,11 @@ def cut_squares(
     _check_square(size, pixel_m, "pixel_m")
     if not (math.isfinite(pad_m) and pad_m >= 0):
         raise InputError(f"pad_m must be a distance in metres, got {pad_m}", pad_m=str(pad_m))
-    xs, ys = _flat(x, y)
+    xs, ys, turned = _flat(x, y, turned_rad)
     row, col = heightmap.frame.rowcol(xs, ys)
     resolution = heightmap.resolution_m
-    return _cut_squares(heightmap.heights, row, col, pixel_m / resolution, size, pad_m / resolution)
+    sine, cosine = np.sin(turned), np.cos(turned)
+    return _cut_squares(heightmap.heights, row, col, sine, cosine, pixel_m / resolution, size, pad_m / resolution)
 
 
 def _check_square(size: int, length_m: float, name: str) -> None:
@@ -135,9 +137,10 @@ def _continued(heights: NDArray[np.float32], row: float, col: float, pad: float)
 
 @njit(cache=True, parallel=True)
 def _cut_squares(
-    heights: NDArray[np.float32], row: FloatArray, col: FloatArray, pixel: float, size: int, pad: float
-) -> NDArray[np.float32]:
-    """row, col : centres in cells. pixel, pad : in cells. Returns (n, size, size)."""
+    heights: NDArray[np.float32], row: FloatArray, col: FloatArray, sine: FloatArray, cosine: FloatArray, pixel: float,
+    size: int, pad: float,
+) -> NDArray[np.float32]:  # fmt: skip
+    """row, col : centres in cells. sine, cosine : of the turn. pixel, pad : in cells. Returns (n, size, size)."""
     out = np.empty((row.size, size, size), np.float32)
     middle = 0.5 * (size - 1)
     for n in prange(row.size):
@@ -147,7 +150,13 @@ def _cut_squares(
             for j in range(size):
                 if not known:
                     break
-                height = _continued(heights, row[n] + (i - middle) * pixel, col[n] + (j - middle) * pixel, pad)
+                south, east = (i - middle) * pixel, (j - middle) * pixel
+                height = _continued(
+                    heights,
+                    row[n] + south * cosine[n] - east * sine[n],
+                    col[n] + east * cosine[n] + south * sine[n],
+                    pad,
+                )
                 known = not math.isnan(height)
                 out[n, i, j] = height - centre
         if not known:

@@ -11,7 +11,7 @@ from model.energy.compact import FEATURES
 from model.energy.evaluation import errors
 from model.energy.physics import PhysicsPredictor
 from model.energy.predictor import load_predictor
-from model.energy.training import TrainingOptions, predicted_energy
+from model.energy.training import TrainingOptions, predicted
 from model.frames import GridFrame, heading_bins
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
@@ -80,7 +80,7 @@ def test_shipped_files_agree_with_each_other_and_with_the_card():
 
 def test_shipped_network_beats_physics_on_unseen_sites(shipped, fresh):
     judged = fresh.select(fresh.regeneration == 0.0)
-    ours = errors(predicted_energy(shipped.net, judged), judged.energy_j, judged.run)["mean_relative_error"]
+    ours = errors(predicted(shipped.net, judged)[0], judged.energy_j, judged.run)["mean_relative_error"]
     for name, theirs in baselines(judged).items():
         assert ours < 0.85 * theirs["mean_relative_error"], name
 

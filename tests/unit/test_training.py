@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from model.energy.evaluation import errors, evaluate_segments
+from model.energy.evaluation import coverage, errors
 from model.energy.examples import cut_examples
-from model.energy.physics import PhysicsPredictor, tan_grade
+from model.energy.physics import tan_grade
 from model.energy.resnet import ResNetEnergy
-from model.energy.training import Network, TrainingOptions, predicted_energy, train_network
+from model.energy.training import Network, TrainingOptions, averaged, predicted, train_network
+from model.energy.uncertainty import Spread, fit_spread
 from model.errors import InputError, ModelError
 from model.frames import GridFrame
 from model.robot import Robot
@@ -49,7 +50,7 @@ def test_learns_a_loss_that_physics_underrates():
     untrained = train_network(examples, seed=3, options=before).held_out_error
     assert result.held_out_error < 0.2 * untrained
     held = examples.select(np.isin(examples.run, result.held_out_runs))
-    measured = errors(predicted_energy(result.net, held), held.energy_j, held.run)
+    measured = errors(predicted(result.net, held)[0], held.energy_j, held.run)
     assert measured["mean_relative_error"] == pytest.approx(result.held_out_error, rel=0.05)
 
 
@@ -114,7 +115,7 @@ def test_training_turns_the_ground_and_the_heading_together():
     net = train_network(driven(80)[2], options=TrainingOptions(epochs=1, learning_rate=1e-2)).net
     part = torch.arange(1)
     with torch.inference_mode():
-        by_turning = _Tensors(one).energy(net, part, leak=0.0, quarter_turns=1)[0]
+        by_turning = _Tensors(one).answer(net, part, leak=0.0, quarter_turns=1).energy
         assert float(by_turning) == pytest.approx(float(_Tensors(turned).energy(net, part, leak=0.0)[0]), rel=1e-4)
         by_mirror = _Tensors(one).energy(net, part, leak=0.0, mirror=True)[0]
         assert float(by_mirror) == pytest.approx(float(_Tensors(mirrored).energy(net, part, leak=0.0)[0]), rel=1e-4)
@@ -156,12 +157,44 @@ def test_errors_by_hand():
     assert found["route_relative_error"] == pytest.approx((2 / 13 + 0.5) / 2)
 
 
-def test_physics_is_perfect_where_physics_made_the_data():
-    heightmap, segments, _ = driven(50, loss=1.0)
-    x, y, heading, energy, run = segments
-    x = x.copy()
-    x[0] = 1000.0  # off the map
-    found = evaluate_segments(PhysicsPredictor(), heightmap, ROBOT, x, y, heading, energy, run=run)
-    assert found["unknown"] == 1
-    assert found["segments"] == 49
-    assert found["mean_relative_error"] == pytest.approx(0.0, abs=1e-9)
+def test_the_mean_of_the_weights_is_the_mean_of_the_weights():
+    _, _, examples = driven(200)
+    start = train_network(examples, seed=1, options=SHORT).net
+    nets = [train_network(examples, seed=s, start_from=start, options=SHORT).net for s in (2, 3)]
+    mean = averaged(nets)
+    for key, value in mean.state_dict().items():
+        assert torch.allclose(value, (nets[0].state_dict()[key] + nets[1].state_dict()[key]) / 2)
+    assert not same_weights(nets[0], mean)
+
+
+def test_held_out_runs_choose_nothing_when_the_last_weights_are_kept():
+    _, _, examples = driven(200)
+    options = TrainingOptions(epochs=4, patience=1, batch=64, keep_last=True)
+    one, other = (train_network(examples, seed=1, held_out_runs=[0], options=options) for _ in range(2))
+    assert one.epochs == 4
+    assert same_weights(one.net, other.net)
+    assert one.held_out_error == one.history[-1]["held_out_error"]
+
+
+def test_coverage_counts_what_lies_inside():
+    spread = Spread(quantiles=(0.5, 1.0, 2.0))
+    inside = coverage([10.0, 10.0, 10.0, 10.0], [10.0, 10.9, 11.5, 13.0], [1.0] * 4, spread)
+    assert inside == {"50": 0.25, "80": 0.5, "90": 0.75}
+
+
+def test_a_spread_covers_what_it_was_made_for():
+    rng = np.random.default_rng(0)
+    run = np.repeat(np.arange(40), 200)
+    predicted_j = rng.uniform(40.0, 200.0, run.size)
+    of_run = np.exp(0.04 * rng.standard_normal(40))
+    # Student's t with 5 degrees of freedom: tails that a normal distribution does not have
+    std = 0.08 * predicted_j
+    energy = predicted_j * of_run[run] + 1.3 * std * rng.standard_t(5, run.size) / math.sqrt(5 / 3)
+    half = run < 20
+    spread = fit_spread(energy[half], predicted_j[half], std[half], run[half])
+    assert spread.run_share == pytest.approx(0.04, rel=0.4)
+    for level, share in coverage(energy[~half], predicted_j[~half], spread.factor * std[~half], spread).items():
+        assert share == pytest.approx(float(level) / 100.0, abs=0.025)
+    sums = [(energy[run == k].sum() - predicted_j[run == k].sum()) for k in range(20, 40)]
+    told = [spread.route_std(predicted_j[run == k], spread.factor * std[run == k]) for k in range(20, 40)]
+    assert np.std(np.array(sums) / np.array(told)) == pytest.approx(1.0, abs=0.4)
