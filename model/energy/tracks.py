@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from model.frames import heading_vector
@@ -119,12 +119,12 @@ def corner(offset):  # fmt: skip
     return whole, offset - whole
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _of_squares(squares, stencil, per_width, out):  # fmt: skip
     middle = (SQUARE - 1) // 2
-    for k in prange(squares.shape[0]):
-        lines = np.empty((2, SAMPLES, 1), dtype=np.float32)
-        found, unused = np.empty((out.shape[1], 1), dtype=np.float32), np.empty((out.shape[1], 1), dtype=np.float32)
+    lines = np.empty((2, SAMPLES, 1), dtype=np.float32)
+    found, unused = np.empty((out.shape[1], 1), dtype=np.float32), np.empty((out.shape[1], 1), dtype=np.float32)
+    for k in range(squares.shape[0]):
         for line in range(2):
             for s in range(SAMPLES):
                 row, down = corner(stencil[line, s, k, 0])

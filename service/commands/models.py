@@ -120,6 +120,16 @@ RobotFile = Annotated[
 ]
 
 
+Charge = Annotated[
+    bool,
+    typer.Option(
+        "--charge",
+        help="Count charge [A s] instead of energy, times the robot's nominal voltage: for logs whose voltage is missing "
+        "(there it is the rule) or broken.",
+    ),
+]
+
+
 class Architecture(StrEnum):
     """The networks that can be trained."""
 
@@ -133,11 +143,16 @@ def train(
     runs: Runs = None,
     robot: RobotFile = None,
     architecture: Annotated[
-        Architecture, typer.Option(help="`compact` is fast and dense; `resnet18` is the paper's network.")
+        Architecture,
+        typer.Option(
+            "--arch", "--architecture", help="`compact` is fast and dense; `resnet18` is the paper's network."
+        ),
     ] = Architecture.COMPACT,
     start_from: Annotated[
         str | None,
         typer.Option(
+            "--from",
+            "--start-from",
             metavar="M",
             help="Model to fine-tune: `default`, a folder, or `none` to train afresh. "
             "[default: `default` for compact, `none` for resnet18]",
@@ -147,7 +162,11 @@ def train(
         Path | None, typer.Option(metavar="FILE", help="ResNet18 backbone with torchvision's names (ImageNet's file).")
     ] = None,
     patch_size: Annotated[int, typer.Option(min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper.")] = 64,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the data, at most.")] = 60,
+    epochs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Passes over the data, at most. [default: 12 for compact, 60 for resnet18]"),
+    ] = None,
+    charge: Charge = False,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a training of the same data and settings that was cut off.")
     ] = False,
@@ -193,6 +212,7 @@ def train(
             backbone=weights,
             patch_size=patch_size,
             epochs=epochs,
+            charge=charge,
             seed=seed or 0,
             resume=resume,
             progress=report,
@@ -202,6 +222,7 @@ def train(
         {
             "learned from": f"{model.segments} segments of {len(model.runs)} runs",
             "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}",
+            "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving (turn_j_per_rad of a robot file)",
         }
     )
     answer.document({"out": str(out), **asdict(model)})
@@ -212,6 +233,7 @@ def evaluate(
     runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs (CSV), as for `train`.")],
     model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
     robot: RobotFile = None,
+    charge: Charge = False,
     json_file: JsonFile = None,
 ) -> None:
     """Tell how well a **model predicts measured runs**, per 1 m segment and over whole runs.
@@ -225,7 +247,7 @@ def evaluate(
 
     answer = Answer(json_file)
     rover = Robot.from_toml(robot) if robot is not None else Robot()
-    found = evaluate_on_runs(find_predictor(model), read_heightmap(heightmap), rover, find_runs(runs))
+    found = evaluate_on_runs(find_predictor(model), read_heightmap(heightmap), rover, find_runs(runs), charge=charge)
     answer.say(f"[bold]Model {found['model']}[/] on {len(found['route_relative_errors'])} runs: {_errors_words(found)}")
     answer.table(
         {
@@ -233,6 +255,7 @@ def evaluate(
             "median error": f"{found['median_relative_error']:.1%} of a segment's energy",
             "whole runs": f"{found['route_relative_error']:.1%} of a run's energy",
             "bias": f"{found['bias_j']:+.2f} J per segment (measured - predicted)",
+            "intervals": _coverage_words(found["coverage"]),
         }
     )
     answer.warn(found["warnings"])
@@ -265,6 +288,12 @@ def _folder_of(name: str) -> Path | None:
     if name == "none":
         return None
     return Path(model.__path__[0]) / "weights" if name == "default" else Path(name)
+
+
+def _coverage_words(covered: dict[str, float] | None) -> str:
+    if covered is None:
+        return "none: this model does not say how far off it may be"
+    return ", ".join(f"{share:.0%} in the {level} % one" for level, share in covered.items())
 
 
 def _errors_words(found: dict[str, Any]) -> str:

@@ -116,9 +116,9 @@ def test_training_turns_the_ground_and_the_heading_together():
     part = torch.arange(1)
     with torch.inference_mode():
         by_turning = _Tensors(one).answer(net, part, leak=0.0, quarter_turns=1).energy
-        assert float(by_turning) == pytest.approx(float(_Tensors(turned).energy(net, part, leak=0.0)[0]), rel=1e-4)
-        by_mirror = _Tensors(one).energy(net, part, leak=0.0, mirror=True)[0]
-        assert float(by_mirror) == pytest.approx(float(_Tensors(mirrored).energy(net, part, leak=0.0)[0]), rel=1e-4)
+        assert float(by_turning) == pytest.approx(float(_Tensors(turned).answer(net, part, leak=0.0).energy), rel=1e-4)
+        by_mirror = _Tensors(one).answer(net, part, leak=0.0, mirror=True).energy
+        assert float(by_mirror) == pytest.approx(float(_Tensors(mirrored).answer(net, part, leak=0.0).energy), rel=1e-4)
 
 
 def test_fine_tuning_starts_from_what_is_known_and_leaves_it_alone():
