@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from model.energy.artifact import Artifact, read_artifact, save_artifact
+from model.energy.artifact import Artifact, load_artifact, read_artifact, save_artifact
 from model.energy.evaluation import errors, evaluate_segments
 from model.energy.examples import RESNET_SIZE, cut_examples
 from model.energy.predictor import Predictor
@@ -21,10 +21,12 @@ from model.energy.training import (
     train_network,
 )
 from model.errors import InputError, RunsError
+from model.loop.calibrated import CalibratedPredictor
 from model.loop.runs import Run, read_run
 from model.loop.segments import Segments, concatenate, cut_segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.calibrating import keep_base_runs
 from service.pretraining import MAX_TURN_RAD
 
 LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
@@ -84,7 +86,7 @@ def train_on_runs(
     """
     if backbone is not None and (architecture != "resnet18" or start_from is not None):
         raise InputError("weights for a backbone go with the resnet18 architecture, and not with a model to start from")
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
+    runs, segments = read_segments(files, robot, crs=heightmap.frame.crs)
     straight = segments.take(np.abs(segments.heading_change_rad) < MAX_TURN_RAD)
     examples = cut_examples(
         heightmap, robot, straight.x, straight.y, straight.heading_rad, straight.energy_j,
@@ -123,6 +125,8 @@ def train_on_runs(
     domain = examples.domain() if parent is None else parent.domain.joined(examples.domain())
     version = save_artifact(out, Artifact(result.net, domain, training=training, **size))
     checkpoint.unlink(missing_ok=True)
+    if all(run.voltage_v is not None for run in runs):
+        keep_base_runs(out, load_artifact(out), heightmap, robot, segments)
     return TrainedModel(version, len(examples), list(segments.runs), names, held_out, result.epochs)
 
 
@@ -133,9 +137,16 @@ def evaluate_on_runs(predictor: Predictor, heightmap: Heightmap, robot: Robot, f
     and `left_out`: what was mended in the logs, and what was not made a segment, by rule. Raises RunsError, InputError.
     """
     runs, segments = read_segments(files, robot, crs=heightmap.frame.crs)
-    found = evaluate_segments(
-        predictor, heightmap, robot, segments.x, segments.y, segments.heading_rad, segments.energy_j, run=segments.run
-    )
+    if isinstance(predictor, CalibratedPredictor):
+        predicted = predictor.segment_energy(segments, heightmap, robot)
+        known = np.isfinite(predicted)
+        found = errors(predicted[known], segments.energy_j[known], segments.run[known])
+        found |= {"unknown": int((~known).sum())}
+    else:
+        found = evaluate_segments(
+            predictor, heightmap, robot, segments.x, segments.y, segments.heading_rad, segments.energy_j,
+            run=segments.run,
+        )  # fmt: skip
     by_run = {segments.runs[int(k)]: value for k, value in found.pop("route_relative_errors").items()}
     return {
         "model": predictor.name,

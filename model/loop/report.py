@@ -91,7 +91,7 @@ def coefficient_names(term: Term) -> list[str]:
         return [str(word) for word in settings["values"]]
     if term.formula == "smooth":
         knots = settings["knots"]
-        return [f"at {knot:.4g}" for k, knot in enumerate(knots) if k != len(knots) // 2]
+        return [f"at {knot:.4g}" for k, knot in enumerate(knots) if settings.get("level") or k != len(knots) // 2]
     if term.formula == "place":
         return [f"at x {x:.1f}, y {y:.1f}" for x, y in settings["centres"]]
     if term.formula == "wind_constant":

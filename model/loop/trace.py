@@ -188,14 +188,15 @@ class _Search:
         """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise."""
         rest = [f.verdict.term for f in found if f is not one]
         names = {f.candidate.name for f in found}
-        mine = self.evidence.held_out(self.active([*rest, one.verdict.term]))
-        alone = self.evidence.held_out(self.active(rest))
-        gained = float((alone - mine).sum())
+        mine = self.active([*rest, one.verdict.term])
+        gained = self.error(rest) - self.error([*rest, one.verdict.term])
         out = []
         for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
             if candidate.name in names or verdict.p_value > ALPHA:
                 continue
-            worse = self.evidence.held_out(self.active([*rest, verdict.term])) - mine
+            its = self.active([*rest, verdict.term])
+            blocks = self.evidence.own(mine) or self.evidence.own(its)
+            worse = self.evidence.held_out(its, blocks=blocks) - self.evidence.held_out(mine, blocks=blocks)
             noise = float(worse.std(ddof=1)) * np.sqrt(worse.size)
             if worse.sum() < noise and worse.sum() < 0.1 * gained:
                 out.append(candidate.name)
