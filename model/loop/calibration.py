@@ -20,6 +20,7 @@ from model.loop.trace import ALPHA, Floors, Trace, trace
 
 FloatArray = NDArray[np.float64]
 
+_LEAST_SHARE = 0.05  # of the usual energy: relative errors of less say nothing
 _WITH_BASE = Floors(physical=0.03, learned=0.06, place=0.06)
 
 
@@ -165,7 +166,7 @@ def _errors(measured: Residuals, predicted: FloatArray) -> dict[str, Any]:
     moving = measured.moving
     energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
     run = measured.drive.run[moving]
-    relative = np.abs(away) / np.maximum(np.abs(energy), 1e-9)
+    relative = np.abs(away) / np.maximum(np.abs(energy), _LEAST_SHARE * np.median(energy))
     return {
         "mean_relative": float(relative.mean()),
         "rmse": float(np.sqrt(np.mean(away**2))),

@@ -100,7 +100,7 @@ def _merged(found: list[Candidate]) -> list[Candidate]:
 def _of_path(unit: str) -> Iterator[Candidate]:
     rad = f"{unit}/rad"
     saturating = tuple(Term("turning", "turning", (rad,), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
-    both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
+    both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS[:5])
     plain = Term("turning", "turning", (rad,), {"limit_radps": None})
     sides = Term("turning", "turning_sides", (rad, rad))
     yield Candidate("turning", (plain, *saturating, *both, sides), "curves of several radii on level ground, both ways")
@@ -120,7 +120,11 @@ def _of_path(unit: str) -> Iterator[Candidate]:
     j_per_m = f"{unit}/m"
     calm = Term("wind", "wind_constant", (j_per_m, j_per_m))
     yield Candidate("wind", (calm,), "one line to and fro, and one across it")
-    more = tuple(Term("learned:heading", "heading", (j_per_m,) * 2 * n, {"harmonics": n}) for n in (2, 3))
+    more = tuple(
+        Term("learned:heading", "heading", (j_per_m,) * (2 * n + level), {"harmonics": n, "level": level})
+        for n in (2, 3)
+        for level in (False, True)
+    )
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
     hour = Term("drift", "drift", ("1/h",), {"over": "since_start", "unit": 3600.0})
     far = Term("drift", "drift", ("1/km",), {"over": "driven", "unit": 1000.0})

@@ -182,11 +182,12 @@ def wind_constant(drive: Drive) -> FloatArray:
 
 
 @_formula
-def heading(drive: Drive, *, harmonics: int) -> FloatArray:
-    """J/m. sin and cos of the heading and of its multiples."""
+def heading(drive: Drive, *, harmonics: int, level: bool = False) -> FloatArray:
+    """J/m. sin and cos of the heading and of its multiples; before them, with `level`, what does not depend on it."""
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
-    waves = np.stack([f(angle) for angle in angles for f in (np.sin, np.cos)], axis=1)
-    return waves * drive.length_m[:, None]
+    waves = [f(angle) for angle in angles for f in (np.sin, np.cos)]
+    constant = [np.ones(len(drive))] if level else []
+    return np.stack([*constant, *waves], axis=1) * drive.length_m[:, None]
 
 
 @_formula
