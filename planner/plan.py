@@ -11,6 +11,7 @@ import numpy as np
 
 from model.errors import InputError, NoRouteError
 from planner.edges import Points, path_price
+from planner.landmarks import Landmarks, make_landmarks
 from planner.lattice import CostLattice
 from planner.moves import MoveTable, distance_table, move_table
 from planner.refine import LEVELS, refine_path
@@ -55,10 +56,16 @@ class RoutePlanner:
         self.lattice = lattice
         self._distances = distance_lattice(lattice)
         self._tables: dict[tuple[bool, int], MoveTable] = {}
+        self._landmarks: dict[int, Landmarks] = {}
 
-    def prepare(self, neighbours: int = 16) -> None:
-        """Price the moves now, so that the first question does not wait for it."""
+    def prepare(self, neighbours: int = 16, *, landmarks: bool = False) -> None:
+        """Price the moves now, so that the first question does not wait for it.
+
+        landmarks : make them too; they cost eight energy fields and spare every further A* most of its search.
+        """
         self._table(neighbours, distance=True)
+        if landmarks and neighbours not in self._landmarks:
+            self._landmarks[neighbours] = make_landmarks(self._table(neighbours, distance=False))
 
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
@@ -127,7 +134,10 @@ class RoutePlanner:
         self, start: Points, goal: Points, neighbours: int, refine: bool, planner: str, *, distance: bool
     ) -> tuple[Points, dict[str, Any]]:
         lattice = self._distances if distance else self.lattice
-        found = grid_search(lattice, self._table(neighbours, distance=distance), start, goal, planner=planner)
+        found = grid_search(
+            lattice, self._table(neighbours, distance=distance), start, goal, planner=planner,
+            landmarks=None if distance or planner != "astar" else self._landmarks.get(neighbours),
+        )  # fmt: skip
         assert found.points is not None
         levels = LEVELS[:2] if distance else LEVELS  # a taut string needs no small zigzags
         points = refine_path(lattice, found.points, levels=levels) if refine else found.points
