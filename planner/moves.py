@@ -52,6 +52,11 @@ class MoveTable:
         return self.offsets @ np.array([self.energy.shape[1], 1], dtype=np.int64)
 
     @property
+    def reach(self) -> int:
+        """Rows or columns that the longest move spans."""
+        return int(np.abs(self.offsets).max())
+
+    @property
     def gap_j(self) -> NDArray[np.float64]:
         """(N,) energy [J] of turning from each move's heading to the next one's, clockwise."""
         return np.append(np.diagonal(self.turn_j, 1), self.turn_j[-1, 0])
@@ -113,23 +118,56 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
     """Price all grid moves of a lattice; O(rows * cols * N), two compiled passes."""
     offsets = move_offsets(neighbours)
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
-    matrix = interpolation_matrix(headings, lattice.headings).astype(np.float32)
-    at_moves = lattice.traction_per_m.reshape(-1, lattice.headings) @ matrix.T  # (cells, N)
-    allowed = _allowed_moves(lattice.gradient, lattice.blocked, *heading_vector(headings), *lattice.max_tangents)
-    pieces = [_pieces(int(r), int(c)) for r, c in offsets]
-    cells, share = _stack_stencils(offsets, pieces)
-    piece_share, piece_cell, piece_blend = _stack_pieces(pieces)
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * lattice.frame.resolution_m
     rates = _height_rates(lattice)
-    energy, bounds = _price_moves(
-        at_moves.reshape(*lattice.frame.shape, -1), allowed, lattice.elevation_m, offsets, length_m,
-        price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
-    )  # fmt: skip
+    energy, bounds = _priced(lattice, offsets, headings, length_m, rates)
     turn = lattice.robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
     surface = lattice.elevation_m.astype(np.float64)
     if not (bounds >= 0.0).any() and np.isfinite(bounds).any():  # no share of the height explains what comes back
         surface, rates, bounds = least_potential(energy, offsets), np.ones(1), np.zeros(1)
     return MoveTable(offsets, headings, length_m, energy, turn, surface, rates, bounds)
+
+
+def repriced(table: MoveTable, lattice: CostLattice, window: tuple[int, int, int, int]) -> MoveTable:
+    """The table of a lattice that differs from the one `table` was made of in a window (row0, row1, col0, col1) only.
+
+    Prices are written into `table.energy`; the bounds hold for both lattices. Where the prices call for another
+    potential, everything is priced anew.
+    """
+    row0, row1, col0, col1 = window
+    rows, cols = lattice.frame.shape
+    reach = table.reach
+    inner = slice(max(row0 - reach, 0), row1 + reach), slice(max(col0 - reach, 0), col1 + reach)
+    top, left = max(row0 - 2 * reach, 0), max(col0 - 2 * reach, 0)
+    part = lattice.window(top, min(row1 + 2 * reach, rows), left, min(col1 + 2 * reach, cols))
+    energy, bounds = _priced(part, table.offsets, table.heading_rad, table.length_m, table.rate_j_per_m)
+    bounds = np.minimum(table.bound_per_m, bounds)
+    if len(table.rate_j_per_m) == 1 or not (bounds >= 0.0).any():  # its surface is a potential, or one is needed
+        return move_table(lattice, neighbours=len(table.offsets))
+    height, width = table.energy[inner].shape[:2]
+    down, right = inner[0].start - top, inner[1].start - left
+    table.energy[inner] = energy[down : down + height, right : right + width]
+    return replace(table, surface=lattice.elevation_m.astype(np.float64), bound_per_m=bounds)
+
+
+def _priced(
+    lattice: CostLattice, offsets: NDArray[np.int64], headings: NDArray[np.float64], length_m: NDArray[np.float64],
+    rates: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:  # fmt: skip
+    """(rows, cols, N) float32 [J] energies of all moves, and their bounds (B,) [J/m] at the rates."""
+    matrix = interpolation_matrix(headings, lattice.headings).astype(np.float32)
+    at_moves = lattice.traction_per_m.reshape(-1, lattice.headings) @ matrix.T  # (cells, N)
+    allowed = _allowed_moves(
+        np.ascontiguousarray(lattice.gradient), np.ascontiguousarray(lattice.blocked), *heading_vector(headings),
+        *lattice.max_tangents,
+    )  # fmt: skip
+    pieces = [_pieces(int(r), int(c)) for r, c in offsets]
+    cells, share = _stack_stencils(offsets, pieces)
+    piece_share, piece_cell, piece_blend = _stack_pieces(pieces)
+    return _price_moves(
+        at_moves.reshape(*lattice.frame.shape, -1), allowed, np.ascontiguousarray(lattice.elevation_m), offsets,
+        length_m, price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
+    )  # fmt: skip
 
 
 def _height_rates(lattice: CostLattice) -> NDArray[np.float64]:

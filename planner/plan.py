@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from model.errors import InputError
+from model.errors import InputError, NoRouteError
 from planner.edges import Points, path_price
+from planner.landmarks import Landmarks, make_landmarks
 from planner.lattice import CostLattice
 from planner.moves import MoveTable, distance_table, move_table
 from planner.refine import LEVELS, refine_path
@@ -54,10 +56,16 @@ class RoutePlanner:
         self.lattice = lattice
         self._distances = distance_lattice(lattice)
         self._tables: dict[tuple[bool, int], MoveTable] = {}
+        self._landmarks: dict[int, Landmarks] = {}
 
-    def prepare(self, neighbours: int = 16) -> None:
-        """Price the moves now, so that the first question does not wait for it."""
+    def prepare(self, neighbours: int = 16, *, landmarks: bool = False) -> None:
+        """Price the moves now, so that the first question does not wait for it.
+
+        landmarks : make them too; they cost eight energy fields and spare every further A* most of its search.
+        """
         self._table(neighbours, distance=True)
+        if landmarks and neighbours not in self._landmarks:
+            self._landmarks[neighbours] = make_landmarks(self._table(neighbours, distance=False))
 
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
@@ -79,11 +87,15 @@ class RoutePlanner:
         refine: bool = True,
         time_limit_s: float = 5.0,
         seed: int = 0,
+        from_grid: bool = False,
+        progress: Callable[[float], None] | None = None,
     ) -> Plan:
         """The energy-optimal and the shortest route from start to goal (world x, y [m]).
 
         planner : one of `PLANNERS`; neighbours : 8, 16 or 32 (grid planners); refine : any-angle improvement of the
-        path found; time_limit_s, seed : for the sampling planners. Raises PointError, BlockedError, NoRouteError.
+        path found; time_limit_s, seed : for the sampling planners, which with `from_grid` sample only where the grid
+        leaves hope of a better way, and answer with the grid's if they find none. Raises PointError, BlockedError,
+        NoRouteError.
         """
         if planner not in PLANNERS:
             raise InputError(f"planner must be one of {', '.join(PLANNERS)}, got {planner!r}", planner=planner)
@@ -105,9 +117,9 @@ class RoutePlanner:
         if planner in GRID_PLANNERS:
             points, found = self._grid_route(start, goal, neighbours, refine, planner, distance=False)
         else:
-            from planner.sampling import sample_route  # OMPL is loaded only where it is asked for
-
-            points, found = sample_route(lattice, start, goal, planner=planner, time_limit_s=time_limit_s, seed=seed)
+            points, found = self._sampled_route(
+                start, goal, planner, time_limit_s, seed, neighbours if from_grid else None, progress
+            )
             points = refine_path(lattice, points) if refine else points
             if lattice.robot.turn_j_per_rad > 0.0:
                 notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
@@ -122,11 +134,38 @@ class RoutePlanner:
         self, start: Points, goal: Points, neighbours: int, refine: bool, planner: str, *, distance: bool
     ) -> tuple[Points, dict[str, Any]]:
         lattice = self._distances if distance else self.lattice
-        found = grid_search(lattice, self._table(neighbours, distance=distance), start, goal, planner=planner)
+        found = grid_search(
+            lattice, self._table(neighbours, distance=distance), start, goal, planner=planner,
+            landmarks=None if distance or planner != "astar" else self._landmarks.get(neighbours),
+        )  # fmt: skip
         assert found.points is not None
         levels = LEVELS[:2] if distance else LEVELS  # a taut string needs no small zigzags
         points = refine_path(lattice, found.points, levels=levels) if refine else found.points
         return points, {"expanded": found.expanded, "grid_energy_j": found.energy_j}
+
+    def _sampled_route(
+        self, start: Points, goal: Points, planner: str, time_limit_s: float, seed: int, from_grid: int | None,
+        progress: Callable[[float], None] | None,
+    ) -> tuple[Points, dict[str, Any]]:  # fmt: skip
+        from planner.sampling import hopeful_places, sample_route  # OMPL is loaded only where it is asked for
+
+        lattice = self.lattice
+        if from_grid is None:
+            return sample_route(
+                lattice, start, goal, planner=planner, time_limit_s=time_limit_s, seed=seed, progress=progress
+            )
+        table = self._table(from_grid, distance=False)
+        grid = grid_search(lattice, table, start, goal)
+        details: dict[str, Any] = {"grid_energy_j": grid.energy_j}
+        try:
+            points, found = sample_route(
+                lattice, start, goal, planner=planner, time_limit_s=time_limit_s, seed=seed, progress=progress,
+                places=hopeful_places(lattice, table, start, goal),
+            )  # fmt: skip
+        except NoRouteError:
+            return grid.points, details
+        better = path_price(lattice, points) < path_price(lattice, grid.points)
+        return points if better else grid.points, details | found
 
     def _route(self, points: Points, notes: list[str]) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])

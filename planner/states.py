@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.buckets import Guide, search_cells, search_headings, trace_cells, trace_headings
+from planner.buckets import SEED, Guide, search_cells, search_headings, trace_cells, trace_headings
 from planner.lattice import CostLattice
 from planner.moves import MoveTable
 
@@ -30,6 +30,14 @@ class Search:
     layers: int
     backward: bool
 
+    def seed(self, cells: NDArray[np.int64], cost: NDArray[np.float64]) -> None:
+        """Let cells (S,) be reached at cost (S, layers) [J], where that is less than they have."""
+        for cell, joined in zip(cells.tolist(), cost, strict=True):
+            states = slice(cell * self.layers, (cell + 1) * self.layers)
+            less = joined < self.energy_j[states]
+            self.energy_j[states][less] = joined[less]
+            self.pred[states][less] = SEED
+
     def trace(self, table: MoveTable, last: int) -> NDArray[np.int64]:
         """(n,) states from `last` back to the seed it was reached from (for backward searches: on to the goal)."""
         trace = trace_cells if self.layers == 1 else trace_headings
@@ -45,9 +53,10 @@ def new_search(
     table: MoveTable, layers: int, cells: NDArray[np.int64], cost: NDArray[np.float64], *, backward: bool
 ) -> Search:
     """Labels of nothing but the seeds: cells (S,) at cost (S, layers) [J]."""
-    energy = np.full(table.surface.size * layers, np.inf)
-    np.minimum.at(energy.reshape(-1, layers), cells, cost)
-    return Search(energy, np.zeros(energy.size, dtype=np.uint8), layers, backward)
+    states = table.surface.size * layers
+    search = Search(np.full(states, np.inf), np.zeros(states, dtype=np.uint8), layers, backward)
+    search.seed(cells, cost)
+    return search
 
 
 def run_search(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
 from model.errors import ConflictError, InputError, ModelError, RunsError
@@ -21,6 +23,7 @@ from model.loop.calibrated import (
 )
 from model.loop.calibration import Calibration, calibrate
 from model.loop.drive import describe_segments
+from model.loop.prediction import predict_segments
 from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import Residuals, residuals_of
@@ -52,12 +55,14 @@ def read_calibration_runs(files: Sequence[Path], *, crs: str | None) -> tuple[Se
 
 
 def residuals_on(
-    predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments
+    heightmap: Heightmap, robot: Robot, segments: Segments, traction: NDArray[np.float64]
 ) -> tuple[Residuals, dict[str, np.ndarray]]:
-    """Residuals of segments against a model, and each row's mean voltage, current and power. Raises RunsError."""
+    """Residuals of segments against a model's traction (n,) [J/m], and each row's mean voltage, current and power.
+
+    Raises RunsError.
+    """
     if len(segments) == 0:
         raise RunsError("the runs hold no segment of 1 m: did the robot move, and is its position recorded?")
-    traction = predictor.segment_traction(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     drive, measured = describe_segments(segments, heightmap, robot, traction)
     marked = replace(drive, columns=drive.columns | _electric(segments, len(drive) - len(segments)))
     found = residuals_of(marked, measured, segments.runs, charge=segments.charge)
@@ -76,9 +81,14 @@ def _electric(segments: Segments, stands: int) -> dict[str, np.ndarray]:
     return {_MARK + key: np.concatenate([values, rest]) for key, values in means.items()}
 
 
-def keep_base_runs(folder: Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> None:
-    """Leave the runs that a model was trained on beside it, so that a calibration can hold later runs against them."""
-    save_record(folder, residuals_on(predictor, heightmap, robot, segments)[0])
+def keep_base_runs(
+    folder: Path, heightmap: Heightmap, robot: Robot, segments: Segments, traction: NDArray[np.float64]
+) -> None:
+    """Leave the runs that a model was trained on beside it, so that a calibration can hold later runs against them.
+
+    traction : (n,) [J/m] of every segment, from a network that had not seen its run.
+    """
+    save_record(folder, residuals_on(heightmap, robot, segments, traction)[0])
 
 
 def calibrate_on_runs(
@@ -104,11 +114,12 @@ def calibrate_on_runs(
     if isinstance(predictor, CalibratedPredictor):
         raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
     segments, repairs = read_calibration_runs(files, crs=heightmap.frame.crs)
-    measured, electric = residuals_on(predictor, heightmap, robot, segments)
+    said = partial(predict_segments, predictor, heightmap, robot)
+    measured, electric = residuals_on(heightmap, robot, segments, said(segments).traction_per_m)
     base = None if model in MODEL_NAMES else read_record(model)
     if base_files:
         base_segments, _ = read_calibration_runs(base_files, crs=heightmap.frame.crs)
-        base = residuals_on(predictor, heightmap, robot, base_segments)[0]
+        base = residuals_on(heightmap, robot, base_segments, said(base_segments).traction_per_m)[0]
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
     correction = correction_of(found)
     version = _write(target, model, predictor, correction) if found.terms else None

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.commands import maps, models, reproduction, services
+from service.commands import calibration, maps, models, reproduction, services
 from service.commands.console import PlainErrors
 
 app = typer.Typer(
@@ -47,7 +47,17 @@ def joulemap(
 for _panel, _commands in (
     ("Plan", (maps.costmap, maps.path, maps.feasibility)),
     ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
-    ("Learn", (models.simulate, models.train, models.evaluate, reproduction.baselines, reproduction.reproduce)),
+    (
+        "Learn",
+        (
+            models.simulate,
+            models.train,
+            models.evaluate,
+            calibration.calibrate,
+            reproduction.baselines,
+            reproduction.reproduce,
+        ),
+    ),
 ):
     for _command in _commands:
         app.command(rich_help_panel=_panel)(_command)

@@ -27,6 +27,7 @@ from model.loop.runs import Run, read_run
 from model.loop.segments import Segments, concatenate, cut_segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.calibrating import keep_base_runs
 from service.pretraining import MAX_TURN_RAD
 
 LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
@@ -97,7 +98,8 @@ def train_on_runs(
     whole into `FOLDS` parts, one network is fine-tuned without each, and the model is the mean of their weights. So
     every run is predicted by a network that has not seen it: that gives the held-out errors and the model's spread,
     and no run is lost to the model. Otherwise a share of the runs is held out whole, and training stops when those no
-    longer improve. Networks learn from straight segments; what turning takes beyond them is fitted to the held-out ones.
+    longer improve. Networks learn from straight segments; what turning takes beyond them is fitted to the held-out
+    ones.
 
     backbone : a ResNet18 file with torchvision's names (resnet18 only); patch_size : rows and columns of a resnet18
     patch (256 in the paper); epochs : at most [12 for compact, 60 for resnet18]; charge : as `read_segments`; resume :
@@ -106,7 +108,7 @@ def train_on_runs(
     """
     if backbone is not None and (architecture != "resnet18" or start_from is not None):
         raise InputError("weights for a backbone go with the resnet18 architecture, and not with a model to start from")
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
     parent = read_artifact(start_from) if start_from is not None else None
     start: Network | None = parent.net if parent is not None else None
     if backbone is not None:
@@ -152,6 +154,9 @@ def train_on_runs(
     }
     artifact = replace(work.artifact(net), spread=spread, turn_j_per_rad=turn, training=training)
     version = save_artifact(out, artifact)
+    if all(run.voltage_v is not None for run in runs) and not charge:
+        traction = np.concatenate([p.traction_per_m for _, p in held])
+        keep_base_runs(out, heightmap, robot, apart, traction)
     work.forget()
     return TrainedModel(version, work.known, list(segments.runs), names, held_out, passes, turn)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
+from model.energy.predictor import MODEL_NAMES, Predictor
 from model.errors import InputError, ModelError, NoRouteError, TooLargeError
 from model.frames import GridFrame, heading_bins
 from model.robot import Battery, Robot
@@ -24,6 +24,7 @@ from planner.lattice import Blocked, CostLattice
 from planner.lattice_build import DEFAULT_HEADINGS, build_lattice
 from planner.plan import PLANNERS, RoutePlanner
 from planner.route import Route, price_route
+from service.calibrating import load_model
 
 DEFAULT_MODEL = "default"
 HEADING_LIMITS = (4, 360)
@@ -38,14 +39,14 @@ def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Pred
     without, it is the path of a model's folder. Raises ModelError.
     """
     if models_dir is None or model in MODEL_NAMES:
-        return load_predictor(model)
+        return load_model(model)
     trained = sorted(p.name for p in models_dir.iterdir() if p.is_dir()) if models_dir.is_dir() else []
     if not _MODEL_ID.fullmatch(str(model)) or str(model) not in trained:
         known = [*MODEL_NAMES, *trained]
         raise ModelError(
             f"there is no model {str(model)[:100]!r}: known are {', '.join(known)}", model=str(model)[:100], known=known
         )
-    return load_predictor(models_dir / str(model))
+    return load_model(models_dir / str(model))
 
 
 def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> GridFrame:

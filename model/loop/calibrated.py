@@ -7,11 +7,12 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from model.energy.predictor import Predictor
 from model.errors import ConflictError, ModelError
 from model.frames import GridFrame
 from model.loop.drive import Drive, describe_segments, planned_drive
@@ -19,21 +20,12 @@ from model.loop.effects import Term
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from model.traction import TractionSource
 
 FloatArray = NDArray[np.float64]
 
 CALIBRATION_FILE = "calibration.json"
 FORMAT = 1
 _CHUNK = 400_000  # cells x headings described at a time
-
-
-class SegmentSource(TractionSource, Protocol):
-    """A base model: lattices and single segments."""
-
-    def segment_traction(
-        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
-    ) -> NDArray[np.float64]: ...
 
 
 @dataclass(frozen=True)
@@ -84,8 +76,9 @@ class Correction:
 class CalibratedPredictor:
     """A base model with a correction, asked like any other model."""
 
-    def __init__(self, base: SegmentSource, correction: Correction, *, name: str, version: str) -> None:
+    def __init__(self, base: Predictor, correction: Correction, *, name: str, version: str) -> None:
         self.base, self.correction, self.name, self.version = base, correction, name, version
+        self.spread = base.spread
 
     def provenance(self) -> dict[str, Any]:
         """What the model is, JSON-able."""
@@ -122,11 +115,25 @@ class CalibratedPredictor:
         traction = self.base.segment_traction(heightmap, robot, xs, ys, headings)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction)
 
+    def segment_traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """`segment_traction`, and the base model's standard deviation of each segment's energy [J]."""
+        xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
+        traction, std = self.base.segment_traction_and_std(heightmap, robot, xs, ys, headings)
+        return self._with_effects(heightmap, robot, xs, ys, headings, traction), std
+
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> NDArray[np.float32]:
         """(rows, cols, headings) float32 [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
-        traction = self.base.traction_per_m(heightmap, robot, frame, headings_rad)
+        return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
+
+    def traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """`traction_per_m`, and the base model's standard deviation of a 1 m segment's energy [J]."""
+        traction, std = self.base.traction_and_std(heightmap, robot, frame, headings_rad)
         x, y = frame.centres()
         rows = max(1, _CHUNK // (x.size * len(headings_rad)))
         for start in range(0, y.size, rows):
@@ -135,7 +142,7 @@ class CalibratedPredictor:
             xs, ys, headings = (c.ravel() for c in cells)
             flat = self._with_effects(heightmap, robot, xs, ys, headings, part.ravel())
             traction[start : start + rows] = flat.reshape(part.shape)
-        return traction
+        return traction, std
 
     def _with_effects(
         self, heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray,

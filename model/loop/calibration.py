@@ -13,12 +13,14 @@ from model.loop.candidates import Candidate, find_candidates
 from model.loop.effects import Term
 from model.loop.evidence import Verdict
 from model.loop.fitting import Fit, fit_terms
+from model.loop.localise import localised
 from model.loop.residual import Residuals
 from model.loop.shared import SharedErrors, shared_errors
 from model.loop.trace import ALPHA, Floors, Trace, trace
 
 FloatArray = NDArray[np.float64]
 
+_LEAST_SHARE = 0.05  # of the usual energy: relative errors of less say nothing
 _WITH_BASE = Floors(physical=0.03, learned=0.06, place=0.06)
 
 
@@ -97,6 +99,7 @@ def calibrate(
     chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
     if chosen and not plane and traced.evidence.silent(traced.chosen).size:
         silent = [Term("level", "level", ("",))]
+    chosen = localised(start, chosen, silent)
     fit = fit_terms(start, [*silent, *chosen])
     effects = _effects(traced, fit, len(silent))
     held = start.predicted + fit.held_out if chosen else before_energy
@@ -136,7 +139,7 @@ def _usual(base: Residuals | None) -> dict[str, float]:
 
 
 def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
-    total = float(traced.evidence.judge_gram[:, -1, -1].sum())
+    total = float(traced.evidence.by_fold[:, -1, -1].sum())
     chosen = traced.chosen
     out = []
     for k, found in enumerate(traced.found):
@@ -163,7 +166,7 @@ def _errors(measured: Residuals, predicted: FloatArray) -> dict[str, Any]:
     moving = measured.moving
     energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
     run = measured.drive.run[moving]
-    relative = np.abs(away) / np.maximum(np.abs(energy), 1e-9)
+    relative = np.abs(away) / np.maximum(np.abs(energy), _LEAST_SHARE * np.median(energy))
     return {
         "mean_relative": float(relative.mean()),
         "rmse": float(np.sqrt(np.mean(away**2))),

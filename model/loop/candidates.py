@@ -21,7 +21,7 @@ PLANNER_COLUMNS = frozenset({"temperature", "wind_speed", "wind_from", "payload"
 _OF_POSITION = frozenset({"heading", "gps_course", "gps_error", "speed", "gps_speed", "z", "lat", "lon"})
 _MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
 _RESPONSE = re.compile(
-    r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|motor|wheel|odom|duty|pwm|rpm|torque|slip"
+    r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|wheel|odom|duty|pwm|rpm|torque|slip"
 )
 _COPY = 0.97
 _USUAL = {"temperature": 20.0, "payload": 0.0}
@@ -77,7 +77,7 @@ def find_candidates(
         found.append(_of_words(key, values[moving], kinds, unit))
     found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
-    for key in ("grade", "cross_slope", "roughness", "elevation", "speed", "turn"):
+    for key in ("grade", "cross_slope", "roughness", "elevation", "speed"):
         found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
     for key in usable:
         name = f"learned:{key}"
@@ -100,7 +100,7 @@ def _merged(found: list[Candidate]) -> list[Candidate]:
 def _of_path(unit: str) -> Iterator[Candidate]:
     rad = f"{unit}/rad"
     saturating = tuple(Term("turning", "turning", (rad,), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
-    both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
+    both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS[:5])
     plain = Term("turning", "turning", (rad,), {"limit_radps": None})
     sides = Term("turning", "turning_sides", (rad, rad))
     yield Candidate("turning", (plain, *saturating, *both, sides), "curves of several radii on level ground, both ways")
@@ -120,7 +120,11 @@ def _of_path(unit: str) -> Iterator[Candidate]:
     j_per_m = f"{unit}/m"
     calm = Term("wind", "wind_constant", (j_per_m, j_per_m))
     yield Candidate("wind", (calm,), "one line to and fro, and one across it")
-    more = tuple(Term("learned:heading", "heading", (j_per_m,) * 2 * n, {"harmonics": n}) for n in (2, 3))
+    more = tuple(
+        Term("learned:heading", "heading", (j_per_m,) * (2 * n + level), {"harmonics": n, "level": level})
+        for n in (2, 3)
+        for level in (False, True)
+    )
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
     hour = Term("drift", "drift", ("1/h",), {"over": "since_start", "unit": 3600.0})
     far = Term("drift", "drift", ("1/km",), {"over": "driven", "unit": 1000.0})
@@ -244,10 +248,11 @@ def _smooth(
     straight = sorted({knots[0], knots[-1]})
     sets = [[float(k) for k in some] for some in (straight, knots)]
     variants = tuple(
-        Term(name, "smooth", (("" if of else f"{unit}/m"),) * (len(some) - 1),
-             {"over": over, "knots": some, "of_all": of})
+        Term(name, "smooth", (("" if of else f"{unit}/m"),) * (len(some) - 1 + level),
+             {"over": over, "knots": some, "of_all": of, "level": level})
         for some in (sets if len(sets[1]) > 2 else sets[:1])
         for of in (False, True)
+        for level in ((False, True) if over.startswith("column:") and not residuals.charge else (False,))
     )  # fmt: skip
     yield Candidate(name, variants, f"the same line while only {name.removeprefix('learned:')} changes",
                     planner=planner, response=response)  # fmt: skip

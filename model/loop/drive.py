@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 _REACH_M = 0.5  # the square metre that a segment's ground is judged on
 _SIDE = 5  # samples along its sides
+_LIKE_OTHER_STANDS = 0.3  # of their power: else the robot did something while it stood
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +139,10 @@ def describe_segments(
     if not with_stands or not segments.stands:
         return drive, segments.energy_j
     run, seconds, energy = (np.array(values) for values in zip(*segments.stands, strict=True))
-    return _with_stands(drive, run.astype(np.int64), seconds), np.concatenate([segments.energy_j, energy])
+    usual = float(np.median(energy / seconds))
+    even = np.abs(energy / seconds - usual) < _LIKE_OTHER_STANDS * usual
+    stood = _with_stands(drive, run[even].astype(np.int64), seconds[even])
+    return stood, np.concatenate([segments.energy_j, energy[even]])
 
 
 def planned_drive(

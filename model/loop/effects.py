@@ -182,11 +182,12 @@ def wind_constant(drive: Drive) -> FloatArray:
 
 
 @_formula
-def heading(drive: Drive, *, harmonics: int) -> FloatArray:
-    """J/m. sin and cos of the heading and of its multiples."""
+def heading(drive: Drive, *, harmonics: int, level: bool = False) -> FloatArray:
+    """J/m. sin and cos of the heading and of its multiples; before them, with `level`, what does not depend on it."""
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
-    waves = np.stack([f(angle) for angle in angles for f in (np.sin, np.cos)], axis=1)
-    return waves * drive.length_m[:, None]
+    waves = [f(angle) for angle in angles for f in (np.sin, np.cos)]
+    constant = [np.ones(len(drive))] if level else []
+    return np.stack([*constant, *waves], axis=1) * drive.length_m[:, None]
 
 
 @_formula
@@ -236,15 +237,17 @@ def place(drive: Drive, *, centres: list[list[float]], width_m: float) -> FloatA
 
 
 @_formula
-def smooth(drive: Drive, *, over: str, knots: list[float], of_all: bool) -> FloatArray:
-    """J/m (or a share of everything) at the knots of a piecewise linear curve over a quantity, 0 at the middle one.
+def smooth(drive: Drive, *, over: str, knots: list[float], of_all: bool, level: bool = False) -> FloatArray:
+    """J/m (or a share of everything) at the knots of a piecewise linear curve over a quantity; it is 0 at the middle
+    one, unless it brings its own level.
 
-    The curve is constant beyond its outer knots; where the quantity is unknown it says nothing.
+    The curve is constant beyond its outer knots; where the quantity is unknown it says what it says at the middle.
     """
     values = quantity(drive, over)
-    amount = drive.predicted if of_all else drive.length_m
-    filled = np.where(np.isfinite(values), values, knots[len(knots) // 2])
-    hats = [np.interp(filled, knots, row) for k, row in enumerate(np.eye(len(knots))) if k != len(knots) // 2]
+    amount = np.where(drive.standing, 0.0, drive.predicted) if of_all else drive.length_m
+    middle = len(knots) // 2
+    filled = np.where(np.isfinite(values), values, knots[middle])
+    hats = [np.interp(filled, knots, row) for k, row in enumerate(np.eye(len(knots))) if level or k != middle]
     return np.stack(hats, axis=1) * amount[:, None]
 
 

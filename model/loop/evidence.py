@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, gamma
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from model.loop.effects import FORMULAS, Term
@@ -40,8 +40,8 @@ class Verdict:
     """On one term.
 
     gain : share by which the held-out squared error falls; net : the same of what is left when the level is refitted
-    with and without the effect. p_value : allowing for all that was tried (1 where it cannot be asked). steady : share of the folds in which it
-    helps. why : where it cannot be asked, why.
+    with and without the effect. p_value : allowing for all that was tried (1 where it cannot be asked). steady : share
+    of the folds in which it helps. why : where it cannot be asked, why.
     """
 
     term: int
@@ -88,14 +88,11 @@ class Evidence:
     def _grams(self) -> None:
         both = np.concatenate([self.x, self.z[:, None]], axis=1)
 
-        def products(fold: IntArray) -> tuple[FloatArray, FloatArray]:
-            """(of all rows of each fold, of its moving ones): (F, K + 1, K + 1) each."""
+        def products(fold: IntArray) -> FloatArray:
             rows = [np.flatnonzero(fold == f) for f in np.unique(fold)]
-            moving = [r[self.residuals.moving[r]] for r in rows]
-            return np.stack([both[r].T @ both[r] for r in rows]), np.stack([both[r].T @ both[r] for r in moving])
+            return np.stack([both[r].T @ both[r] for r in rows])  # (F, K + 1, K + 1)
 
-        self.fit_gram, self.judge_gram = products(self.residuals.fold)
-        self.block_grams = products(self.residuals.block)
+        self.by_fold, self.by_block = products(self.residuals.fold), products(self.residuals.block)
         self.own_of_runs = {int(c) for t, k in zip(self.terms, self.columns, strict=True) if t.formula == "by_run"
                             for c in k}  # fmt: skip
 
@@ -123,32 +120,30 @@ class Evidence:
         return np.concatenate([self.nuisance[:0], *(self.columns[k] for k in chosen)]).astype(np.int64)
 
     def held_out(self, active: IntArray, *, blocks: bool = False) -> FloatArray:
-        """(folds,) squared error [scaled] of each fold's moving segments, fitted to all others. Where runs have
+        """(folds,) squared error [scaled] of each fold, fitted to all others. Where runs have
         coefficients of their own (or with `blocks`) a fold is a third of every run."""
-        if blocks or not self.own_of_runs.isdisjoint(active.tolist()):
-            fit_gram, judge_gram = self.block_grams
-        else:
-            fit_gram, judge_gram = self.fit_gram, self.judge_gram
+        gram = self.by_block if blocks or self.own(active) else self.by_fold
         if active.size == 0:
-            return judge_gram[:, -1, -1]
-        inner = fit_gram[:, active[:, None], active]
-        right = fit_gram[:, active, -1]
+            return gram[:, -1, -1]
+        inner = gram[:, active[:, None], active]
+        right = gram[:, active, -1]
         left = inner.sum(axis=0) - inner + np.diag(self.ridge[active])
         beta = np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0]
-        judged = judge_gram[:, active[:, None], active]
-        cross = judge_gram[:, active, -1]
-        return (
-            judge_gram[:, -1, -1]
-            - 2.0 * np.einsum("fk,fk->f", beta, cross)
-            + np.einsum("fk,fkl,fl->f", beta, judged, beta)
+        cross = gram[:, active, -1]
+        return np.asarray(
+            gram[:, -1, -1] - 2.0 * np.einsum("fk,fk->f", beta, cross) + np.einsum("fk,fkl,fl->f", beta, inner, beta)
         )
+
+    def own(self, active: IntArray) -> bool:
+        """Whether runs have coefficients of their own among these columns."""
+        return not self.own_of_runs.isdisjoint(active.tolist())
 
     def coefficients(self, active: IntArray, *, without: int | None = None) -> FloatArray:
         """Least squares coefficients of columns in their own units, without a fold."""
         keep = np.arange(self.folds.size) != (-1 if without is None else without)
-        total = self.fit_gram[keep].sum(axis=0)
-        left = total[active[:, None], active] + np.diag(self.ridge[active])
-        return np.asarray(np.linalg.solve(left, total[active, -1]) / self.size[active])
+        left = self.by_fold[:, active[:, None], active][keep].sum(axis=0) + np.diag(self.ridge[active])
+        right = self.by_fold[:, active, -1][keep].sum(axis=0)
+        return np.asarray(np.linalg.solve(left, right) / self.size[active])
 
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
         """A verdict on each tried term, given the chosen ones."""
@@ -188,14 +183,15 @@ class Evidence:
         basis = _orthonormal(np.concatenate([self.x[rows][:, taken], per_run], axis=1))
         level_basis = _orthonormal(self.x[rows][:, np.concatenate([self.columns_of(chosen), self.nuisance])])
         selected_basis = _orthonormal(self.x[rows][:, self.columns_of(chosen)])
+        every = self.x[rows]
+        lefts = every - basis @ (basis.T @ every)
+        frees = every - level_basis @ (level_basis.T @ every)
         within: list[tuple[int, FloatArray]] = []
         by_run: list[int] = []
         p_values = dict.fromkeys(tried, 1.0)
         reasons: dict[int, str] = {}
         for k in tried:
-            block = self.x[rows][:, self.columns[k]]
-            left = block - basis @ (basis.T @ block)
-            free = block - level_basis @ (level_basis.T @ block)
+            block, left, free = every[:, self.columns[k]], lefts[:, self.columns[k]], frees[:, self.columns[k]]
             if self.terms[k].settings.get("of") in LEVEL_FORMULAS:
                 p_values[k] = self._differ_between_runs(selected_basis, per_run)
                 continue
@@ -239,7 +235,8 @@ class Evidence:
         edges = np.cumsum([0] + [unique.shape[1] for _, unique in within])
         stat = np.add.reduceat(power, edges[:-1], axis=0)
         mean, var = stat[:, 1:].mean(axis=1, keepdims=True), stat[:, 1:].var(axis=1, keepdims=True)
-        surprise = -gamma.logsf(stat, mean**2 / var, scale=var / mean)  # comparable between terms
+        third = var / (9.0 * mean**2)  # Wilson & Hilferty 1931: the cube root of a gamma variable is nearly normal
+        surprise = (np.cbrt(stat / mean) - (1.0 - third)) / np.sqrt(third)  # comparable between terms
         largest = surprise[:, 1:].max(axis=0)
         return {k: float((1 + (largest >= surprise[i, 0]).sum()) / (SHIFTS + 1)) for i, (k, _) in enumerate(within)}
 

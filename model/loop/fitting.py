@@ -35,9 +35,11 @@ def fit_terms(residuals: Residuals, terms: Sequence[Term]) -> Fit:
 
     The noise is a share of the energy (`Residuals.scale`); far segments weigh less (Huber 1964). Intervals are those of
     the jackknife over runs with Student's t of as many degrees of freedom (Cameron & Miller 2015, section VI: few
-    clusters), so that what makes the segments of a run alike widens them.
+    clusters), so that what makes the segments of a run alike widens them. Where runs
+    have coefficients of their own, a third of every run is left out at a time.
     """
-    scale, fold = residuals.scale, residuals.fold
+    own = any(t.formula == "by_run" for t in terms)
+    scale, fold = residuals.scale, residuals.block if own else residuals.fold
     counts = [t.columns(residuals.drive).shape[1] for t in terms]
     x = np.concatenate([t.columns(residuals.drive) for t in terms], axis=1) if terms else np.zeros((len(residuals), 0))
     size = np.sqrt(np.mean((x / scale[:, None]) ** 2, axis=0))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from model.energy.domain import Learned
 from model.energy.predictor import Predictor
+from model.loop.calibrated import CalibratedPredictor
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
@@ -41,6 +42,9 @@ def payload_factor(predictor: Predictor, robot: Robot, segments: Segments) -> Fl
 def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
     """What the model says of every segment, driven at the robot's declared speed along the track's length."""
     traction, std = predictor.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
+    if isinstance(predictor, CalibratedPredictor):  # its effects know more of a log than a plan could
+        energy = predictor.segment_energy(segments, heightmap, robot)
+        return Prediction(energy, std, traction, np.zeros(len(segments)))
     factor = payload_factor(predictor, robot, segments)
     turn_j_per_rad = robot.turn_j_per_rad + (predictor.turn_j_per_rad if isinstance(predictor, Learned) else 0.0)
     turning = turn_j_per_rad * np.abs(segments.heading_change_rad)

@@ -16,7 +16,8 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
     """The report. before : the base model's provenance; after : the calibrated model's version, None where there is
     none."""
     moving = found.residuals.moving
-    held = (found.residuals.measured - found.held_out)[moving] / np.maximum(found.held_out[moving], 1e-9)
+    held = (found.residuals.measured - found.held_out)[moving]
+    held = held / np.maximum(found.held_out[moving], 0.05 * np.median(found.residuals.measured[moving]))
     segments = int(moving.sum())
     return {
         "verdict": "effects_added" if found.effects else "nothing_found",
@@ -91,13 +92,14 @@ def coefficient_names(term: Term) -> list[str]:
         return [str(word) for word in settings["values"]]
     if term.formula == "smooth":
         knots = settings["knots"]
-        return [f"at {knot:.4g}" for k, knot in enumerate(knots) if k != len(knots) // 2]
+        return [f"at {knot:.4g}" for k, knot in enumerate(knots) if settings.get("level") or k != len(knots) // 2]
     if term.formula == "place":
         return [f"at x {x:.1f}, y {y:.1f}" for x, y in settings["centres"]]
     if term.formula == "wind_constant":
         return ["east", "north"]
     if term.formula == "heading":
-        return [f"{wave} {k}h" for k in range(1, settings["harmonics"] + 1) for wave in ("sin", "cos")]
+        waves = [f"{wave} {k}h" for k in range(1, settings["harmonics"] + 1) for wave in ("sin", "cos")]
+        return ["level", *waves] if settings.get("level") else waves
     if term.formula == "turning_both":
         return ["turning", f"turning up to {settings['limit_radps']:g} rad/s"]
     if term.formula == "turning_sides":

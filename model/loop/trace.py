@@ -24,6 +24,7 @@ ALPHA = 0.05
 MAX_EFFECTS = 6
 
 _STEADY = 0.6  # of the folds must gain
+_COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY = 0.85  # of a learned curve's gain is enough for a physical form
 
 
@@ -123,7 +124,11 @@ class _Search:
 
     def score(self, verdict: Verdict) -> float:
         """Gain less a price for every coefficient: of two that help alike the simpler one."""
-        return verdict.gain - 0.003 * (len(self.evidence.columns[verdict.term]) - 1)
+        return verdict.gain - self.price(verdict.term)
+
+    def price(self, term: int) -> float:
+        """Of the coefficients of a term beyond the first, as a share of the error."""
+        return min(_COEFFICIENT * (len(self.evidence.columns[term]) - 1), _MOST)
 
     def best_of_each(self, found: Sequence[Found]) -> list[tuple[Candidate, Verdict]]:
         """Each candidate's best variant given what was found, best first."""
@@ -159,7 +164,7 @@ class _Search:
             for k, one in enumerate(found):
                 rest = [f.verdict.term for j, f in enumerate(found) if j != k]
                 terms = [t for t, c in enumerate(self.owner) if c.name == one.candidate.name]
-                better = min(terms, key=lambda t: self.error([*rest, t]) * (1 + 0.003 * len(self.evidence.columns[t])))
+                better = min(terms, key=lambda t: self.error([*rest, t]) * (1.0 + self.price(t)))
                 if better != one.verdict.term and self.error([*rest, better]) < self.error([*rest, one.verdict.term]):
                     found[k] = Found(one.candidate, self.evidence.judge(rest, [better])[0])
             worth = [(self.worth(found, f), k) for k, f in enumerate(found)]
@@ -188,14 +193,15 @@ class _Search:
         """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise."""
         rest = [f.verdict.term for f in found if f is not one]
         names = {f.candidate.name for f in found}
-        mine = self.evidence.held_out(self.active([*rest, one.verdict.term]))
-        alone = self.evidence.held_out(self.active(rest))
-        gained = float((alone - mine).sum())
+        mine = self.active([*rest, one.verdict.term])
+        gained = self.error(rest) - self.error([*rest, one.verdict.term])
         out = []
         for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
             if candidate.name in names or verdict.p_value > ALPHA:
                 continue
-            worse = self.evidence.held_out(self.active([*rest, verdict.term])) - mine
+            its = self.active([*rest, verdict.term])
+            blocks = self.evidence.own(mine) or self.evidence.own(its)
+            worse = self.evidence.held_out(its, blocks=blocks) - self.evidence.held_out(mine, blocks=blocks)
             noise = float(worse.std(ddof=1)) * np.sqrt(worse.size)
             if worse.sum() < noise and worse.sum() < 0.1 * gained:
                 out.append(candidate.name)

@@ -124,8 +124,8 @@ Charge = Annotated[
     bool,
     typer.Option(
         "--charge",
-        help="Count charge [A s] instead of energy, times the robot's nominal voltage: for logs whose voltage is missing "
-        "(there it is the rule) or broken.",
+        help="Count charge [A s], times the robot's nominal voltage, instead of energy: for logs whose voltage is "
+        "broken. (Where it is missing, that is the rule.)",
     ),
 ]
 

@@ -20,6 +20,7 @@ from model.field.drives import drive_along, random_waypoints
 from model.field.robot_dynamics import FieldRobot
 from model.field.simulation import simulate_segments
 from model.field.sites import random_site
+from model.loop.prediction import predict_segments
 from model.robot import Robot
 from service.learning import CHECKPOINT, LEARNING_RATE, train_on_runs
 from service.pretraining import MAX_TURN_RAD
@@ -163,8 +164,7 @@ def _trained_resnet(
 
 def predicted_j(predictor: Predictor, measured: Measured, robot: Robot) -> FloatArray:
     """Energy [J] of every segment, (n,); NaN on unknown ground."""
-    s = measured.segments
-    return robot.price_per_m(predictor.segment_traction(measured.heightmap, robot, s.x, s.y, s.heading_rad))
+    return predict_segments(predictor, measured.heightmap, robot, measured.segments).energy_j
 
 
 def described(backbone: Path | None) -> dict[str, Any]:

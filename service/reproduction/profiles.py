@@ -37,7 +37,7 @@ class Profile:
     short_m: float = 25.0
     more: int = 20
     more_epochs: int = 20
-    compact_epochs: int = 60
+    compact_epochs: int = 12
     resnet_size: int = 64
     resnet_seeds: int = 1
     resnet_epochs: tuple[int, int, int] = (30, 30, 20)
@@ -59,7 +59,7 @@ PROFILES = {
     "full": Profile("full", resnet_size=256, resnet_seeds=5, resnet_epochs=(30, 30, 30), backbone_sites=40),
     "quick": Profile(
         "quick", seeds=2, width_m=18.0, height_m=12.0, lane_m=1.0, strips=6, waypoints=8, waypoint_runs=2,
-        curve_m=(0, 20, 60), short_m=6.0, more=2, more_epochs=1, compact_epochs=2, resnet_size=32,
+        curve_m=(0, 20, 60), short_m=6.0, more=2, more_epochs=1, compact_epochs=1, resnet_size=32,
         resnet_epochs=(1, 1, 1), dirt_epochs=1, backbone_sites=1, backbone_epochs=1,
     ),
 }  # fmt: skip

@@ -22,7 +22,7 @@ from tests.loop.cases import SITES, Calibrator, Outcome, append_outcome, base_mo
 from tests.loop.table import LEGEND, table_of
 
 PAIRS = ("turning+wind", "payload+hotel_load", "terrain_class+turning", "braking+temperature", "drift+cross_slope")
-CALIBRATOR = "tests.loop.calibrators:Nothing"
+CALIBRATOR = "tests.loop.calibrators:Joulemap"
 
 
 def find_calibrator(spec: str) -> Calibrator:

@@ -1,4 +1,4 @@
-"""Calibrators that need no cleverness, to try the harness with: one that finds nothing, one that is told the truth."""
+"""Calibrators: joulemap itself, and two to try the harness with: one finds nothing, one is told the truth."""
 
 from __future__ import annotations
 
@@ -11,13 +11,35 @@ from numpy.typing import NDArray
 
 from model.energy.predictor import load_predictor
 from model.field.blind_case import BlindTruth
+from model.loop.calibrated import CalibratedPredictor
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
+from service.calibrating import calibrate_on_runs, load_model
 from service.learning import read_segments
 from tests.loop.cases import extra_energy
 
 FloatArray = NDArray[np.float64]
+
+
+class Joulemap:
+    """What `joulemap calibrate` does, given no more than its options."""
+
+    def calibrate(
+        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
+    ) -> dict[str, Any]:
+        report, _ = calibrate_on_runs(
+            str(model), read_heightmap(heightmap), Robot.from_toml(robot), list(runs), out=out
+        )
+        return report
+
+    def predict(self, model: Path, heightmap: Path, segments: Segments, robot: Path, out: Path) -> FloatArray:
+        found = out / "model"
+        if not found.is_dir():
+            return base_energy(model, heightmap, segments, robot)
+        predictor = load_model(found)
+        assert isinstance(predictor, CalibratedPredictor)
+        return predictor.segment_energy(segments, read_heightmap(heightmap), Robot.from_toml(robot))
 
 
 class Nothing:

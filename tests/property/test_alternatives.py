@@ -61,5 +61,5 @@ def test_other_ways_are_drivable_and_priced_as_claimed(seed, turn, regeneration)
 def test_what_cannot_be_asked_is_refused():
     lattice, at = ascii_lattice("a...b\n.....")
     ends = [np.array(lattice.frame.rowcol(*at[name])) for name in "ab"]
-    with pytest.raises(InputError, match="stretch 0.5"):
+    with pytest.raises(InputError, match=r"stretch 0\.5"):
         alternative_paths(lattice, move_table(lattice), *ends, stretch=0.5)

@@ -35,6 +35,29 @@ def test_every_planner_goes_round_the_wall(planner):
     assert plan.details["planner"] == planner
 
 
+@pytest.mark.parametrize("planner", ["rrtstar", "bitstar"])
+def test_a_sampling_planner_started_from_the_grid_is_no_dearer_than_it_and_tells_of_its_progress(planner):
+    lattice, at = ascii_lattice(ROOM)
+    seen: list[float] = []
+    plan = RoutePlanner(lattice).plan(
+        at["a"], at["b"], planner=planner, time_limit_s=0.8, from_grid=True, refine=False, progress=seen.append
+    )
+    assert plan.route.energy_j <= plan.details["grid_energy_j"] * (1 + 1e-9)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    energies = [energy for _, energy in plan.details["history"]]
+    assert energies == sorted(energies, reverse=True)
+
+
+def test_a_planner_prepared_with_landmarks_answers_the_same_with_less_search():
+    lattice = plane_lattice(60, 60, 0.05, 0.1, robot=Robot())
+    bare, prepared = RoutePlanner(lattice), RoutePlanner(lattice)
+    prepared.prepare(landmarks=True)
+    slow, fast = (planner.plan((20.3, 11.2), (50.1, 40.9)) for planner in (bare, prepared))
+    assert fast.details["grid_energy_j"] == pytest.approx(slow.details["grid_energy_j"], rel=1e-12)
+    assert fast.details["expanded"] <= slow.details["expanded"]
+
+
 def test_what_cannot_be_asked_is_refused_by_name():
     lattice, at = ascii_lattice(ROOM)
     planner = RoutePlanner(lattice)

@@ -1,0 +1,80 @@
+"""Where an effect acts: everywhere, or only in a part of the operating range or of the map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.loop.effects import Term, inside, quantity
+from model.loop.evidence import Evidence
+from model.loop.residual import Residuals
+
+FloatArray = NDArray[np.float64]
+
+_OVER = ("grade", "cross_slope", "roughness", "speed", "turning", "x", "y", "since_start")
+_STEPS = np.linspace(0.1, 0.9, 9)
+_LEAST_PART = 30  # segments on either side of a threshold
+_WORTH = 0.15  # of what the effect explains must come on top
+_OUTSIDE = 0.3  # of its strength inside is as good as none outside
+_EVERYWHERE = frozenset({"disk", "place", "words", "by_run", "smooth", "drift"})
+
+
+def localised(
+    residuals: Residuals, terms: Sequence[Term], silent: Sequence[Term], *, progress: Callable[[], None] | None = None
+) -> list[Term]:
+    """Each term, restricted to the part where it acts if it plainly does so in one part only.
+
+    A part is taken where the held-out squared error falls by a good share of what the effect explains at all, in most
+    folds, and where the effect is nearly absent outside. Of all thresholds over all quantities the best is tried.
+    """
+    out = list(terms)
+    for k, term in enumerate(out):
+        if term.formula in _EVERYWHERE or term.where:
+            continue
+        parts = [replace(term, where=where) for where in _parts(residuals)]
+        if not parts:
+            continue
+        others = [*silent, *out[:k], *out[k + 1 :]]
+        evidence = Evidence(residuals, [*others, term, *parts], level_doubt=0.0)
+        fixed = np.concatenate([evidence.nuisance[:0], *evidence.columns[: len(others)]]).astype(np.int64)
+        whole = np.concatenate([fixed, evidence.columns[len(others)]])
+        error, without = evidence.held_out(whole), evidence.held_out(fixed)
+        explained = float((without - error).sum())
+        errors = [evidence.held_out(np.concatenate([fixed, c])) for c in evidence.columns[len(others) + 1 :]]
+        best = int(np.argmin([e.sum() for e in errors]))
+        fell = error - errors[best]
+        both = np.concatenate([whole, evidence.columns[len(others) + 1 + best]])
+        strength = evidence.coefficients(both)[fixed.size :].reshape(2, -1)  # outside; what is more inside
+        outside = np.abs(strength[0]).sum() < _OUTSIDE * np.abs(strength.sum(axis=0)).sum()
+        if fell.sum() > _WORTH * explained and (fell > 0).mean() > 0.6 and outside:
+            out[k] = parts[best]
+        if progress is not None:
+            progress()
+    return out
+
+
+def _parts(residuals: Residuals) -> Iterator[Mapping[str, Any]]:
+    drive, moving = residuals.drive, residuals.moving
+    columns = [f"column:{key}" for key in ("temperature", "wind_speed", "payload") if key in drive.columns]
+    for over in (*_OVER, *columns):
+        values = quantity(drive, over)[moving]
+        known = values[np.isfinite(values)]
+        if known.size < 2 * _LEAST_PART or np.ptp(known) <= 0:
+            continue
+        for value in np.unique(np.quantile(known, _STEPS).round(6)):
+            for side in ("above", "below"):
+                yield from _if_large(residuals, {"over": over, side: float(value)})
+    for key, words in drive.words.items():
+        for word in np.unique(words[moving]):
+            if word:
+                yield from _if_large(residuals, {"word": key, "is": str(word)})
+
+
+def _if_large(residuals: Residuals, where: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    part = inside(residuals.drive, where)[residuals.moving]
+    if _LEAST_PART <= part.sum() <= part.size - _LEAST_PART:
+        yield where
