@@ -5,7 +5,10 @@ The only module that joins the simulated field (which knows no model) to the mod
 
 from __future__ import annotations
 
+import datetime as dt
 import math
+import os
+import platform
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
@@ -20,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from model.energy.artifact import Artifact, save_artifact
-from model.energy.evaluation import errors
+from model.energy.evaluation import coverage, errors
 from model.energy.examples import Examples, concatenate, cut_examples
 from model.energy.physics import eq5_traction_per_m, fit_rolling_resistance
 from model.energy.training import TrainingOptions, predicted, train_network
@@ -33,6 +36,7 @@ from model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random
 from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.synthesis import TerrainRecipe
+from service.model_card import model_card
 
 ROBOTS_PER_SITE = 3
 WAYPOINTS = 12
@@ -53,6 +57,7 @@ PRETRAINING = TrainingOptions(
 DEFAULT_SITES = 2000
 DEFAULT_SEED = 20261121
 """The shipped network's seed and number of sites."""
+CARD_FILE = "MODEL_CARD.md"
 _ASIDE = 0.08  # of the sites to stop by, and as many again to report errors on
 
 
@@ -98,10 +103,14 @@ def train_default(
         "epochs": result.epochs,
         "held_out_sites": count,
         "held_out": _summary(energy, judged),
+        "coverage": coverage(judged.energy_j, energy, spread.factor * std, spread),
+        "made": f"{dt.datetime.now(dt.UTC):%Y-%m-%d} on {os.cpu_count()} cores ({platform.machine()})",
         "baselines": baselines(judged),
     }
     domain = replace(examples.domain(), max_slope_deg=MAX_SLOPE_DEG)
     version = save_artifact(out, Artifact(result.net, domain, spread=spread, training=training))
+    parameters = sum(p.numel() for p in result.net.parameters())
+    (Path(out) / CARD_FILE).write_text(model_card(version, parameters, training, domain, spread), encoding="utf-8")
     return {**training, "version": version}
 
 

@@ -130,7 +130,7 @@ class CompactPredictor(Learned):
 
     @torch.inference_mode()
     def _series(self, slopes: NDArray[np.float32], code: RobotCode) -> NDArray[np.float32]:
-        """Series of the head's units at cells 1 m apart: (rows, cols, units * C). slopes : (8 rows + 8, 8 cols + 8, 3)."""
+        """Series of the head's units at cells 1 m apart, (rows, cols, units * C), of (8 rows + 8, 8 cols + 8, 3)."""
         series = self.net.read_ground(torch.from_numpy(slopes).permute(2, 0, 1)[None], code)
         return np.ascontiguousarray(series[0].permute(1, 2, 0).numpy())
 

@@ -39,7 +39,7 @@ class Headings:
 
 
 @njit(cache=True, nogil=True)
-def answer_tile(  # fmt: skip
+def answer_tile(
     heights, series, basis, stencil, own, sign, per_width, weights, known, price, traction, std
 ):
     """Fill a tile: traction [J/m] (holding the grade before) and the standard deviation of a segment's energy [J].
