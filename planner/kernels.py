@@ -28,15 +28,19 @@ def heading_weights(heading_rad, weights):
     Berrut & Trefethen 2004, section 7.
     """
     count = weights.size
-    for k in range(count):
-        half = 0.5 * (heading_rad - 2.0 * math.pi * k / count)
-        s = math.sin(half)
-        if abs(s) < 1e-12:
-            for other in range(count):
-                weights[other] = 0.0
-            weights[k] = 1.0
-            return
-        weights[k] = math.sin(count * half) / (count * (math.tan(half) if count % 2 == 0 else s))
+    step = math.pi / count
+    nearest = int(round(0.5 * heading_rad / step))
+    half = 0.5 * heading_rad - nearest * step
+    weights[:] = 0.0
+    if abs(half) < 1e-12:
+        weights[nearest % count] = 1.0
+        return
+    top = math.sin(count * half) / count
+    sine, cosine = math.sin(half), math.cos(half)
+    for k in range(count):  # half the angle to bin nearest + k; never near a zero of the sine but at the first
+        weights[(nearest + k) % count] = top * cosine / sine if count % 2 == 0 else top / sine
+        top = -top
+        sine, cosine = sine * math.cos(step) - cosine * math.sin(step), cosine * math.cos(step) + sine * math.sin(step)
 
 
 @njit(cache=True)

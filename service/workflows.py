@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from model.energy.predictor import MODEL_NAMES, Predictor
 from model.errors import InputError, ModelError, NoRouteError, TooLargeError
 from model.frames import GridFrame, heading_bins
+from model.loop.calibrated import CalibratedPredictor
 from model.robot import Battery, Robot
 from model.terrain.heightmap import Heightmap
 from planner.budget import Verdict, judge_along
@@ -87,6 +88,8 @@ def make_cost_lattice(
     """
     check_lattice(heightmap.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
+    if isinstance(predictor, CalibratedPredictor):
+        robot = predictor.robot_with_turning(robot)
     return build_lattice(heightmap, robot, predictor, spacing_m=spacing_m, headings=headings, progress=progress)
 
 

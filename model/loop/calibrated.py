@@ -102,10 +102,13 @@ class CalibratedPredictor:
 
     def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
         """(n,) predicted energy of measured segments [J, or A s] from all that is known of them; NaN where the map is
-        unknown."""
+        unknown. Of a model of charge, joules are ampere seconds times the nominal voltage."""
+        volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
+        segments = replace(segments, charge=segments.charge or self.correction.charge)
         traction = self.base.segment_traction(heightmap, robot, segments.x, segments.y, segments.heading_rad)
         drive, _ = describe_segments(segments, heightmap, robot, traction, with_stands=False)
-        return np.where(np.isfinite(traction) & np.isfinite(drive.grade), self.correction.predict(drive), np.nan)
+        known = np.isfinite(traction) & np.isfinite(drive.grade)
+        return np.where(known, volts * self.correction.predict(drive), np.nan)
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

@@ -21,7 +21,7 @@ from model.loop.trace import ALPHA, Floors, Trace, trace
 FloatArray = NDArray[np.float64]
 
 _LEAST_SHARE = 0.05  # of the usual energy: relative errors of less say nothing
-_WITH_BASE = Floors(physical=0.03, learned=0.06, place=0.06)
+_WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 
 @dataclass(frozen=True)

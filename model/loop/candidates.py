@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,11 @@ _RESPONSE = re.compile(
     r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|wheel|odom|duty|pwm|rpm|torque|slip"
 )
 _COPY = 0.97
+_GRADES = (-0.03, 0.0, 0.03)
 _USUAL = {"temperature": 20.0, "payload": 0.0}
 _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 40
+_MOST_RUNS = 12  # that may each have something of their own
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ class Candidate:
 
     @property
     def learned(self) -> bool:
-        return self.name.startswith("learned:") or self.name == "local_friction"
+        return self.name.startswith("learned:")
 
 
 def find_candidates(
@@ -74,7 +77,7 @@ def find_candidates(
         if len(kinds) < 2:
             refused[f"terrain_class:{key}"] = "one word only" if kinds else "no word is recorded often enough"
             continue
-        found.append(_of_words(key, values[moving], kinds, unit))
+        found += _of_words(key, values[moving], kinds, unit)
     found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
     for key in ("grade", "cross_slope", "roughness", "elevation", "speed"):
@@ -103,7 +106,10 @@ def _of_path(unit: str) -> Iterator[Candidate]:
     both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS[:5])
     plain = Term("turning", "turning", (rad,), {"limit_radps": None})
     sides = Term("turning", "turning_sides", (rad, rad))
-    yield Candidate("turning", (plain, *saturating, *both, sides), "curves of several radii on level ground, both ways")
+    slopes = tuple(replace(plain, where={"over": "grade", side: g}) for side in ("above", "below") for g in _GRADES)
+    yield Candidate(
+        "turning", (plain, *saturating, *both, sides, *slopes), "curves of several radii on level ground, both ways"
+    )
     speeds = tuple(
         Term("speed", "speed", (f"{unit}/m per m/s",) if p == 1 else (f"{unit}/m per (m/s)^{p}",),
              {"power": p, "absolute": absolute})
@@ -167,7 +173,7 @@ def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator
     drive = residuals.drive
     runs = np.unique(drive.run[residuals.moving])
     names = list(drive.runs)
-    if runs.size < 2 or runs.size < len(names):
+    if runs.size < 2 or runs.size < len(names) or runs.size > _MOST_RUNS:
         return
     if "wind_speed" not in usable:
         wind = Term("wind", "by_run", (f"{unit}/m",) * 2 * len(names), {"of": "wind_constant", "runs": names})
@@ -177,18 +183,22 @@ def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator
         yield Candidate("payload", (load,), "the same slope up and down with every load; weigh the robot")
 
 
-def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -> Candidate:
-    """All words against the most common one, and each word alone against all others."""
+def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -> Iterator[Candidate]:
+    """All words against the most common one, each word alone against all others, and turning that differs by word."""
     usual = max(kinds, key=lambda w: int((values == w).sum()))
-    rest = [[str(w) for w in kinds if w != usual]] + [[str(w)] for w in kinds]
+    others = [str(w) for w in kinds if w != usual]
     name = "terrain_class" if key in ("terrain", "ground", "surface") else f"terrain_class:{key}"
     variants = tuple(
         Term(name, "words", (("" if of else f"{unit}/m"),) * len(some),
              {"column": key, "values": some, "of_motion": of})
         for of in (False, True)
-        for some in rest
+        for some in (others, *([str(w)] for w in kinds))
     )  # fmt: skip
-    return Candidate(name, variants, "the same manoeuvres on each kind of ground", planner=False)
+    yield Candidate(name, variants, "the same manoeuvres on each kind of ground", planner=False)
+    turns = Term(
+        f"turning x {name}", "turning_words", (f"{unit}/rad",) * len(others), {"column": key, "values": others}
+    )
+    yield Candidate(turns.name, (turns,), "curves of several radii on each kind of ground", planner=False)
 
 
 def _usable(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
@@ -271,14 +281,17 @@ def _of_place(residuals: Residuals) -> Iterator[Candidate]:
         for cx, cy in _grid(x, y, 0.8 * radius):
             near = np.hypot(x - cx, y - cy) <= radius
             if near.sum() >= 12 and near.mean() <= 0.5 and np.unique(fold[near]).size >= 2:
-                settings = {"x": round(cx, 2), "y": round(cy, 2), "radius_m": round(radius, 2)}
-                disks.append(Term("local_friction", "disk", ("",), settings))
+                circle = {"x": round(cx, 2), "y": round(cy, 2), "radius_m": round(radius, 2)}
+                disks.append(Term("local_friction", "disk", ("",), circle))
     width = max(5.0, extent / 10.0)
     centres = [[round(cx, 2), round(cy, 2)] for cx, cy in _grid(x, y, 1.3 * width)]
     centres = [c for c in centres if (np.hypot(x - c[0], y - c[1]) <= width).sum() >= 12][:_MOST_CENTRES]
     if len(centres) >= 3:
-        field = Term("local_friction", "place", ("",) * len(centres), {"centres": centres, "width_m": round(width, 2)})
-        yield Candidate("learned:place", (Term("learned:place", field.formula, field.units, field.settings),), reveals)
+        settings: dict[str, Any] = {"centres": centres, "width_m": round(width, 2)}
+        some = len(centres)
+        disks.append(Term("local_friction", "place", ("",) * some, settings | {"of_all": False}))
+        share = Term("learned:place", "place", ("",) * some, settings | {"of_all": True})
+        yield Candidate("learned:place", (share,), reveals)
     if disks:
         yield Candidate("local_friction", tuple(disks), reveals)
 

@@ -32,8 +32,8 @@ class Drive:
     and of the square of the tangent across, as the wheels feel it along the segment. roughness_m : departure of the
     square metre from its plane. elevation_m. since_s, driven_m : since the start of the run; clock_s : since that of
     the first run. run : number of the run, an index into `runs`, which tells runs apart by name and first stamp.
-    columns, words : what else was logged (NaN, "" : not recorded). robot : as declared. unit_j : joules of one unit of
-    energy here (1, or the nominal voltage for charge in ampere seconds).
+    columns, words (in small letters) : what else was logged (NaN, "" : not recorded). robot : as declared. unit_j :
+    joules of one unit of energy here (1, or the nominal voltage for charge in ampere seconds).
     """
 
     robot: Robot
@@ -132,7 +132,7 @@ def describe_segments(
         driven_m=driven,
         clock_s=segments.t0 - float(first.min()) if n else np.zeros(0),
         columns=dict(segments.extras),
-        words=dict(segments.texts),
+        words={key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()},
         unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
         runs=tuple(f"{name}@{stamp:.1f}" for name, stamp in zip(segments.runs, first, strict=True)),
     )

@@ -223,17 +223,25 @@ def words(drive: Drive, *, column: str, values: list[str], of_motion: bool) -> F
 
 
 @_formula
+def turning_words(drive: Drive, *, column: str, values: list[str]) -> FloatArray:
+    """J/rad per word of a text column, on top of what turning takes where no listed word stands."""
+    found = drive.words.get(column, np.full(len(drive), ""))
+    return np.stack([(found == word) * drive.turned_abs_rad for word in values], axis=1)
+
+
+@_formula
 def disk(drive: Drive, *, x: float, y: float, radius_m: float) -> FloatArray:
     """1. Rolling resistance on top within a circle."""
     return friction(drive) * (np.hypot(drive.x - x, drive.y - y) <= radius_m)[:, None]
 
 
 @_formula
-def place(drive: Drive, *, centres: list[list[float]], width_m: float) -> FloatArray:
-    """1. Rolling resistance on top as a smooth field: bell curves around centres."""
+def place(drive: Drive, *, centres: list[list[float]], width_m: float, of_all: bool) -> FloatArray:
+    """1. Rolling resistance on top (or a share of everything) as a smooth field: bell curves around centres."""
     at = np.asarray(centres, dtype=np.float64)
     far = (drive.x[:, None] - at[:, 0]) ** 2 + (drive.y[:, None] - at[:, 1]) ** 2
-    return friction(drive) * np.exp(-0.5 * far / width_m**2)
+    amount = level(drive) if of_all else friction(drive)
+    return amount * np.exp(-0.5 * far / width_m**2)
 
 
 @_formula

@@ -199,7 +199,7 @@ class Evidence:
                 size = (block if self.moves_level([k]) else free) ** 2
                 if size.sum() < 1e-4 * rows.size * block.shape[1]:
                     reasons[k] = "these runs do not vary it"
-                elif block.shape[1] > 1 or np.unique(drive.run).size < _LEAST_RUNS + len(chosen):
+                elif np.unique(drive.run).size < _LEAST_RUNS + len(chosen) + 2 * (block.shape[1] - 1):
                     reasons[k] = "there are too few runs that differ in it"
                 else:
                     by_run.append(k)
@@ -209,7 +209,11 @@ class Evidence:
                 reasons[k] = "these runs do not tell it from what else they vary"
             else:
                 within.append((k, unique))
-        for k, p in zip(by_run, [self._by_runs(chosen, k) for k in by_run], strict=True):
+        chances = [
+            self._by_runs(chosen, k) if self.columns[k].size == 1 else self._by_labels(level_basis, runs, frees, k)
+            for k in by_run
+        ]
+        for k, p in zip(by_run, chances, strict=True):
             p_values[k] = min(
                 1.0, p * max(1, min(len(by_run), 5))
             )  # effects on the level are near copies of each other
@@ -252,6 +256,20 @@ class Evidence:
         freedom = self.folds.size - 1 - len(chosen)
         beyond = max(abs(value) - doubt, 0.0)  # a test of "more than the doubt", not of "more than nothing"
         return float(2.0 * student.sf(beyond / max(spread, 1e-300), max(freedom, 1)))
+
+    def _by_labels(self, basis: FloatArray, runs: IntArray, frees: FloatArray, k: int) -> float:
+        """p by giving whole runs each other's values of a term of several coefficients."""
+        z = self.z[self.moving]
+        z = z - basis @ (basis.T @ z)
+        weight = np.sqrt(np.bincount(runs))
+        means = np.bincount(runs, weights=z) / weight**2
+        block = np.stack([np.bincount(runs, weights=c) / weight**2 for c in frees[:, self.columns[k]].T], axis=1)
+        basis_of_runs = _orthonormal(np.concatenate([np.ones((means.size, 1)), block], axis=1) * weight[:, None])
+        rng = np.random.default_rng(self.seed)
+        orders = np.stack([np.arange(means.size), *(rng.permutation(means.size) for _ in range(SHIFTS))])
+        drawn = (means[orders] * weight).T  # (runs, 1 + shifts)
+        stat = ((basis_of_runs.T @ drawn) ** 2).sum(axis=0) / (drawn**2).sum(axis=0)
+        return float((1 + (stat[1:] >= stat[0] - 1e-12).sum()) / (SHIFTS + 1))
 
     def _differ_between_runs(self, chosen_level: FloatArray, per_run: FloatArray) -> float:
         """p of the runs' levels being no further off than the base model's usually are."""

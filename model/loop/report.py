@@ -88,7 +88,7 @@ def coefficient_names(term: Term) -> list[str]:
         per = count // len(settings["runs"])
         parts = [""] if per == 1 else [" east", " north"]
         return [f"{run}{part}" for run in settings["runs"] for part in parts]
-    if term.formula == "words":
+    if term.formula in ("words", "turning_words"):
         return [str(word) for word in settings["values"]]
     if term.formula == "smooth":
         knots = settings["knots"]

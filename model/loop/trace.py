@@ -33,9 +33,9 @@ class Floors:
     """Least held-out gain that counts: of a physical form, a learned curve, a field over the map. Less may be the base
     model's own error, which goes with ground and place too."""
 
-    physical: float = 0.04
-    learned: float = 0.08
-    place: float = 0.10
+    physical: float = 0.06
+    learned: float = 0.10
+    place: float = 0.12
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,8 @@ class _Search:
 
     def price(self, term: int) -> float:
         """Of the coefficients of a term beyond the first, as a share of the error."""
-        return min(_COEFFICIENT * (len(self.evidence.columns[term]) - 1), _MOST)
+        price = _COEFFICIENT * (len(self.evidence.columns[term]) - 1)
+        return price if self.evidence.terms[term].formula == "by_run" else min(price, _MOST)
 
     def best_of_each(self, found: Sequence[Found]) -> list[tuple[Candidate, Verdict]]:
         """Each candidate's best variant given what was found, best first."""

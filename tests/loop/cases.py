@@ -107,7 +107,10 @@ class Outcome:
 
     @property
     def gain_share(self) -> float | None:
-        """Of what knowing the true effect gains on the second site; None where that is hardly anything."""
+        """Of what knowing the true effect gains on the second site; None where that is hardly anything, or where the
+        effect is a place, which says nothing of another site."""
+        if "local_friction" in self.true:
+            return None
         told = self.other_before - self.other_told
         return (self.other_before - self.other_after) / told if told > LEAST_GAIN else None
 

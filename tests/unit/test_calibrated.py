@@ -1,0 +1,75 @@
+"""A calibrated model plans with its effects: prices of lattices and segments are those its formulas state."""
+
+import math
+
+import numpy as np
+import pytest
+
+from model.energy.physics import PhysicsPredictor
+from model.errors import ConflictError
+from model.frames import GridFrame, heading_bins
+from model.loop.calibrated import CalibratedPredictor, Correction
+from model.loop.effects import Term
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, speed_mps=0.5, rolling_resistance=0.1)
+WEIGHT = ROBOT.weight_n
+
+
+def hill(slope=0.05):
+    frame = GridFrame(0.0, 30.0, 0.5, 60, 80, None)
+    x, _ = frame.centres()
+    return Heightmap(np.tile(slope * x, (60, 1)).astype(np.float32), frame)
+
+
+def calibrated(*terms, **options):
+    correction = Correction(tuple(terms), (True,) * len(terms), **options)
+    return CalibratedPredictor(PhysicsPredictor(), correction, name="mine", version="1")
+
+
+EFFECTS = {  # what each adds to a metre up the hill of grade 0.05, along its heading [J/m]
+    "friction": (Term("rolling_resistance", "friction", ("",), coefficients=(0.03,)), 0.03 * WEIGHT),
+    "hotel": (Term("hotel_load", "hotel_load", ("W",), coefficients=(5.0,)), 10.0),
+    "gain": (Term("sensor_gain", "sensor_gain", ("",), coefficients=(0.1,)), 0.1 * (20.0 + 0.15 * WEIGHT)),
+    "turning": (Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {}, (50.0,)), 0.0),
+    "east wind": (Term("wind", "wind_constant", ("J/m", "J/m"), coefficients=(7.0, 3.0)), 7.0),
+    "only uphill": (
+        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "above": 0.02}, (0.03,)), 0.03 * WEIGHT,
+    ),
+    "only downhill": (
+        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "below": -0.02}, (0.03,)), 0.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_price_of_a_metre_uphill_is_base_and_effect(name):
+    term, extra = EFFECTS[name]
+    east = math.pi / 2
+    traction = calibrated(term).segment_traction(hill(), ROBOT, [20.0], [15.0], [east])
+    base = 20.0 + 0.15 * WEIGHT
+    assert ROBOT.price_per_m(traction)[0] == pytest.approx(base + extra, rel=1e-5)
+
+
+def test_a_lattice_entry_is_the_answer_for_that_segment():
+    source = calibrated(*(term for term, _ in EFFECTS.values()))
+    ground = hill()
+    frame = ground.frame.respaced(1.0)
+    headings = heading_bins(8)
+    lattice = source.traction_per_m(ground, ROBOT, frame, headings)
+    x, y = frame.centres()
+    for row, col, k in ((5, 7, 0), (20, 30, 3), (12, 25, 6)):
+        one = source.segment_traction(ground, ROBOT, [x[col]], [y[row]], [headings[k]])
+        assert lattice[row, col, k] == pytest.approx(one[0], rel=1e-5)
+
+
+def test_turns_go_into_the_robot():
+    source = calibrated(EFFECTS["turning"][0], turn_j_per_rad=50.0)
+    assert source.robot_with_turning(ROBOT).turn_j_per_rad == 50.0
+    assert source.robot_with_turning(ROBOT).mass_kg == ROBOT.mass_kg
+
+
+def test_charge_without_voltage_makes_no_plan():
+    with pytest.raises(ConflictError, match="ampere seconds"):
+        calibrated(charge=True).segment_traction(hill(), ROBOT, [20.0], [15.0], [0.0])

@@ -1,0 +1,177 @@
+"""Tracing residuals: effects put into made-up drives are found, nothing is invented, and hostile input is answered."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from model.errors import ConflictError, ModelError, RunsError
+from model.loop.calibrated import Correction, read_calibrated, save_calibrated
+from model.loop.calibration import calibrate
+from model.loop.drive import Drive
+from model.loop.effects import Term
+from model.loop.record import read_record, save_record
+from model.loop.report import report_document
+from model.loop.residual import residuals_of
+from model.loop.segments import TURN_LIMITS_RADPS
+from model.robot import Robot
+
+ROBOT = Robot(mass_kg=40.0, idle_power_w=12.0, speed_mps=0.5)
+BEFORE = {"name": "made up", "version": "1"}
+
+
+def smooth_noise(rng, n, length=8.0):
+    rough = rng.standard_normal(n + 60)
+    return lfilter([1.0], [1.0, -np.exp(-1.0 / length)], rough)[60:] * np.sqrt(1.0 - np.exp(-2.0 / length))
+
+
+def made_up(rng, *, runs=6, each=120, heading=None) -> Drive:
+    """A drive that wanders over 50 x 50 m with a turn now and then."""
+    parts = []
+    for run in range(runs):
+        turned = np.where(rng.random(each) < 0.2, rng.normal(0.0, 0.6, each), rng.normal(0.0, 0.01, each))
+        way = np.cumsum(turned) + rng.uniform(0, 6.3) if heading is None else np.full(each, heading)
+        duration = 2.0 * np.exp(0.05 * smooth_noise(rng, each)) + 0.6 * np.abs(turned)
+        clock = 3600.0 * run + np.cumsum(duration)
+        grade = 0.05 * smooth_noise(rng, each)
+        parts.append({
+            "run": np.full(each, run), "x": 25.0 + 15.0 * smooth_noise(rng, each), "heading_rad": way % 6.2832,
+            "y": 25.0 + 15.0 * smooth_noise(rng, each), "length_m": np.ones(each), "duration_s": duration,
+            "traction_per_m": ROBOT.weight_n * (0.08 + grade), "turned_rad": turned, "turned_abs_rad": np.abs(turned),
+            "gentle_turn_rad": np.stack([np.minimum(np.abs(turned), 2.0 * r) for r in TURN_LIMITS_RADPS], axis=1),
+            "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "cross": 0.04 * smooth_noise(rng, each),
+            "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)), "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
+            "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)), "elevation_m": smooth_noise(rng, each),
+            "since_s": clock - clock[0], "driven_m": np.arange(each) + 1.0, "clock_s": clock,
+            "temperature": 15.0 + run + 0.3 * smooth_noise(rng, each),
+        })  # fmt: skip
+    columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
+    logged = {"temperature": columns.pop("temperature")}
+    return Drive(robot=ROBOT, **columns, columns=logged, runs=tuple(f"run{k}@0" for k in range(runs)))
+
+
+def noisy(rng, drive, extra=0.0, share=0.07):
+    """Measured energies: noise is a share, a part of it alike in neighbours and 1 % alike in whole runs."""
+    n = len(drive)
+    levels = 0.01 * rng.standard_normal(drive.run.max() + 1)
+    noise = share * (0.8 * rng.standard_normal(n) + 0.6 * smooth_noise(rng, n)) + levels[drive.run]
+    return (drive.predicted + extra) * (1.0 + noise)
+
+
+def found_in(drive, measured, **options):
+    names = tuple(f"run{k}" for k in range(int(drive.run.max()) + 1))
+    return calibrate(residuals_of(drive, measured, names, charge=False), **options)
+
+
+EFFECTS = {
+    "turning": lambda d: 60.0 * d.turned_abs_rad,
+    "braking": lambda d: 0.9 * ROBOT.weight_n * np.maximum(-d.grade, 0.0),
+    "cross_slope": lambda d: 0.9 * ROBOT.weight_n * d.cross_abs,
+    "sensor_gain": lambda d: 0.2 * d.predicted,
+    "local_friction": lambda d: 25.0 * (np.hypot(d.x - 25, d.y - 25) < 8.0),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_an_effect_is_named_first(name):
+    rng = np.random.default_rng(7)
+    drive = made_up(rng)
+    found = found_in(drive, noisy(rng, drive, EFFECTS[name](drive)))
+    same = {"local_friction": {"local_friction", "learned:place"}, "sensor_gain": {"sensor_gain", "payload"}}
+    assert found.effects
+    assert found.effects[0].term.name in same.get(name, {name})
+    assert found.effects[0].p_value < 0.05
+    assert found.after["mean_relative"] < 0.09  # the noise alone: 0.07 x sqrt(2 / pi) = 0.056
+    if name in ("turning", "braking"):
+        true = {"turning": 60.0, "braking": 0.9}[name]
+        if len(found.effects[0].low) == 1:
+            assert found.effects[0].low[0] < true < found.effects[0].high[0]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_is_found_where_nothing_is(seed):
+    rng = np.random.default_rng(100 + seed)
+    drive = made_up(rng)
+    found = found_in(drive, noisy(rng, drive))
+    assert not found.effects
+    assert found.before == found.after
+    report = report_document(found, before=BEFORE, after=None)
+    assert report["verdict"] == "nothing_found"
+    json.dumps(report, allow_nan=False)
+
+
+def test_hostile_columns_are_refused_with_a_reason():
+    rng = np.random.default_rng(3)
+    drive = made_up(rng)
+    measured = noisy(rng, drive, EFFECTS["turning"](drive))
+    power = measured / drive.duration_s
+    odd = rng.standard_normal(len(drive))
+    hostile = {"flat": np.full(len(drive), 3.0), "odd": odd, "odder": odd.copy(), "sneaky": 2.0 * power + 5.0,
+               "voltage_2": 28.0 - 0.01 * power, "empty": np.full(len(drive), np.nan)}  # fmt: skip
+    found = found_in(replace(drive, columns=drive.columns | hostile), measured, electric={"power": power})
+    assert [e.term.name for e in found.effects] == ["turning"]
+    assert found.refused["learned:flat"] == "constant (3)"
+    assert found.refused["learned:odder"] == "identical to odd"
+    assert "copy of the power" in found.refused["learned:sneaky"]
+    assert "part of the measurement" in found.refused["learned:voltage_2"]
+    assert "0% of the segments" in found.refused["learned:empty"]
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_one_or_two_runs_cannot_show_a_shift_of_whole_runs(runs):
+    rng = np.random.default_rng(5)
+    drive = made_up(rng, runs=runs, each=150)
+    found = found_in(drive, noisy(rng, drive, 0.15 * drive.predicted))
+    assert not [e for e in found.effects if e.p_value < 0.05]
+
+
+def test_one_direction_only_says_nothing_of_wind():
+    rng = np.random.default_rng(9)
+    drive = made_up(rng, heading=1.0)
+    found = found_in(drive, noisy(rng, drive, 0.2 * drive.predicted))
+    assert not [e for e in found.effects if e.term.name in ("wind", "learned:heading")]
+
+
+def test_runs_beside_the_map_are_an_error_with_a_number():
+    rng = np.random.default_rng(1)
+    drive = made_up(rng)
+    off = replace(drive, traction_per_m=np.full(len(drive), np.nan))
+    with pytest.raises(RunsError, match=r"only 0 of 720 segments"):
+        found_in(off, noisy(rng, drive))
+
+
+def test_what_the_base_runs_show_too_is_no_news():
+    rng = np.random.default_rng(11)
+    base, new = made_up(rng), made_up(rng)
+    names = tuple(f"run{k}" for k in range(6))
+    known = residuals_of(base, noisy(rng, base, EFFECTS["turning"](base)), names, charge=False)
+    assert not found_in(new, noisy(rng, new, EFFECTS["turning"](new)), base=known).effects
+
+
+def test_a_calibration_is_kept_whole_and_never_changed(tmp_path):
+    turning = Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {}, (60.0,))
+    correction = Correction((turning,), (True,), turn_j_per_rad=60.0)
+    version = save_calibrated(tmp_path, correction, {"name": "physics", "version": "1"})
+    again, base, read = read_calibrated(tmp_path)
+    assert (again.terms, base["name"], read) == ((turning,), "physics", version)
+    with pytest.raises(ConflictError, match="never changed"):
+        save_calibrated(tmp_path, correction, {"name": "physics", "version": "1"})
+    file = tmp_path / "calibration.json"
+    file.write_text(file.read_text().replace("60.0", "61.0"))
+    with pytest.raises(ModelError, match="is not the calibration"):
+        read_calibrated(tmp_path)
+
+
+def test_a_record_of_runs_comes_back(tmp_path):
+    rng = np.random.default_rng(2)
+    drive = made_up(rng, runs=2)
+    kept = residuals_of(drive, noisy(rng, drive), ("a", "b"), charge=False)
+    save_record(tmp_path, kept)
+    back = read_record(tmp_path)
+    assert back is not None
+    np.testing.assert_array_equal(back.residual, kept.residual)
+    np.testing.assert_array_equal(back.drive.columns["temperature"], kept.drive.columns["temperature"])
+    assert back.runs == ("a", "b")
+    assert read_record(tmp_path / "elsewhere") is None
