@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -86,9 +87,11 @@ def keep_base_runs(
 ) -> None:
     """Leave the runs that a model was trained on beside it, so that a calibration can hold later runs against them.
 
-    traction : (n,) [J/m] of every segment, from a network that had not seen its run.
+    traction : (n,) [J/m] of every segment, from a network that had not seen its run. Runs too short to be held against
+    anything are not kept.
     """
-    save_record(folder, residuals_on(heightmap, robot, segments, traction)[0])
+    with suppress(RunsError):
+        save_record(folder, residuals_on(heightmap, robot, segments, traction)[0])
 
 
 def calibrate_on_runs(
