@@ -26,6 +26,7 @@ from model.loop.report import report_document
 from model.loop.residual import Residuals, residuals_of
 from model.loop.runs import read_run
 from model.loop.segments import Segments, concatenate, cut_segments
+from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -105,10 +106,7 @@ def calibrate_on_runs(
         raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
     segments, repairs = read_calibration_runs(files, crs=heightmap.frame.crs)
     measured, electric = residuals_on(predictor, heightmap, robot, segments)
-    base = None if model in MODEL_NAMES else read_record(model)
-    if base_files:
-        base_segments, _ = read_calibration_runs(base_files, crs=heightmap.frame.crs)
-        base = residuals_on(predictor, heightmap, robot, base_segments)[0]
+    base = _base_residuals(model, predictor, heightmap, robot, base_files)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
     correction = correction_of(found)
     version = _write(target, model, predictor, correction) if found.terms else None
@@ -158,3 +156,59 @@ def load_model(spec: str | Path) -> Predictor:
             expected=base["version"],
         )
     return CalibratedPredictor(predictor, correction, name=folder.resolve().name, version=version)
+
+
+def suggest_next_drive(
+    model: str | Path,
+    heightmap: Heightmap,
+    robot: Robot,
+    files: Sequence[Path],
+    *,
+    effect: str | None = None,
+    base_files: Sequence[Path] = (),
+    length_m: float = 200.0,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Suggestion, list[str]]:
+    """The drive that tells an effect from what these runs confuse it with, or pins its coefficient; and those rivals.
+
+    effect : a candidate's name; the first confounded one, or the least certain one found, unless given. Raises
+    InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
+    """
+    predictor = load_model(model)
+    segments, _ = read_calibration_runs(files, crs=heightmap.frame.crs)
+    measured, electric = residuals_on(predictor, heightmap, robot, segments)
+    base = _base_residuals(model, predictor, heightmap, robot, base_files)
+    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
+    best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
+    best |= {e.term.name: e.term for e in found.effects}
+    name = effect or next(iter(found.trace.confounded), None)
+    if name is None and found.effects:
+        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.term.coefficients)))).term.name
+    if name is None:
+        raise InputError("these runs show nothing that the model lacks: name the effect that you are in doubt about")
+    if name not in best:
+        raise InputError(
+            f"there is no candidate {name!r} on these runs; there are {', '.join(sorted(best))}", name=name
+        )
+    rivals = found.trace.confounded.get(name, [])
+    others = [e.term for e in found.effects if e.term.name != name]
+
+    def traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
+        return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
+
+    suggestion = suggest_drive(
+        found.residuals, best[name], [*(best[r] for r in rivals), *others], heightmap, robot, traction,
+        length_m=length_m, seed=seed,
+    )  # fmt: skip
+    return suggestion, rivals
+
+
+def _base_residuals(
+    model: str | Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path]
+) -> Residuals | None:
+    """The base model's own runs: those given, or those kept in its folder."""
+    if not files:
+        return None if model in MODEL_NAMES else read_record(model)
+    segments, _ = read_calibration_runs(files, crs=heightmap.frame.crs)
+    return residuals_on(predictor, heightmap, robot, segments)[0]
