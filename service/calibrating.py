@@ -6,11 +6,11 @@ import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from model.loop.suggest import Suggestion, suggest_drive
 from numpy.typing import NDArray
 
 from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
@@ -56,14 +56,18 @@ def read_calibration_runs(files: Sequence[Path], *, crs: str | None) -> tuple[Se
 
 
 def residuals_on(
-    heightmap: Heightmap, robot: Robot, segments: Segments, traction: NDArray[np.float64]
+    predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments
 ) -> tuple[Residuals, dict[str, np.ndarray]]:
-    """Residuals of segments against a model's traction (n,) [J/m], and each row's mean voltage, current and power.
-
-    Raises RunsError.
-    """
+    """Residuals of segments against a model, and each row's mean voltage, current and power. Raises RunsError."""
     if len(segments) == 0:
         raise RunsError("the runs hold no segment of 1 m: did the robot move, and is its position recorded?")
+    said = predict_segments(predictor, heightmap, robot, segments)
+    return _residuals(heightmap, robot, segments, said.traction_per_m)
+
+
+def _residuals(
+    heightmap: Heightmap, robot: Robot, segments: Segments, traction: NDArray[np.float64]
+) -> tuple[Residuals, dict[str, np.ndarray]]:
     drive, measured = describe_segments(segments, heightmap, robot, traction)
     marked = replace(drive, columns=drive.columns | _electric(segments, len(drive) - len(segments)))
     found = residuals_of(marked, measured, segments.runs, charge=segments.charge)
@@ -91,7 +95,7 @@ def keep_base_runs(
     anything are not kept.
     """
     with suppress(RunsError):
-        save_record(folder, residuals_on(heightmap, robot, segments, traction)[0])
+        save_record(folder, _residuals(heightmap, robot, segments, traction)[0])
 
 
 def calibrate_on_runs(
@@ -117,12 +121,8 @@ def calibrate_on_runs(
     if isinstance(predictor, CalibratedPredictor):
         raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
     segments, repairs = read_calibration_runs(files, crs=heightmap.frame.crs)
-    said = partial(predict_segments, predictor, heightmap, robot)
-    measured, electric = residuals_on(heightmap, robot, segments, said(segments).traction_per_m)
-    base = None if model in MODEL_NAMES else read_record(model)
-    if base_files:
-        base_segments, _ = read_calibration_runs(base_files, crs=heightmap.frame.crs)
-        base = residuals_on(heightmap, robot, base_segments, said(base_segments).traction_per_m)[0]
+    measured, electric = residuals_on(predictor, heightmap, robot, segments)
+    base = _base_residuals(model, predictor, heightmap, robot, base_files)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
     correction = correction_of(found)
     version = _write(target, model, predictor, correction) if found.terms else None
@@ -172,3 +172,59 @@ def load_model(spec: str | Path) -> Predictor:
             expected=base["version"],
         )
     return CalibratedPredictor(predictor, correction, name=folder.resolve().name, version=version)
+
+
+def suggest_next_drive(
+    model: str | Path,
+    heightmap: Heightmap,
+    robot: Robot,
+    files: Sequence[Path],
+    *,
+    effect: str | None = None,
+    base_files: Sequence[Path] = (),
+    length_m: float = 200.0,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Suggestion, list[str]]:
+    """The drive that tells an effect from what these runs confuse it with, or pins its coefficient; and those rivals.
+
+    effect : a candidate's name; the first confounded one, or the least certain one found, unless given. Raises
+    InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
+    """
+    predictor = load_model(model)
+    segments, _ = read_calibration_runs(files, crs=heightmap.frame.crs)
+    measured, electric = residuals_on(predictor, heightmap, robot, segments)
+    base = _base_residuals(model, predictor, heightmap, robot, base_files)
+    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
+    best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
+    best |= {e.term.name: e.term for e in found.effects}
+    name = effect or next(iter(found.trace.confounded), None)
+    if name is None and found.effects:
+        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.term.coefficients)))).term.name
+    if name is None:
+        raise InputError("these runs show nothing that the model lacks: name the effect that you are in doubt about")
+    if name not in best:
+        raise InputError(
+            f"there is no candidate {name!r} on these runs; there are {', '.join(sorted(best))}", name=name
+        )
+    rivals = found.trace.confounded.get(name, [])
+    others = [e.term for e in found.effects if e.term.name != name]
+
+    def traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
+        return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
+
+    suggestion = suggest_drive(
+        found.residuals, best[name], [*(best[r] for r in rivals), *others], heightmap, robot, traction,
+        length_m=length_m, seed=seed,
+    )  # fmt: skip
+    return suggestion, rivals
+
+
+def _base_residuals(
+    model: str | Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path]
+) -> Residuals | None:
+    """The base model's own runs: those given, or those kept in its folder."""
+    if not files:
+        return None if model in MODEL_NAMES else read_record(model)
+    segments, _ = read_calibration_runs(files, crs=heightmap.frame.crs)
+    return residuals_on(predictor, heightmap, robot, segments)[0]

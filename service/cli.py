@@ -54,6 +54,7 @@ for _panel, _commands in (
             models.train,
             models.evaluate,
             calibration.calibrate,
+            calibration.suggest_drive,
             reproduction.baselines,
             reproduction.reproduce,
         ),

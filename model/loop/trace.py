@@ -198,7 +198,7 @@ class _Search:
         gained = self.error(rest) - self.error([*rest, one.verdict.term])
         out = []
         for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
-            if candidate.name in names or verdict.p_value > ALPHA:
+            if candidate.name in names or verdict.p_value > ALPHA or not self.clears_floor(verdict):
                 continue
             its = self.active([*rest, verdict.term])
             blocks = self.evidence.own(mine) or self.evidence.own(its)

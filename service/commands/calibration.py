@@ -86,3 +86,65 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
         rows[f"like {group[0]}"] = f"these runs cannot tell it from {', '.join(group[1:])}"
     answer.table(rows)
     answer.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
+
+
+def suggest_drive(
+    heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap to drive on.")],
+    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs so far (CSV), as for `calibrate`.")],
+    model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
+    robot: Annotated[
+        Path | None, typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in rover]")
+    ] = None,
+    effect: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="What to find out about. [default: what these runs leave most in doubt]"),
+    ] = None,
+    length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About as far as there is time for.")] = 200.0,
+    base_runs: Annotated[
+        list[str] | None, typer.Option("--base-runs", metavar="GLOB", help="As for `calibrate`.")
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Suggest **what to drive next**: the route that tells confounded effects apart or pins a coefficient best.
+
+    Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv'`
+    """
+    from model.robot import Robot
+    from model.terrain.readers import read_heightmap
+    from service.calibrating import suggest_next_drive
+
+    answer = Answer(json_file)
+    with progress_bar("Tracing") as report:
+        found, rivals = suggest_next_drive(
+            model,
+            read_heightmap(heightmap),
+            Robot.from_toml(robot) if robot is not None else Robot(),
+            find_runs(runs),
+            effect=effect,
+            base_files=find_runs(base_runs) if base_runs else (),
+            length_m=length,
+            progress=report,
+        )
+    corners = [[round(float(x), 2), round(float(y), 2)] for x, y in found.points]
+    answer.say(f"[bold]Drive {found.kind}[/] to learn about {found.effect}")
+    shown = corners if len(corners) <= 9 else corners[:: len(corners) // 8]
+    rows = {
+        "through": " ".join(f"{x:.1f},{y:.1f}" for x, y in shown),
+        "one round": f"{found.length_m:.0f} m, over and over for {length:.0f} m, at "
+        + " and ".join(f"{v:.2f} m/s" for v in found.speeds),
+        "expected": f"an interval {found.shrinkage:.0%} as wide as now",
+    }
+    if rivals:
+        rows["tells it from"] = ", ".join(rivals)
+    answer.table(rows)
+    answer.document(
+        {
+            "effect": found.effect,
+            "tells_from": rivals,
+            "kind": found.kind,
+            "points": corners,
+            "speeds_mps": list(found.speeds),
+            "length_m": found.length_m,
+            "expected_interval_share": found.shrinkage,
+        }
+    )
