@@ -1,0 +1,161 @@
+"""What to drive next: the route that tells confounded effects apart, or pins a coefficient, best.
+
+Least squares knows beforehand how far a drive would narrow a coefficient: only the columns of the effect and of what it
+is confused with matter, not what will be measured. Simple routes are laid over the map in many places and headings, and
+judged by the interval that old and new segments would leave together (Fedorov 1972, D- and c-optimal design).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.errors import InfeasibleError
+from model.frames import heading_of, heading_vector, wrap_angle
+from model.loop.drive import Drive, planned_drive
+from model.loop.effects import Term
+from model.loop.residual import Residuals
+from model.loop.segments import TURN_LIMITS_RADPS
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+
+FloatArray = NDArray[np.float64]
+Traction = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+
+_STEP_M = 0.1
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """points : (n, 2) corners of the route [m]. kind : in words. effect : whose coefficient it is for. speeds : to
+    drive it at, over and over [m/s]. shrinkage : expected width of its interval over the width now (0..1).
+    length_m : of one round."""
+
+    points: FloatArray
+    kind: str
+    effect: str
+    speeds: tuple[float, ...]
+    shrinkage: float
+    length_m: float
+
+
+def suggest_drive(
+    residuals: Residuals,
+    effect: Term,
+    rivals: Sequence[Term],
+    heightmap: Heightmap,
+    robot: Robot,
+    traction: Traction,
+    *,
+    length_m: float = 200.0,
+    seed: int = 0,
+) -> Suggestion:
+    """The best of a few hundred simple routes for the coefficients of `effect`.
+
+    residuals : the runs so far. rivals : what it is confused with, refitted beside it. traction : (x, y, heading) ->
+    [J/m], NaN where nobody may drive. length_m : about as far as there is time for. Raises InfeasibleError where no
+    route fits on known ground.
+    """
+    rng = np.random.default_rng(seed)
+    old = _information(residuals.drive, [effect, *rivals], residuals.scale)
+    now = _spread(old, len(effect.units))
+    best: Suggestion | None = None
+    for kind, points, speeds in _routes(heightmap, robot, length_m, rng):
+        drive = _along(points, speeds, heightmap, robot, traction, residuals, length_m)
+        if drive is None:
+            continue
+        scale = np.maximum(drive.predicted, 0.2 * float(np.median(residuals.predicted[residuals.moving])))
+        then = _spread(old + _information(drive, [effect, *rivals], scale), len(effect.units))
+        share = then / now
+        if best is None or share < best.shrinkage:
+            length = float(np.hypot(*np.diff(points, axis=0).T).sum())
+            best = Suggestion(points, kind, effect.name, speeds, share, length)
+    if best is None:
+        raise InfeasibleError(f"no route of {length_m:g} m fits on the known ground of this map", length_m=length_m)
+    return best
+
+
+def _information(drive: Drive, terms: Sequence[Term], scale: FloatArray) -> FloatArray:
+    """Normal equations of terms with a level beside them, per unit of noise variance."""
+    level = Term("level", "level", ("",))
+    x = np.concatenate([t.columns(drive) for t in (*terms, level)], axis=1) / scale[:, None]
+    return np.asarray(x.T @ x)
+
+
+def _spread(information: FloatArray, count: int) -> float:
+    """Geometric mean of the standard deviations of the first `count` coefficients, all others free."""
+    size = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    scaled = information / np.outer(size, size) + 1e-9 * np.eye(size.size)
+    covariance = np.linalg.inv(scaled)[:count, :count] / np.outer(size[:count], size[:count])
+    return float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * count)))
+
+
+def _routes(
+    heightmap: Heightmap, robot: Robot, length_m: float, rng: np.random.Generator
+) -> Iterator[tuple[str, FloatArray, tuple[float, ...]]]:
+    """Lines to and fro, squares, slaloms and circles; at places and headings of a seeded choice; at one or two
+    speeds."""
+    west, south, east, north = heightmap.frame.bounds
+    side = min(east - west, north - south)
+    slow_fast = (0.6 * robot.speed_mps, robot.speed_mps)
+    for _ in range(60):
+        x, y = rng.uniform(west, east), rng.uniform(south, north)
+        turn = float(rng.uniform(0.0, 2.0 * math.pi))
+        reach = float(rng.uniform(0.15, 0.4)) * min(side, length_m)
+        zigzag = [(0.5 * reach * (-1) ** k * 0.3, reach * (k / 6.0 - 0.5)) for k in range(7)]
+        radius = float(rng.uniform(0.8, 4.0))
+        circle = [(radius * math.cos(a), radius * math.sin(a)) for a in np.linspace(0.0, 2.0 * math.pi, 37)]
+        shapes = {
+            "a line to and fro": [(0.0, -reach), (0.0, reach), (0.0, -reach)],
+            "a square": [(-reach, -reach), (-reach, reach), (reach, reach), (reach, -reach), (-reach, -reach)],
+            "a slalom": zigzag,
+            f"circles of {radius:.1f} m": circle,
+        }
+        for kind, corners in shapes.items():
+            p = np.asarray(corners)
+            rotated = np.stack([
+                x + p[:, 0] * math.cos(turn) + p[:, 1] * math.sin(turn),
+                y - p[:, 0] * math.sin(turn) + p[:, 1] * math.cos(turn),
+            ], axis=1)  # fmt: skip
+            yield kind, rotated, (robot.speed_mps,)
+            yield f"{kind}, slow and fast", rotated, slow_fast
+
+
+def _along(
+    points: FloatArray, speeds: tuple[float, ...], heightmap: Heightmap, robot: Robot, traction: Traction,
+    residuals: Residuals, length_m: float,
+) -> Drive | None:  # fmt: skip
+    """A route cut into 1 m segments, driven over and over for `length_m` at each speed in turn; None off known
+    ground."""
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    fine = np.arange(0.0, s[-1], _STEP_M)
+    x, y = np.interp(fine, s, points[:, 0]), np.interp(fine, s, points[:, 1])
+    heading = heading_of(np.diff(x), np.diff(y))
+    every = round(1.0 / _STEP_M)
+    count = heading.size // every
+    if count < 4:
+        return None
+    turned = np.zeros(count)
+    steps = np.abs(wrap_angle(np.diff(heading, append=heading[-1])))
+    turned[:] = steps[: count * every].reshape(count, every).sum(axis=1)
+    middle = np.arange(count) * every + every // 2
+    dx, dy = heading_vector(heading[middle])
+    direction = heading_of(dx, dy)
+    price = traction(x[middle], y[middle], direction)
+    conditions = {k: float(np.nanmean(v)) for k, v in residuals.drive.columns.items() if np.isfinite(v).any()}
+    plan = planned_drive(heightmap, robot, x[middle], y[middle], direction, price, conditions)
+    if not (np.isfinite(price).all() and np.isfinite(plan.grade).all()):
+        return None
+    rounds = max(1, round(length_m / count))
+    which = np.tile(np.arange(count), rounds)
+    pace = np.repeat([1.0 / speeds[k % len(speeds)] for k in range(rounds)], count)
+    gentle = np.stack([np.minimum(turned[which], rate * pace) for rate in TURN_LIMITS_RADPS], axis=1)
+    clock = np.cumsum(pace)
+    return replace(
+        plan.take(which), duration_s=pace, turned_abs_rad=turned[which], gentle_turn_rad=gentle, since_s=clock,
+        driven_m=np.arange(1.0, which.size + 1.0),
+    )  # fmt: skip
