@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from model.loop.suggest import Suggestion, suggest_drive
 from numpy.typing import NDArray
 
 from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
@@ -30,6 +29,7 @@ from model.loop.report import report_document
 from model.loop.residual import Residuals, residuals_of
 from model.loop.runs import read_run
 from model.loop.segments import Segments, concatenate, cut_segments
+from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
