@@ -1,82 +1,137 @@
-"""Predictor + heightmap -> cost lattice, strip by strip."""
+"""Predictor + ground -> cost lattice, tile by tile: into memory, or tile after tile into a folder."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable
 from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import InputError, TooLargeError
-from model.frames import heading_bins
+from model.errors import TooLargeError
+from model.frames import GridFrame, heading_bins
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from model.terrain.windows import Ground, overview
 from model.traction import TractionSource
 from planner.lattice import Blocked, CostLattice
+from planner.lattice_io import LatticeFolder
 from planner.limits import ground_limits
+from planner.tiles import Tiling, ground_of
 
 DEFAULT_HEADINGS = 16
 MAX_LATTICE_VALUES = 400_000_000
-"""Largest rows * cols * headings held in memory (1.6 GB of float32)."""
+"""Largest rows * cols * headings held in memory (1.6 GB of float32); a folder may hold any number."""
+
+
+def build_tile(
+    ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling, rows: slice, cols: slice
+) -> CostLattice:
+    """The lattice of some of the tiling's cells, equal to that part of the whole lattice to float32 rounding.
+
+    Memory is bounded by the cells and the heights around them. Its provenance is empty: see `provenance_of`.
+    """
+    frame = tiling.frame.window(rows.start, rows.stop, cols.start, cols.stop)
+    heights = ground_of(ground, frame, robot)
+    elevation, gradient, blocked = ground_limits(heights, frame, robot)
+    traction, std = source.traction_and_std(heights, robot, frame, heading_bins(tiling.headings))
+    silent = np.isnan(traction).any(axis=2) & (blocked == Blocked.FREE)
+    blocked[silent] = Blocked.UNKNOWN
+    return CostLattice(frame, robot, traction, elevation, gradient, blocked, {}, std)
+
+
+def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling) -> dict[str, Any]:
+    """How a lattice is made, JSON-able, with every warning about the map and the robot."""
+    return {
+        "joulemap": version("joulemap"),
+        "made_at": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
+        "heightmap": {
+            "hash": ground.data_hash,
+            "source": ground.source,
+            "resolution_m": ground.frame.resolution_m,
+            "known_share": ground.known_share,
+        },
+        "model": source.provenance(),
+        "spacing_m": tiling.frame.resolution_m,
+        "headings": tiling.headings,
+        "warnings": source.warnings(overview(ground), robot),
+    }
 
 
 def build_lattice(
-    heightmap: Heightmap,
+    ground: Ground,
     robot: Robot,
     source: TractionSource,
     *,
     spacing_m: float = 1.0,
     headings: int = DEFAULT_HEADINGS,
-    strip_rows: int = 128,
+    tile_cells: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> CostLattice:
-    """The cost lattice of a whole heightmap.
+    """The cost lattice of a whole heightmap, in memory.
 
-    spacing_m : side of a cell [m]; headings : number of bins (4 to 360); strip_rows : cells per strip, which bounds the
-    memory of the predictor. Raises InputError on a bad setting, TooLargeError above `MAX_LATTICE_VALUES`.
+    spacing_m : side of a cell [m]; headings : number of bins (4 to 360); tile_cells : side of a tile. Raises InputError
+    and HeightmapError on bad settings, TooLargeError above `MAX_LATTICE_VALUES`.
     """
-    if not 4 <= headings <= 360:
-        raise InputError(f"headings must lie in 4..360, got {headings}", headings=headings, limit=[4, 360])
-    frame = heightmap.frame.respaced(spacing_m)
-    values = frame.rows * frame.cols * headings
-    if values > MAX_LATTICE_VALUES:
+    tiling = Tiling.of(ground.frame, spacing_m=spacing_m, headings=headings, side=tile_cells)
+    frame = tiling.frame
+    if tiling.values > MAX_LATTICE_VALUES:
         raise TooLargeError(
-            f"{frame.rows} x {frame.cols} cells at {headings} headings are {values:,} values, the limit is "
-            f"{MAX_LATTICE_VALUES:,}: choose a larger spacing than {spacing_m:g} m",
-            values=values, limit=MAX_LATTICE_VALUES,
+            f"{frame.rows} x {frame.cols} cells at {headings} headings are {tiling.values:,} values, the limit is "
+            f"{MAX_LATTICE_VALUES:,} in memory: write to a folder, or choose a larger spacing than {spacing_m:g} m",
+            values=tiling.values, limit=MAX_LATTICE_VALUES,
         )  # fmt: skip
-    angles = heading_bins(headings)
     traction = np.empty((*frame.shape, headings), dtype=np.float32)
     elevation = np.empty(frame.shape, dtype=np.float32)
     gradient = np.empty((*frame.shape, 2), dtype=np.float32)
     blocked = np.empty(frame.shape, dtype=np.uint8)
     std: NDArray[np.float32] | None = None
-    for row0 in range(0, frame.rows, strip_rows):
-        strip = slice(row0, min(row0 + strip_rows, frame.rows))
-        window = frame.window(strip.start, strip.stop)
-        elevation[strip], gradient[strip], blocked[strip] = ground_limits(heightmap, window, robot)
-        traction[strip], strip_std = source.traction_and_std(heightmap, robot, window, angles)
-        if strip_std is not None:
+    for number, place in enumerate(tiling):
+        part = build_tile(ground, robot, source, tiling, *place)
+        traction[place], elevation[place] = part.traction_per_m, part.elevation_m
+        gradient[place], blocked[place] = part.gradient, part.blocked
+        if part.std_j is not None:
             std = np.empty_like(traction) if std is None else std
-            std[strip] = strip_std
-        silent = np.isnan(traction[strip]).any(axis=2) & (blocked[strip] == Blocked.FREE)
-        blocked[strip][silent] = Blocked.UNKNOWN
+            std[place] = part.std_j
         if progress is not None:
-            progress(strip.stop / frame.rows)
-    provenance = {
-        "joulemap": version("joulemap"),
-        "made_at": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
-        "heightmap": {
-            "hash": heightmap.data_hash,
-            "source": heightmap.source,
-            "resolution_m": heightmap.resolution_m,
-            "known_share": heightmap.known_share,
-        },
-        "model": source.provenance(),
-        "spacing_m": spacing_m,
-        "headings": headings,
-        "warnings": source.warnings(heightmap, robot),
-    }
+            progress((number + 1) / len(tiling))
+    provenance = provenance_of(ground, robot, source, tiling)
     return CostLattice(frame, robot, traction, elevation, gradient, blocked, provenance, std)
+
+
+def write_lattice(
+    path: str | Path,
+    ground: Ground,
+    robot: Robot,
+    source: TractionSource,
+    tiling: Tiling,
+    *,
+    each: Callable[[CostLattice], None] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Write the lattice of any size to `path`, whole or not at all, holding one tile at a time; its provenance.
+
+    each : is shown every tile. Raises InputError where something else than a lattice is at `path`.
+    """
+    folder = LatticeFolder(path)
+    folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
+    for number, place in enumerate(tiling):
+        part = build_tile(ground, robot, source, tiling, *place)
+        folder.write(part, *place)
+        if each is not None:
+            each(part)
+        if progress is not None:
+            progress((number + 1) / len(tiling))
+    provenance = provenance_of(ground, robot, source, tiling)
+    folder.finish(provenance)
+    return provenance
+
+
+def knows_spread(source: TractionSource, robot: Robot) -> bool:
+    """Whether a source tells how far off it may be: asked on a little flat ground."""
+    flat = Heightmap(np.zeros((8, 8), dtype=np.float32), GridFrame(0.0, 8.0, 1.0, 8, 8))
+    cell = flat.frame.window(3, 5, 3, 5)
+    return source.traction_and_std(flat, robot, cell, heading_bins(4))[1] is not None

@@ -1,4 +1,4 @@
-"""A cost lattice on disk: saved as zarr, exported as npz and GeoTIFF."""
+"""A cost lattice on disk: written as zarr, whole or tile by tile, and exported as npz and GeoTIFF."""
 
 from __future__ import annotations
 
@@ -17,30 +17,82 @@ from model.frames import GridFrame, heading_bins
 from model.robot import Robot
 from model.terrain.writers import write_bands_geotiff
 from planner.lattice import Blocked, CostLattice
+from planner.tiles import TILE_CELLS, Tiling
 
 FORMAT = "joulemap.cost-lattice/1"
 _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
 _OPTIONAL = ("std_j",)
 
 
+class LatticeFolder:
+    """A lattice on its way to disk. It is built beside its place, `path`.partial, and moved there by `finish`.
+
+    Tiles may come in any order, again, and from several processes that share the folder: a tile is whole chunks.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.partial = self.path.with_name(self.path.name + ".partial")
+
+    def lay_out(self, tiling: Tiling, robot: Robot, *, with_std: bool) -> None:
+        """Make the empty arrays, and throw away what an earlier try left.
+
+        Raises InputError where `path` exists and is no lattice.
+        """
+        if self.path.exists() and not _is_lattice(self.path):
+            raise InputError(
+                f"{self.path} exists and is not a cost lattice: it will not be overwritten", path=str(self.path)
+            )
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(self.partial, ignore_errors=True)
+        group = zarr.open_group(self.partial, mode="w")
+        by_heading, side = (tiling.headings,), tiling.side
+        arrays: dict[str, tuple[tuple[int, ...], str, float]] = {
+            "traction_per_m": (by_heading, "float32", np.nan),
+            "elevation_m": ((), "float32", np.nan),
+            "gradient": ((2,), "float32", np.nan),
+            "blocked": ((), "uint8", int(Blocked.UNKNOWN)),
+        }
+        if with_std:
+            arrays["std_j"] = (by_heading, "float32", np.nan)
+        for name, (more, dtype, unknown) in arrays.items():
+            shape = (*tiling.frame.shape, *more)
+            chunks = (*(min(side, n) for n in tiling.frame.shape), *more)
+            group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, fill_value=unknown)
+        group.attrs.update(_metadata(tiling.frame, robot))
+
+    def write(self, part: CostLattice, rows: slice, cols: slice) -> None:
+        """Keep the cells of one tile."""
+        group = zarr.open_group(self.partial, mode="r+")
+        for name in (*_ARRAYS, *_OPTIONAL):
+            data = getattr(part, name)
+            if data is not None:
+                group[name][rows, cols] = data  # type: ignore[index]
+
+    def finish(self, provenance: dict[str, Any]) -> None:
+        """Say how the lattice was made, and move it into place where it is not there yet."""
+        if self.partial.exists():
+            for torn in self.partial.rglob("*.partial"):  # a chunk whose writer was killed; it was written again
+                torn.unlink()
+            zarr.open_group(self.partial, mode="r+").attrs["provenance"] = provenance
+            shutil.rmtree(self.path, ignore_errors=True)
+            self.partial.rename(self.path)
+        else:
+            zarr.open_group(self.path, mode="r+").attrs["provenance"] = provenance
+
+    def discard(self) -> None:
+        """Remove it, finished or not."""
+        for place in (self.partial, self.path):
+            shutil.rmtree(place, ignore_errors=True)
+
+
 def save_lattice(lattice: CostLattice, path: str | Path) -> None:
     """Write `path` (a folder, usually NAME.zarr), whole or not at all: it is built beside and moved into place."""
-    path = Path(path)
-    if path.exists() and not _is_lattice(path):
-        raise InputError(f"{path} exists and is not a cost lattice: it will not be overwritten", path=str(path))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    group = zarr.open_group(partial, mode="w")
-    for name in (*_ARRAYS, *_OPTIONAL):
-        data = getattr(lattice, name)
-        if data is None:
-            continue
-        chunks = tuple(min(256, n) for n in data.shape[:2]) + data.shape[2:]
-        group.create_array(name, data=data, chunks=chunks)
-    group.attrs.update(_metadata(lattice))
-    shutil.rmtree(path, ignore_errors=True)
-    partial.rename(path)
+    folder = LatticeFolder(path)
+    tiling = Tiling(lattice.frame, lattice.headings, TILE_CELLS)
+    folder.lay_out(tiling, lattice.robot, with_std=lattice.std_j is not None)
+    folder.write(lattice, slice(0, lattice.frame.rows), slice(0, lattice.frame.cols))
+    folder.finish(lattice.provenance)
 
 
 def _is_lattice(path: Path) -> bool:
@@ -84,7 +136,7 @@ def export_npz(lattice: CostLattice) -> bytes:
         blocked=lattice.blocked_by_heading(),
         headings_rad=heading_bins(lattice.headings),
         elevation_m=lattice.elevation_m,
-        metadata=json.dumps(_metadata(lattice)),
+        metadata=_exported(lattice),
         **known,
     )
     return out.getvalue()
@@ -99,18 +151,17 @@ def export_geotiff(lattice: CostLattice) -> bytes:
         np.ascontiguousarray(np.moveaxis(energy, 2, 0)),
         lattice.frame,
         descriptions=[f"energy per metre [J/m] at heading {h:g} deg" for h in headings_deg],
-        tags={"JOULEMAP": json.dumps(_metadata(lattice))},
+        tags={"JOULEMAP": _exported(lattice)},
     )
     assert written is not None
     return written
 
 
-def _metadata(lattice: CostLattice) -> dict[str, Any]:
+def _metadata(frame: GridFrame, robot: Robot) -> dict[str, Any]:
     return {
         "format": FORMAT,
-        "frame": asdict(lattice.frame),
-        "robot": lattice.robot.as_dict(),
-        "provenance": lattice.provenance,
+        "frame": asdict(frame),
+        "robot": robot.as_dict(),
         "blocked_codes": {str(int(reason)): reason.label for reason in Blocked},
         "units": {
             "traction_per_m": "J/m",
@@ -119,3 +170,7 @@ def _metadata(lattice: CostLattice) -> dict[str, Any]:
             "gradient": "m/m towards east, north",
         },
     }
+
+
+def _exported(lattice: CostLattice) -> str:
+    return json.dumps({**_metadata(lattice.frame, lattice.robot), "provenance": lattice.provenance})

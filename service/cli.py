@@ -46,7 +46,7 @@ def joulemap(
 
 for _panel, _commands in (
     ("Plan", (maps.costmap, maps.path, maps.feasibility)),
-    ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
+    ("Serve", (services.demo, services.serve, services.worker, services.warmup, services.openapi)),
     (
         "Learn",
         (

@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
 from model.robot import Robot
 from planner.lattice_build import DEFAULT_HEADINGS
 from planner.plan import PLANNERS
-from service.workflows import DEFAULT_MODEL, HEADING_LIMITS
+from planner.tiles import HEADING_LIMITS
+from service.workflows import DEFAULT_MODEL
 
 
 class Request(BaseModel):

@@ -25,6 +25,7 @@ class Settings(BaseSettings):
     max_cells: int = Field(default=100_000_000, gt=0, description="most cells a heightmap may have")
     max_lattice_values: int = Field(default=100_000_000, gt=0, description="most rows * cols * headings of a cost map")
     queue_size: int = Field(default=32, gt=0, description="most cost maps that wait or are computed at a time")
+    build_here: bool = Field(default=True, description="make cost maps in the service; else only in `joulemap worker`")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
     warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
 

@@ -1,4 +1,4 @@
-"""One running service: its store, its worker, its open cost maps, and whether its kernels are warm."""
+"""One running service: its store, its jobs, its open cost maps, and whether its kernels are warm."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 import anyio
 from fastapi import Request
 
-from model.errors import BusyError, ConflictError, JoulemapError, NegativeCycleError
-from model.robot import Robot
+from model.errors import BusyError, ConflictError, JoulemapError
 from model.terrain.readers import read_heightmap
 from planner.plan import RoutePlanner
-from service.jobs import CostmapJobs
+from service.building import Builder
+from service.jobs import SERVICE, CostmapJobs, Worker
 from service.open_maps import OpenMaps
 from service.settings import Settings
 from service.store import DONE, FAILED, CostmapRow, HeightmapRow, Store
-from service.workflows import make_cost_lattice, summarise, warm_up
+from service.workflows import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
 _WARM_WAIT_S = 120.0
@@ -34,8 +34,12 @@ class Service:
         self.settings = settings
         self.version = version("joulemap")
         self.store = Store(settings.data_dir, settings.resolved_database_url)
-        self.jobs = CostmapJobs(self.store, self._build, queue_size=settings.queue_size)
         self.maps = OpenMaps(self.store.load_lattice, size=settings.open_costmaps)
+        worker = None
+        if settings.build_here:
+            builder = make_builder(self.store, settings, on_done=self.maps.keep)
+            worker = Worker(self.store, builder, name=SERVICE, ready=self.await_kernels)
+        self.jobs = CostmapJobs(self.store, worker, queue_size=settings.queue_size)
         self.ingest_limit = anyio.CapacityLimiter(_INGEST_AT_ONCE)  # each may hold a whole heightmap
         self.warm_seconds: float | None = None
         self._warm = threading.Event()
@@ -97,39 +101,6 @@ class Service:
             )  # fmt: skip
         return row
 
-    def _build(self, costmap_id: str, progress: Callable[[float], None]) -> None:
-        self.await_kernels()
-        row = self.store.costmap(costmap_id)
-        lattice = make_cost_lattice(
-            self.store.load_heightmap(row.heightmap_id),
-            Robot.from_mapping(row.request["robot"]),
-            model=row.request["model"],
-            spacing_m=row.request["spacing_m"],
-            headings=row.request["headings"],
-            models_dir=self.settings.resolved_models_dir,
-            max_values=self.settings.max_lattice_values,
-            progress=progress,
-        )
-        frame = lattice.frame
-        summary = {
-            "frame": {
-                "rows": frame.rows,
-                "cols": frame.cols,
-                "spacing_m": frame.resolution_m,
-                "bounds": list(frame.bounds),
-                "crs": frame.crs,
-            },
-            "provenance": lattice.provenance,
-            **summarise(lattice),
-        }
-        planner = RoutePlanner(lattice)
-        try:
-            planner.prepare()
-        except NegativeCycleError as error:  # the map is good to look at, every question will say the same
-            lattice.provenance["warnings"].append(error.message)
-        self.store.save_lattice(costmap_id, lattice, summary)
-        self.maps.keep(costmap_id, planner)
-
     def _warm_up(self) -> None:
         try:
             settings = self.settings
@@ -140,6 +111,15 @@ class Service:
             _LOG.error("warming up failed: %s", error.message)
         finally:
             self._warm.set()
+
+
+def make_builder(
+    store: Store, settings: Settings, *, on_done: Callable[[str, RoutePlanner], None] | None = None
+) -> Builder:
+    """What makes cost maps with these settings."""
+    return Builder(
+        store, models_dir=settings.resolved_models_dir, max_values=settings.max_lattice_values, on_done=on_done
+    )
 
 
 def get_service(request: Request) -> Service:

@@ -6,25 +6,29 @@ import contextlib
 import datetime as dt
 import fcntl
 import secrets
-import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from sqlalchemy import JSON, ForeignKey, Text, create_engine, event, func, select, update
+from sqlalchemy import JSON, ForeignKey, Text, create_engine, delete, event, func, select, text, update
 from sqlalchemy.engine import Engine
 from sqlalchemy.exc import IntegrityError
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, sessionmaker
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, sessionmaker
 
 from model.errors import ConflictError, NotFoundError
 from model.terrain.heightmap import Heightmap
-from model.terrain.readers import read_heightmap
+from model.terrain.readers import open_ground
+from model.terrain.windows import Ground
 from model.terrain.writers import write_geotiff
 from planner.lattice import CostLattice
-from planner.lattice_io import load_lattice, save_lattice
+from planner.lattice_io import LatticeFolder, load_lattice
 
 QUEUED, RUNNING, DONE, FAILED = "queued", "running", "done", "failed"
+LAY_OUT = 0
+"""Number of the first step of making a cost map."""
+
+_TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
 _STALE_UPLOAD_S = 86_400.0
 
 
@@ -59,8 +63,27 @@ class CostmapRow(Base):
     problem: Mapped[dict[str, Any] | None] = mapped_column(JSON)
 
 
+class StepRow(Base):
+    """One step of making a cost map, see `service.steps`. number : LAY_OUT, a tile's + 1, or that of the last; last :
+    waits for all others; worker, lease_until : who is at it, until when [s since 1970, the workers' common clock];
+    result : what it found, once done."""
+
+    __tablename__ = "steps"
+
+    costmap_id: Mapped[str] = mapped_column(ForeignKey("costmaps.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True)
+    last: Mapped[bool] = mapped_column(default=False)
+    done: Mapped[bool] = mapped_column(default=False)
+    worker: Mapped[str] = mapped_column(default="")
+    lease_until: Mapped[float] = mapped_column(default=0.0)
+    result: Mapped[Any | None] = mapped_column(JSON)
+
+
 class Store:
-    """Heightmaps and cost maps that survive a restart. One process per data directory; `open`, then `close`."""
+    """Heightmaps and cost maps that survive a restart; `open`, then `close`.
+
+    A data directory has one service and any number of workers, which share its database.
+    """
 
     def __init__(self, data_dir: Path, database_url: str) -> None:
         self._dir = data_dir
@@ -68,10 +91,27 @@ class Store:
         self._engine: Engine | None = None
         self._lock: IO[str] | None = None
 
-    def open(self) -> None:
-        """Create what is missing. Raises ConflictError when another process has the data directory."""
+    def open(self, *, as_service: bool = True) -> None:
+        """Create what is missing. Raises ConflictError when another service has the data directory."""
         for name in ("heightmaps", "costmaps", "uploads"):
             (self._dir / name).mkdir(parents=True, exist_ok=True)
+        if as_service:
+            self._lock_directory()
+        self._engine = create_engine(self._url, pool_pre_ping=True)
+        if self._engine.dialect.name == "sqlite":
+            event.listen(self._engine, "connect", _set_up_sqlite)
+        with self._engine.begin() as connection:
+            if self._engine.dialect.name == "postgresql":  # services and workers may start at the same moment
+                connection.execute(text(f"select pg_advisory_xact_lock({_TABLES_LOCK})"))
+            Base.metadata.create_all(connection)
+        self._sessions = sessionmaker(self._engine, expire_on_commit=False)
+
+    @property
+    def sessions(self) -> sessionmaker[Session]:
+        """Of an open store's database."""
+        return self._sessions
+
+    def _lock_directory(self) -> None:
         lock = (self._dir / "lock").open("w")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -82,11 +122,6 @@ class Store:
                 data_dir=str(self._dir),
             ) from error
         self._lock = lock
-        self._engine = create_engine(self._url)
-        if self._engine.dialect.name == "sqlite":
-            event.listen(self._engine, "connect", _set_up_sqlite)
-        Base.metadata.create_all(self._engine)
-        self._sessions = sessionmaker(self._engine, expire_on_commit=False)
         for left in (self._dir / "uploads").iterdir():
             if time.time() - left.stat().st_mtime > _STALE_UPLOAD_S:
                 left.unlink()
@@ -124,9 +159,9 @@ class Store:
             raise NotFoundError(f"there is no heightmap {heightmap_id[:80]!r}", heightmap_id=heightmap_id[:80])
         return row
 
-    def load_heightmap(self, heightmap_id: str) -> Heightmap:
-        row = self.heightmap(heightmap_id)
-        return read_heightmap(self._heightmap_path(heightmap_id), filename=row.name, resolution_m=None)
+    def open_heightmap(self, heightmap_id: str) -> Ground:
+        """The heightmap, read by windows. Raises NotFoundError."""
+        return open_ground(self._heightmap_path(heightmap_id), filename=self.heightmap(heightmap_id).name)
 
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
         """One page, newest first, and how many there are."""
@@ -160,6 +195,8 @@ class Store:
         try:
             with self._sessions.begin() as session:
                 session.add(row)
+                session.flush()
+                session.add(StepRow(costmap_id=row.id, number=LAY_OUT))
         except IntegrityError as error:
             raise NotFoundError(f"there is no heightmap {heightmap_id!r}", heightmap_id=heightmap_id) from error
         return row
@@ -176,28 +213,31 @@ class Store:
         """One page, newest first, and how many there are."""
         return self._page(CostmapRow, limit, offset)
 
+    def status(self, costmap_id: str) -> str | None:
+        """The status of a cost map; None where there is none."""
+        with self._sessions() as session:
+            return session.scalar(select(CostmapRow.status).where(CostmapRow.id == costmap_id))
+
     def unfinished(self) -> list[str]:
-        """Ids of cost maps that a stop left queued or running, oldest first."""
+        """Ids of cost maps that wait or are being made, oldest first."""
         with self._sessions() as session:
             query = select(CostmapRow.id).where(CostmapRow.status.in_([QUEUED, RUNNING]))
             return list(session.scalars(query.order_by(CostmapRow.created_at)))
 
-    def update_costmap(self, costmap_id: str, **values: Any) -> bool:
-        """Set columns of a row; False when it was deleted meanwhile."""
+    def finish_costmap(self, costmap_id: str, summary: dict[str, Any]) -> bool:
+        """Say that its lattice is there; False when it was deleted meanwhile."""
+        return self._end(costmap_id, status=DONE, progress=1.0, summary=summary)
+
+    def fail_costmap(self, costmap_id: str, problem: dict[str, Any]) -> bool:
+        """Keep why it cannot be made; False when it was deleted or is over already."""
+        return self._end(costmap_id, status=FAILED, problem=problem)
+
+    def _end(self, costmap_id: str, **values: Any) -> bool:
+        at_work = CostmapRow.status.in_([QUEUED, RUNNING])
         with self._sessions.begin() as session:
-            done = session.execute(update(CostmapRow).where(CostmapRow.id == costmap_id).values(**values))
-            return bool(done.rowcount)  # type: ignore[attr-defined]
-
-    def save_lattice(self, costmap_id: str, lattice: CostLattice, summary: dict[str, Any]) -> None:
-        """Keep a finished lattice and say so; nothing stays when the cost map was deleted meanwhile."""
-        save_lattice(lattice, self.lattice_path(costmap_id))
-        if not self.update_costmap(
-            costmap_id, status=DONE, progress=1.0, summary=summary, problem=None, finished_at=_now()
-        ):
-            shutil.rmtree(self.lattice_path(costmap_id), ignore_errors=True)
-
-    def fail_costmap(self, costmap_id: str, problem: dict[str, Any]) -> None:
-        self.update_costmap(costmap_id, status=FAILED, problem=problem, finished_at=_now())
+            ended = update(CostmapRow).where(CostmapRow.id == costmap_id, at_work).values(finished_at=_now(), **values)
+            session.execute(delete(StepRow).where(StepRow.costmap_id == costmap_id))
+            return bool(session.execute(ended).rowcount)  # type: ignore[attr-defined]
 
     def load_lattice(self, costmap_id: str) -> CostLattice:
         return load_lattice(self.lattice_path(costmap_id))
@@ -207,7 +247,7 @@ class Store:
         row = self.costmap(costmap_id)
         with self._sessions.begin() as session:
             session.delete(row)
-        shutil.rmtree(self.lattice_path(costmap_id), ignore_errors=True)
+        LatticeFolder(self.lattice_path(costmap_id)).discard()
 
     def lattice_path(self, costmap_id: str) -> Path:
         return self._dir / "costmaps" / f"{costmap_id}.zarr"

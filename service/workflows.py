@@ -19,16 +19,17 @@ from model.frames import GridFrame, heading_bins
 from model.loop.calibrated import CalibratedPredictor
 from model.robot import Battery, Robot
 from model.terrain.heightmap import Heightmap
+from model.terrain.windows import Ground
 from planner.budget import Verdict, judge_along
 from planner.edges import energy_per_m_at
 from planner.lattice import Blocked, CostLattice
-from planner.lattice_build import DEFAULT_HEADINGS, build_lattice
+from planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
 from planner.plan import PLANNERS, RoutePlanner
 from planner.route import Route, price_route
+from planner.tiles import Tiling
 from service.calibrating import load_model
 
 DEFAULT_MODEL = "default"
-HEADING_LIMITS = (4, 360)
 _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _STRIP_ROWS = 256
 
@@ -50,28 +51,24 @@ def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Pred
     return load_model(models_dir / str(model))
 
 
-def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> GridFrame:
-    """The frame a cost lattice over `frame` would have, without building it.
+def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> Tiling:
+    """The tiles of the cost lattice over a heightmap's `frame`, without building it.
 
     Raises HeightmapError where the spacing does not fit the map, InputError on a bad number of headings, TooLargeError
     above `max_values` (rows * cols * headings).
     """
-    low, high = HEADING_LIMITS
-    if not low <= headings <= high:
-        raise InputError(f"headings must lie in {low}..{high}, got {headings}", headings=headings, limit=[low, high])
-    grid = frame.respaced(spacing_m)
-    values = grid.rows * grid.cols * headings
-    if max_values is not None and values > max_values:
+    tiling = Tiling.of(frame, spacing_m=spacing_m, headings=headings)
+    if max_values is not None and tiling.values > max_values:
         raise TooLargeError(
-            f"{grid.rows} x {grid.cols} cells at {headings} headings are {values:,} values, the limit is "
-            f"{max_values:,}: choose a larger spacing than {spacing_m:g} m, or fewer headings",
-            values=values, limit=max_values,
+            f"{tiling.frame.rows} x {tiling.frame.cols} cells at {headings} headings are {tiling.values:,} values, the "
+            f"limit is {max_values:,}: choose a larger spacing than {spacing_m:g} m, or fewer headings",
+            values=tiling.values, limit=max_values,
         )  # fmt: skip
-    return grid
+    return tiling
 
 
-def make_cost_lattice(
-    heightmap: Heightmap,
+def prepare_build(
+    ground: Ground,
     robot: Robot,
     *,
     model: str | Path = DEFAULT_MODEL,
@@ -79,40 +76,106 @@ def make_cost_lattice(
     headings: int = DEFAULT_HEADINGS,
     models_dir: Path | None = None,
     max_values: int | None = None,
+) -> tuple[Robot, Predictor, Tiling]:
+    """What a cost lattice is built of: the robot as the model knows it, the model of that name, the tiles.
+
+    Arguments and what is raised as `make_cost_lattice`.
+    """
+    tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
+    predictor = find_predictor(model, models_dir=models_dir)
+    if isinstance(predictor, CalibratedPredictor):
+        robot = predictor.robot_with_turning(robot)
+    return robot, predictor, tiling
+
+
+def make_cost_lattice(
+    ground: Ground,
+    robot: Robot,
+    *,
+    model: str | Path = DEFAULT_MODEL,
+    spacing_m: float = 1.0,
+    headings: int = DEFAULT_HEADINGS,
+    models_dir: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> CostLattice:
-    """The cost lattice of a heightmap for a robot, by the model of that name (see `find_predictor`).
+    """The cost lattice of a heightmap for a robot, by the model of that name (see `find_predictor`), in memory.
 
     spacing_m : side of a cell [m]; headings : number of bins; progress : called with 0..1. Raises ModelError,
     HeightmapError, InputError, TooLargeError.
     """
-    check_lattice(heightmap.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
-    predictor = find_predictor(model, models_dir=models_dir)
-    if isinstance(predictor, CalibratedPredictor):
-        robot = predictor.robot_with_turning(robot)
-    return build_lattice(heightmap, robot, predictor, spacing_m=spacing_m, headings=headings, progress=progress)
+    robot, predictor, _ = prepare_build(
+        ground, robot, model=model, spacing_m=spacing_m, headings=headings, models_dir=models_dir
+    )
+    return build_lattice(ground, robot, predictor, spacing_m=spacing_m, headings=headings, progress=progress)
 
 
-def summarise(lattice: CostLattice) -> dict[str, Any]:
-    """JSON-able figures of a lattice, strip by strip so that a big one is not copied.
+@dataclass(frozen=True)
+class Written:
+    """A cost lattice on disk. robot : as it was built for; figures : as `summarise`."""
+
+    frame: GridFrame
+    robot: Robot
+    provenance: dict[str, Any]
+    figures: dict[str, Any]
+
+
+def write_cost_lattice(
+    path: Path,
+    ground: Ground,
+    robot: Robot,
+    *,
+    model: str | Path = DEFAULT_MODEL,
+    spacing_m: float = 1.0,
+    headings: int = DEFAULT_HEADINGS,
+    progress: Callable[[float], None] | None = None,
+) -> Written:
+    """`make_cost_lattice` of any size into the folder `path`, tile by tile, never holding the whole."""
+    robot, predictor, tiling = prepare_build(ground, robot, model=model, spacing_m=spacing_m, headings=headings)
+    parts: list[dict[str, Any]] = []
+    provenance = write_lattice(
+        path, ground, robot, predictor, tiling, each=lambda part: parts.append(figures_of(part)), progress=progress
+    )
+    return Written(tiling.frame, robot, provenance, joined_figures(parts))
+
+
+def figures_of(lattice: CostLattice) -> dict[str, Any]:
+    """What `joined_figures` needs of a part of a lattice, JSON-able. min, max, total of the prices [J/m] of all (cell,
+    heading) pairs that may be driven, None where there is none; counts : pairs under each `Blocked` code."""
+    codes = lattice.blocked_by_heading()
+    prices = lattice.energy_per_m[codes == Blocked.FREE]
+    return {
+        "min": float(prices.min()) if prices.size else None,
+        "max": float(prices.max()) if prices.size else None,
+        "total": float(prices.sum(dtype=np.float64)),
+        "counts": np.bincount(codes.ravel(), minlength=len(Blocked)).tolist(),
+    }
+
+
+def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """JSON-able figures of a lattice out of those of its parts.
 
     energy_per_m : min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None where there is none;
     blocked : share of all pairs under each reason, `free` included.
     """
-    low, high, total, counts = np.inf, -np.inf, 0.0, np.zeros(len(Blocked), dtype=np.int64)
-    for row0 in range(0, lattice.frame.rows, _STRIP_ROWS):
-        strip = lattice.window(row0, min(row0 + _STRIP_ROWS, lattice.frame.rows))
-        codes = strip.blocked_by_heading()
-        counts += np.bincount(codes.ravel(), minlength=len(Blocked))
-        prices = strip.energy_per_m[codes == Blocked.FREE]
-        if prices.size:
-            low, high = min(low, float(prices.min())), max(high, float(prices.max()))
-            total += float(prices.sum(dtype=np.float64))
-    free = int(counts[Blocked.FREE])
+    counts = np.sum([part["counts"] for part in parts], axis=0)
+    driven = [part for part in parts if part["counts"][Blocked.FREE]]
+    energy = {
+        "min": min(part["min"] for part in driven),
+        "mean": sum(part["total"] for part in driven) / int(counts[Blocked.FREE]),
+        "max": max(part["max"] for part in driven),
+    } if driven else None  # fmt: skip
     return {
-        "energy_per_m": {"min": low, "mean": total / free, "max": high} if free else None,
+        "energy_per_m": energy,
         "blocked": {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked},
     }
+
+
+def summarise(lattice: CostLattice) -> dict[str, Any]:
+    """`joined_figures` of a lattice in memory, strip by strip so that a big one is not copied."""
+    rows = lattice.frame.rows
+    return joined_figures(
+        [figures_of(lattice.window(row, min(row + _STRIP_ROWS, rows))) for row in range(0, rows, _STRIP_ROWS)]
+    )
 
 
 @dataclass(frozen=True, eq=False)

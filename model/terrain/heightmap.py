@@ -22,12 +22,14 @@ class Heightmap:
     """Heights of the ground.
 
     heights : (rows, cols) float32 [m], row 0 north, NaN where unknown. frame : where the grid lies.
+    part : of a larger map; only then may nothing be known.
     Raises HeightmapError on a shape that does not fit, infinite heights, or no known cell.
     """
 
     heights: NDArray[np.float32]
     frame: GridFrame
     source: str = field(default="memory")
+    part: bool = False
 
     def __post_init__(self) -> None:
         heights = np.ascontiguousarray(self.heights, dtype=np.float32)
@@ -37,7 +39,7 @@ class Heightmap:
             raise HeightmapError(f"a heightmap needs at least 2 x 2 cells, got {heights.shape[0]} x {heights.shape[1]}")
         if np.isinf(heights).any():
             raise HeightmapError("heights must be finite or NaN (unknown), found an infinite one")
-        if np.isnan(heights).all():
+        if not self.part and np.isnan(heights).all():
             raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
         heights.setflags(write=False)
         object.__setattr__(self, "heights", heights)
@@ -57,6 +59,11 @@ class Heightmap:
         digest = hashlib.sha256(self.heights.tobytes())
         digest.update(repr(self.frame).encode())
         return digest.hexdigest()[:16]
+
+    def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
+        """The heights of cells [row0, row1) x [col0, col1), at least 2 x 2 of them."""
+        heights = self.heights[row0:row1, col0:col1]
+        return Heightmap(heights, self.frame.window(row0, row1, col0, col1), self.source, part=True)
 
     def sample(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         """Bilinear heights [m] at world points (any shape).

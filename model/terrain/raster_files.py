@@ -7,6 +7,7 @@ import struct
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -81,8 +82,37 @@ def decode_png(source: Path | bytes, head: bytes, scaling: Scaling, max_cells: i
             "count 0)"
         )
     with _opened(source, "PNG") as dataset:
-        heights = _read_band(dataset, 1, scaling)
+        heights = _read_band(dataset, 1, scaling, slice(0, dataset.height), slice(0, dataset.width))
     return Decoded(heights)
+
+
+@dataclass(frozen=True)
+class GeoTiffHeader:
+    """What a GeoTIFF says of one band without its heights. west_m, north_m, resolution_m : None where it has no
+    transform; flip : its first row is the southern one."""
+
+    band: int
+    shape: tuple[int, int]
+    west_m: float | None
+    north_m: float | None
+    resolution_m: float | None
+    crs: str | None
+    flip: bool
+
+
+def geotiff_header(source: Path | bytes, max_cells: int, *, band: int | None = None) -> GeoTiffHeader:
+    """band : 1-based; needed where there is more than one. Raises as `decode_geotiff`, but for what only its heights
+    tell."""
+    with _opened(source, "GTiff") as dataset:
+        return _header(dataset, max_cells, band)
+
+
+def geotiff_window(
+    source: Path, header: GeoTiffHeader, scaling: Scaling, rows: slice, cols: slice
+) -> NDArray[np.float32]:
+    """Heights [m] of a window (row 0 north) of one band, NaN unknown: what `decode_geotiff` has there."""
+    with _opened(source, "GTiff") as dataset:
+        return _read_north_up(dataset, header, scaling, rows, cols)
 
 
 def decode_geotiff(source: Path | bytes, scaling: Scaling, max_cells: int, *, band: int | None = None) -> Decoded:
@@ -92,38 +122,51 @@ def decode_geotiff(source: Path | bytes, scaling: Scaling, max_cells: int, *, ba
     degrees or feet, blocks that were never written, truncation; TooLargeError.
     """
     with _opened(source, "GTiff") as dataset:
-        check_cells(dataset.height, dataset.width, max_cells, what="the GeoTIFF")
-        band = _checked_band(dataset, band)
-        crs = crs_name(dataset.crs) if dataset.crs else None
-        transform = dataset.transform
-        if transform.is_identity:
-            resolution = west = north = None
-            flip = False
-        else:
-            if transform.b or transform.d:
-                raise HeightmapError(
-                    f"the GeoTIFF is rotated (transform terms {transform.b:g}, {transform.d:g}): "
-                    "make it north-up first, e.g. with `gdalwarp`",
-                    transform=list(transform)[:6],
-                )
-            if transform.a <= 0:
-                raise HeightmapError(f"the GeoTIFF is mirrored: its columns run west (pixel width {transform.a:g} m)")
-            resolution, height = transform.a, abs(transform.e)
-            if abs(resolution - height) > SQUARE_TOLERANCE * max(resolution, height):
-                raise HeightmapError(
-                    f"cells must be square, but the GeoTIFF's are {resolution:g} x {height:g} m: resample it, "
-                    f"e.g. `gdalwarp -tr {resolution:g} {resolution:g}`",
-                    width_m=resolution, height_m=height,
-                )  # fmt: skip
-            flip = transform.e > 0
-            west = transform.c
-            north = transform.f + (dataset.height * transform.e if flip else 0.0)
-        _check_blocks(dataset, band)
-        heights = _read_band(dataset, band, scaling)
+        header = _header(dataset, max_cells, band)
+        heights = _read_north_up(dataset, header, scaling, slice(0, dataset.height), slice(0, dataset.width))
     return Decoded(
-        np.ascontiguousarray(heights[::-1]) if flip else heights,
-        west_m=west, north_m=north, resolution_m=resolution, crs=crs,
-    )  # fmt: skip
+        heights, west_m=header.west_m, north_m=header.north_m, resolution_m=header.resolution_m, crs=header.crs
+    )
+
+
+def _header(dataset: DatasetReader, max_cells: int, band: int | None) -> GeoTiffHeader:
+    check_cells(dataset.height, dataset.width, max_cells, what="the GeoTIFF")
+    band = _checked_band(dataset, band)
+    crs = crs_name(dataset.crs) if dataset.crs else None
+    transform = dataset.transform
+    if transform.is_identity:
+        resolution = west = north = None
+        flip = False
+    else:
+        if transform.b or transform.d:
+            raise HeightmapError(
+                f"the GeoTIFF is rotated (transform terms {transform.b:g}, {transform.d:g}): "
+                "make it north-up first, e.g. with `gdalwarp`",
+                transform=list(transform)[:6],
+            )
+        if transform.a <= 0:
+            raise HeightmapError(f"the GeoTIFF is mirrored: its columns run west (pixel width {transform.a:g} m)")
+        resolution, height = transform.a, abs(transform.e)
+        if abs(resolution - height) > SQUARE_TOLERANCE * max(resolution, height):
+            raise HeightmapError(
+                f"cells must be square, but the GeoTIFF's are {resolution:g} x {height:g} m: resample it, "
+                f"e.g. `gdalwarp -tr {resolution:g} {resolution:g}`",
+                width_m=resolution, height_m=height,
+            )  # fmt: skip
+        flip = transform.e > 0
+        west = transform.c
+        north = transform.f + (dataset.height * transform.e if flip else 0.0)
+    _check_blocks(dataset, band)
+    return GeoTiffHeader(band, dataset.shape, west, north, resolution, crs, flip)
+
+
+def _read_north_up(
+    dataset: DatasetReader, header: GeoTiffHeader, scaling: Scaling, rows: slice, cols: slice
+) -> NDArray[np.float32]:
+    if header.flip:
+        rows = slice(dataset.height - rows.stop, dataset.height - rows.start)
+    heights = _read_band(dataset, header.band, scaling, rows, cols)
+    return np.ascontiguousarray(heights[::-1]) if header.flip else heights
 
 
 def crs_name(crs: CRS | str) -> str:
@@ -205,17 +248,17 @@ def _check_blocks(dataset: DatasetReader, band: int) -> None:
         )
 
 
-def _read_band(dataset: DatasetReader, band: int, scaling: Scaling) -> NDArray[np.float32]:
-    rows, cols = dataset.height, dataset.width
+def _read_band(dataset: DatasetReader, band: int, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
     masked = MaskFlags.all_valid not in dataset.mask_flag_enums[band - 1]
-    heights = np.empty((rows, cols), dtype=np.float32)
+    wide = cols.stop - cols.start
+    heights = np.empty((rows.stop - rows.start, wide), dtype=np.float32)
     block_rows = dataset.block_shapes[band - 1][0]
-    step = max(1, _STRIPE_CELLS // (cols * block_rows)) * block_rows
-    for row in range(0, rows, step):
-        window = Window(0, row, cols, min(step, rows - row))
+    step = max(1, _STRIPE_CELLS // (wide * block_rows)) * block_rows
+    for row in range(rows.start, rows.stop, step):
+        window = Window(cols.start, row, wide, min(step, rows.stop - row))
         values = dataset.read(band, window=window)
         known = dataset.read_masks(band, window=window) != 0 if masked else None
-        heights[row : row + step] = scaling.to_metres(
+        heights[row - rows.start : row - rows.start + step] = scaling.to_metres(
             values, band_scale=dataset.scales[band - 1], band_offset=dataset.offsets[band - 1], known=known
         )
     return heights

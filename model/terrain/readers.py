@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import io
 import math
+import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import BinaryIO
+
+import numpy as np
 
 from model.errors import HeightmapError
 from model.frames import GridFrame
 from model.terrain.array_files import decode_ascii, decode_npy, decode_npz
 from model.terrain.decoded import Decoded, Scaling
 from model.terrain.heightmap import Heightmap
-from model.terrain.raster_files import SQUARE_TOLERANCE, crs_name, decode_geotiff, decode_png
+from model.terrain.raster_files import SQUARE_TOLERANCE, crs_name, decode_geotiff, decode_png, geotiff_header
+from model.terrain.windows import Ground, HeightmapFile
 
 FORMATS = "GeoTIFF, ESRI ASCII grid, NumPy .npy or .npz, greyscale PNG"
 MAX_CELLS = 400_000_000
@@ -65,10 +69,6 @@ def read_heightmap(
     cannot be read, is no heightmap, is not in metres on a north-up square grid or holds no known cell; TooLargeError,
     before anything is allocated, when it declares more than `max_cells` cells.
     """
-    if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0):
-        raise HeightmapError(
-            f"resolution_m must be a positive number of metres, got {resolution_m}", resolution_m=str(resolution_m)
-        )
     scaling = Scaling(scale_m, offset_m, nodata)
     if isinstance(source, bytes):
         name, length = filename or "bytes", len(source)
@@ -100,6 +100,40 @@ def read_heightmap(
     return Heightmap(decoded.heights, _frame(decoded, resolution_m, west_m, north_m, crs), source=name)
 
 
+def open_ground(
+    path: str | Path,
+    *,
+    filename: str | None = None,
+    resolution_m: float | None = None,
+    west_m: float = 0.0,
+    north_m: float | None = None,
+    crs: str | None = None,
+    scale_m: float | None = None,
+    offset_m: float = 0.0,
+    nodata: float | None = None,
+    band: int | None = None,
+) -> Ground:
+    """The heightmap in a file, of any size where it is a GeoTIFF: that is read by windows, any other format whole.
+
+    Settings and refusals as `read_heightmap`; what only the heights tell is found when they are read.
+    """
+    place = Path(path).resolve()
+    head = b""
+    if place.is_file():
+        with place.open("rb") as stream:
+            head = stream.read(512)
+    if not head.startswith(dict(_MAGIC)["geotiff"]):
+        return read_heightmap(
+            path, filename=filename, resolution_m=resolution_m, west_m=west_m, north_m=north_m, crs=crs,
+            scale_m=scale_m, offset_m=offset_m, nodata=nodata, band=band,
+        )  # fmt: skip
+    header = geotiff_header(place, sys.maxsize, band=band)
+    unread = np.broadcast_to(np.float32(np.nan), header.shape)
+    said = Decoded(unread, header.west_m, header.north_m, header.resolution_m, header.crs)
+    frame = _frame(said, resolution_m, west_m, north_m, crs)
+    return HeightmapFile(place, header, Scaling(scale_m, offset_m, nodata), frame, filename or place.name)
+
+
 def _format_of(head: bytes, name: str) -> str:
     if not head:
         raise HeightmapError(f"{name} is empty", name=name)
@@ -119,6 +153,10 @@ def _frame(
     decoded: Decoded, resolution_m: float | None, west_m: float, north_m: float | None, crs: str | None
 ) -> GridFrame:
     """The file's own position where it has one, the caller's where it has none; what contradicts is refused."""
+    if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0):
+        raise HeightmapError(
+            f"resolution_m must be a positive number of metres, got {resolution_m}", resolution_m=str(resolution_m)
+        )
     rows, cols = decoded.heights.shape
     own = decoded.resolution_m
     if own is None and resolution_m is None:

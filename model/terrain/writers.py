@@ -50,6 +50,8 @@ def write_bands_geotiff(
         "predictor": 3,
         "interleave": "band",
         "bigtiff": "if_safer",
+        # squares, so that a window of a big map is read without the rest of its rows
+        **({"tiled": True, "blockxsize": 256, "blockysize": 256} if min(frame.shape) > 512 else {}),
     }
 
     def fill(dataset: rasterio.io.DatasetWriter) -> None:

@@ -60,33 +60,24 @@ def costmap(
     `joulemap costmap heights.png --resolution 0.5 --scale 0.01 --model physics --out heights.zarr`
     """
     from model.robot import Robot
-    from model.terrain.readers import read_heightmap
-    from planner.lattice_io import export_geotiff, export_npz, save_lattice
-    from service.workflows import make_cost_lattice, summarise
+    from model.terrain.readers import open_ground
+    from service.workflows import write_cost_lattice
 
     answer = Answer(json_file)
-    ground = read_heightmap(
+    ground = open_ground(
         heightmap, resolution_m=resolution, west_m=west, north_m=north, crs=crs,
         scale_m=scale, offset_m=offset, nodata=nodata, band=band,
     )  # fmt: skip
     rover = Robot.from_toml(robot) if robot is not None else Robot()
     with progress_bar("Cost map") as report:
-        lattice = make_cost_lattice(ground, rover, model=model, spacing_m=spacing, headings=headings, progress=report)
-    save_lattice(lattice, out)
-    if geotiff is not None:
-        write_file(geotiff, export_geotiff(lattice))
-    if npz is not None:
-        write_file(npz, export_npz(lattice))
-    if picture is not None:
-        from service.pictures import lattice_image
-
-        write_file(picture, lattice_image(lattice))
-    figures = summarise(lattice)
-    warnings = lattice.provenance["warnings"]
-    price, blocked = figures["energy_per_m"], figures["blocked"]
+        made = write_cost_lattice(
+            out, ground, rover, model=model, spacing_m=spacing, headings=headings, progress=report
+        )
+    _also_as(out, geotiff, npz, picture)
+    frame, warnings = made.frame, made.provenance["warnings"]
+    price, blocked = made.figures["energy_per_m"], made.figures["blocked"]
     words = ", ".join(f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0)
-    frame = lattice.frame
-    answer.say(f"[bold]Cost map[/] of {ground.source} for {rover.name}, model {lattice.provenance['model']['name']}")
+    answer.say(f"[bold]Cost map[/] of {ground.source} for {rover.name}, model {made.provenance['model']['name']}")
     answer.table(
         {
             "cells": f"{frame.rows} rows x {frame.cols} columns of {frame.resolution_m:g} m, {headings} headings",
@@ -98,20 +89,33 @@ def costmap(
     answer.warn(warnings)
     answer.document(
         {
-            "heightmap": {**lattice.provenance["heightmap"], "rows": ground.frame.rows, "cols": ground.frame.cols},
+            "heightmap": {**made.provenance["heightmap"], "rows": ground.frame.rows, "cols": ground.frame.cols},
             "rows": frame.rows,
             "cols": frame.cols,
             "spacing_m": frame.resolution_m,
-            "headings": lattice.headings,
+            "headings": headings,
             "bounds": list(frame.bounds),
             "crs": frame.crs,
             "robot": rover.as_dict(),
-            "provenance": lattice.provenance,
+            "provenance": made.provenance,
             "warnings": warnings,
             "out": str(out),
-            **figures,
+            **made.figures,
         }
     )
+
+
+def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path | None) -> None:
+    """Other files of a cost map; it is only read, as a whole, when one is wanted."""
+    if geotiff is None and npz is None and picture is None:
+        return
+    from planner.lattice_io import export_geotiff, export_npz, load_lattice
+    from service.pictures import lattice_image
+
+    lattice = load_lattice(folder)
+    for place, make in ((geotiff, export_geotiff), (npz, export_npz), (picture, lattice_image)):
+        if place is not None:
+            write_file(place, make(lattice))
 
 
 def path(

@@ -99,7 +99,6 @@ def get_costmap(costmap_id: str, service: ServiceDep) -> CostmapOut:
 def delete_costmap(costmap_id: str, service: ServiceDep) -> None:
     """Delete a cost map; one that is being made is stopped."""
     service.store.delete_costmap(costmap_id)
-    service.jobs.forget(costmap_id)
     service.maps.forget(costmap_id)
 
 
@@ -141,5 +140,5 @@ def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) 
             "headings": wanted.headings,
         },
     )
-    service.jobs.submit(row.id)
+    service.jobs.submit()
     return row

@@ -8,16 +8,20 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 from fastapi.testclient import TestClient
+from sqlalchemy import delete
 
 from model.errors import BusyError, ConflictError
 from service.app import create_app
-from service.jobs import CostmapJobs, JobStopped
-from service.store import Store
+from service.building import Builder
+from service.jobs import SERVICE, CostmapJobs, Worker
+from service.steps import LEASE_S, Step, Steps
+from service.store import LAY_OUT, StepRow, Store
 from tests.service.conftest import GOAL, START, hill, settings_for
 
 
@@ -49,18 +53,15 @@ SERVE = """
 import sys, time
 import uvicorn
 from pathlib import Path
-from planner import lattice_build
 from service.app import create_app
 from service.settings import Settings
-if sys.argv[2] == "slow":  # every strip of the lattice takes a while, so that the kill comes in the middle
-    import service.workflows as workflows
-    build = workflows.build_lattice
-    def slow(*args, progress, **kwargs):
-        def report(share):
-            progress(share)
-            time.sleep(60)
-        return build(*args, strip_rows=4, progress=report, **kwargs)
-    workflows.build_lattice = slow
+if sys.argv[2] == "slow":  # every tile takes a while, so that the kill comes in the middle
+    import service.building as building
+    build = building.build_tile
+    def slow(*args):
+        time.sleep(60)
+        return build(*args)
+    building.build_tile = slow
 settings = Settings(data_dir=Path(sys.argv[1]), warm_models=("physics",))
 uvicorn.run(create_app(settings), host="127.0.0.1", port=int(sys.argv[3]), log_level="warning")
 """
@@ -86,7 +87,7 @@ def test_a_killed_job_is_taken_up_again(tmp_path: Path, hill_tif: bytes) -> None
             asked = {"heightmap_id": heightmap["id"], "model": "physics"}
             first = http.post("/v1/costmaps", json=asked).json()
             second = http.post("/v1/costmaps", json=asked).json()
-            wait_until(lambda: http.get(f"/v1/costmaps/{first['id']}").json()["progress"] > 0)
+            wait_until(lambda: http.get(f"/v1/costmaps/{first['id']}").json()["status"] == "running")
             assert http.get(f"/v1/costmaps/{second['id']}").json()["status"] == "queued"
             refused = http.post(f"/v1/costmaps/{first['id']}/paths", json={"start": START, "goal": GOAL})
             assert (refused.status_code, refused.json()["code"]) == (409, "conflict")
@@ -116,8 +117,35 @@ def wait_until(condition, timeout_s: float = 60.0) -> None:  # type: ignore[no-u
         time.sleep(0.05)
 
 
+class Small(Builder):
+    """Steps without kernels: a job of four tiles that notes what was done. fail_at, hold : at this step."""
+
+    def __init__(self, *, fail_at: int = -1, hold: threading.Event | None = None) -> None:
+        self.did: list[tuple[str, int]] = []
+        self.gone: list[str] = []
+        self.fail_at, self.hold, self.began = fail_at, hold, threading.Event()
+
+    def do(self, step: Step, steps: Steps) -> None:
+        self.began.set()
+        if self.hold is not None:
+            assert self.hold.wait(10)
+        if step.number == self.fail_at:
+            raise ZeroDivisionError("a detail for the log only")
+        self.did.append((step.costmap_id, step.number))
+        if step.last:
+            self.results = steps.results(step.costmap_id)
+            self.store.finish_costmap(step.costmap_id, {})
+        elif not steps.complete(step, step.number, tiles=4 if step.number == LAY_OUT else 0):
+            self.discard(step.costmap_id)
+
+    def rest(self) -> None: ...
+
+    def discard(self, costmap_id: str) -> None:
+        self.gone.append(costmap_id)
+
+
 @pytest.fixture
-def store(tmp_path: Path):  # type: ignore[no-untyped-def]
+def store(tmp_path: Path) -> Iterator[Store]:
     store = Store(tmp_path, f"sqlite:///{tmp_path / 'test.db'}")
     store.open()
     yield store
@@ -129,60 +157,100 @@ def entered(store: Store) -> str:
     return store.add_costmap(heightmap.id, {}).id
 
 
-def test_a_failed_job_keeps_its_problem_and_a_stop_keeps_the_job(store: Store) -> None:
-    def build(_costmap_id: str, _progress: object) -> None:
-        raise ZeroDivisionError("a detail for the log only")
+def worker_of(store: Store, builder: Small, name: str = SERVICE) -> Worker:
+    builder.store = store
+    return Worker(store, builder, name=name, ready=lambda: None)
 
-    jobs = CostmapJobs(store, build, queue_size=1)
-    failed = entered(store)
-    jobs.submit(failed)
-    wait_until(lambda: store.costmap(failed).status == "failed")
+
+def test_a_job_is_done_step_by_step_and_a_failed_one_keeps_its_problem(store: Store) -> None:
+    good = entered(store)
+    builder = Small()
+    worker = worker_of(store, builder)
+    worker.start()
+    wait_until(lambda: store.status(good) == "done")
+    assert builder.did == [(good, n) for n in range(6)]
+    assert builder.results == [0, 1, 2, 3, 4]
+    builder.fail_at = 3
+    failed, next_one = entered(store), entered(store)
+    worker.wake()
+    wait_until(lambda: store.status(failed) == "failed")
     problem = store.costmap(failed).problem
     assert problem is not None
     assert (problem["status"], problem["request_id"]) == (500, failed)
     assert "log only" not in str(problem)
+    assert builder.gone == [failed]
+    wait_until(lambda: store.status(next_one) == "failed")  # the others are still looked after
+    worker.stop()
 
-    running, go_on = threading.Event(), threading.Event()
 
-    def long_build(_costmap_id: str, progress) -> None:  # type: ignore[no-untyped-def]
-        running.set()
-        go_on.wait(10)
-        progress(0.5)
-        pytest.fail("a stopped job went on")
-
-    jobs = CostmapJobs(store, long_build, queue_size=1)
+def test_a_stop_keeps_the_job_for_the_next_start(store: Store) -> None:
     cut = entered(store)
-    jobs.submit(cut)
-    assert running.wait(10)
+    go_on = threading.Event()
+    held = Small(hold=go_on)
+    jobs = CostmapJobs(store, worker_of(store, held), queue_size=1)
+    jobs.resume()
+    assert held.began.wait(10)
     with pytest.raises(BusyError):
         jobs.check_room()
     threading.Timer(0.1, go_on.set).start()
     jobs.stop()
     assert store.unfinished() == [cut]
+    assert held.did == [(cut, LAY_OUT)]
+    after = Small()
+    again = CostmapJobs(store, worker_of(store, after), queue_size=1)
+    again.resume()
+    wait_until(lambda: store.status(cut) == "done")
+    again.stop()
+    assert after.did == [(cut, n) for n in range(1, 6)]  # from where it was
 
 
 def test_deleting_stops_the_job(store: Store) -> None:
-    seen: list[BaseException] = []
-    running, go_on = threading.Event(), threading.Event()
-
-    def build(_costmap_id: str, progress) -> None:  # type: ignore[no-untyped-def]
-        running.set()
-        go_on.wait(10)
-        try:
-            progress(0.5)
-        except JobStopped as stopped:
-            seen.append(stopped)
-            raise
-
-    jobs = CostmapJobs(store, build, queue_size=2)
     first, second = entered(store), entered(store)
-    jobs.submit(first)
-    jobs.submit(second)
-    assert running.wait(10)
+    go_on = threading.Event()
+    builder = Small(hold=go_on)
+    worker = worker_of(store, builder)
+    worker.start()
+    assert builder.began.wait(10)
     for costmap_id in (second, first):
         store.delete_costmap(costmap_id)
-        jobs.forget(costmap_id)
     go_on.set()
-    jobs.stop()
-    assert len(seen) == 1
+    worker.stop()
+    assert builder.did == [(first, LAY_OUT)]
+    assert builder.gone == [first]
     assert store.costmaps(limit=10, offset=0) == ([], 0)
+
+
+def test_a_step_is_taken_once_and_goes_on_when_its_worker_is_dead(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    costmap_id = entered(store)
+    one, other = Steps(store.sessions, "one"), Steps(store.sessions, "other")
+    step = one.take()
+    assert step == (costmap_id, LAY_OUT, False)
+    assert other.take() is None
+    assert one.renew(step)
+    assert one.complete(step, {"how": "so"}, tiles=2)
+    taken = [one.take(), other.take()]
+    assert [s.number for s in taken if s is not None] == [1, 2]
+    assert one.take() is None  # the last waits for both
+    assert one.complete(taken[0], 11)
+    assert store.costmap(costmap_id).progress == pytest.approx(1 / 3)
+    assert one.take() is None
+    now = time.time()
+    monkeypatch.setattr("service.steps.time.time", lambda: now + LEASE_S + 1.0)
+    assert one.take() == taken[1]  # nothing was heard of the other
+    assert not other.renew(taken[1])
+    assert one.complete(taken[1], 12)
+    assert other.complete(taken[1], 13)  # too late, and no harm
+    assert one.take() == (costmap_id, 3, True)
+    assert one.results(costmap_id) == [{"how": "so"}, 11, 12]
+
+
+def test_a_job_of_an_older_version_is_begun_again(store: Store) -> None:
+    costmap_id = entered(store)
+    steps = Steps(store.sessions, "one")
+    with store.sessions.begin() as session:
+        session.execute(delete(StepRow))
+    assert steps.take() is None
+    steps.add_missing()
+    assert steps.take() == (costmap_id, LAY_OUT, False)

@@ -35,21 +35,13 @@ def rolling(x, y):
 def test_an_entry_is_the_predictors_answer_for_that_segment(spacing_m):
     heightmap = surface(rolling)
     source = PhysicsPredictor()
-    lattice = build_lattice(heightmap, ROBOT, source, spacing_m=spacing_m, headings=8, strip_rows=3)
+    lattice = build_lattice(heightmap, ROBOT, source, spacing_m=spacing_m, headings=8, tile_cells=3)
     x, y = (a.ravel() for a in np.meshgrid(*lattice.frame.centres()))
     free = lattice.blocked.ravel() == Blocked.FREE
     for k, heading in enumerate(heading_bins(8)):
         segment = source.segment_traction(heightmap, ROBOT, x[free], y[free], np.full(free.sum(), heading))
         np.testing.assert_allclose(lattice.traction_per_m[..., k].ravel()[free], segment, rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(lattice.energy_per_m, ROBOT.price_per_m(lattice.traction_per_m), rtol=1e-6)
-
-
-def test_strips_do_not_show():
-    heightmap = surface(rolling)
-    whole = build_lattice(heightmap, ROBOT, PhysicsPredictor(), strip_rows=1000)
-    strips = build_lattice(heightmap, ROBOT, PhysicsPredictor(), strip_rows=7)
-    for name in ("traction_per_m", "elevation_m", "gradient", "blocked"):
-        np.testing.assert_array_equal(getattr(whole, name), getattr(strips, name))
 
 
 def test_gradient_of_a_plane_is_exact_and_limits_depend_on_heading():

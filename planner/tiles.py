@@ -1,0 +1,91 @@
+"""How a cost lattice is cut into tiles, and what of the heightmap each of them needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from model.errors import InputError
+from model.frames import GridFrame
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from model.terrain.windows import Ground
+
+TILE_CELLS = 256
+"""Side of a tile [cells] unless its heights would be too many; a lattice on disk has one chunk per tile."""
+
+HEADING_LIMITS = (4, 360)
+_TILE_HEIGHTS = 64_000_000
+_LEAST_CELLS = 16
+_LOOKS_M = 2.0  # a model looks at the square of at most 2 m around a place, turned by any heading
+_LOOKS_PIXELS = 4  # and interpolates
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """The cells of a lattice in square tiles, row by row from the north-west.
+
+    frame : of the whole lattice; headings : number of bins; side : cells along a tile (fewer at the south and east).
+    """
+
+    frame: GridFrame
+    headings: int
+    side: int
+
+    @classmethod
+    def of(cls, ground: GridFrame, *, spacing_m: float, headings: int, side: int | None = None) -> Tiling:
+        """The tiles of a lattice of `spacing_m` cells over a heightmap's frame; the same on every machine.
+
+        Raises InputError on a bad number of headings, HeightmapError where the spacing does not fit the map.
+        """
+        low, high = HEADING_LIMITS
+        if not low <= headings <= high:
+            raise InputError(
+                f"headings must lie in {low}..{high}, got {headings}", headings=headings, limit=[low, high]
+            )
+        frame = ground.respaced(spacing_m)
+        if side is None:
+            side, pixels = TILE_CELLS, spacing_m / ground.resolution_m
+            while (side * pixels) ** 2 > _TILE_HEIGHTS and side > _LEAST_CELLS:
+                side //= 2
+        return cls(frame, headings, side)
+
+    def __len__(self) -> int:
+        return -(-self.frame.rows // self.side) * -(-self.frame.cols // self.side)
+
+    def __iter__(self) -> Iterator[tuple[slice, slice]]:
+        return (self[number] for number in range(len(self)))
+
+    @property
+    def values(self) -> int:
+        """rows * cols * headings."""
+        return self.frame.rows * self.frame.cols * self.headings
+
+    def __getitem__(self, number: int) -> tuple[slice, slice]:
+        """(rows, cols) of a tile."""
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        down, right = divmod(number, -(-self.frame.cols // self.side))
+        return (
+            slice(down * self.side, min((down + 1) * self.side, self.frame.rows)),
+            slice(right * self.side, min((right + 1) * self.side, self.frame.cols)),
+        )
+
+
+def ground_of(ground: Ground, cells: GridFrame, robot: Robot) -> Heightmap:
+    """The heights that the lattice's `cells` depend on: theirs, and an overlap as wide as any model looks.
+
+    A model looks at the square around a place and at what lies under the robot there; limits look as far as a wheel
+    rolls beyond the square.
+    """
+    reach = _LOOKS_M + robot.length_m + robot.width_m + 6.0 * robot.wheel_radius_m
+    more = reach / ground.frame.resolution_m + _LOOKS_PIXELS
+    west, south, east, north = cells.bounds
+    (row0, row1), (col0, col1) = ground.frame.rowcol([west, east], [north, south])
+    rows = _inside(row0 - more, row1 + more, ground.frame.rows)
+    return ground.window(*rows, *_inside(col0 - more, col1 + more, ground.frame.cols))
+
+
+def _inside(low: float, high: float, size: int) -> tuple[int, int]:
+    return max(math.floor(low), 0), min(math.ceil(high) + 1, size)
