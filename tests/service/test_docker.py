@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from service.settings import Settings
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCKERFILE = REPOSITORY / "docker" / "Dockerfile"
 
@@ -104,6 +106,15 @@ def test_the_base_fits_the_package(image: Image) -> None:
     assert tuple(map(int, version.groups())) >= tuple(map(int, needed.groups()))
 
 
+def test_the_cluster_sets_what_there_is() -> None:
+    compose = (REPOSITORY / "docker" / "compose.cluster.yaml").read_text()
+    known = {f"JOULEMAP_{name.upper()}" for name in Settings.model_fields} | {"JOULEMAP_BIND"}
+    assert set(re.findall(r"JOULEMAP_[A-Z_]+", compose)) <= known
+    assert '["joulemap", "worker"]' in compose
+    assert "EXTRAS" in compose
+    assert "cluster = [" in (REPOSITORY / "pyproject.toml").read_text()
+
+
 def test_compose_starts_this_image(image: Image) -> None:
     compose = (REPOSITORY / "docker" / "compose.yaml").read_text()
     assert "dockerfile: docker/Dockerfile" in compose
@@ -142,7 +153,7 @@ def test_the_steps_build_a_working_service(image: Image, tmp_path: Path) -> None
             continue  # the system's part; what it makes, folders and a user, is made above
         subprocess.run(["bash", "-c", command], cwd=places[folder], env=environment, check=True, timeout=1200)
         ran.append(command)
-    assert ran == ["python -m pip install .", "joulemap warmup"]
+    assert ran == ['python -m pip install ".${EXTRAS}"', "joulemap warmup"]
     assert any((root / "cache").rglob("*.nbc")), "the kernels are not where the service looks for them"
     shutil.rmtree(root / "app")  # what runs is what was installed
     start_and_check(image, root / "venv" / "bin", root / "data", environment)

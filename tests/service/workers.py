@@ -1,0 +1,126 @@
+"""Worker processes and a PostgreSQL of one's own, for tests of jobs that several processes do."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import zarr
+
+from model.frames import GridFrame
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from service.store import Store
+
+ROOT = Path(__file__).resolve().parents[2]
+
+WORK = """
+import sys, time
+from pathlib import Path
+import planner.tiles
+planner.tiles.TILE_CELLS = 32  # many tiles on a small map
+import service.building as building
+from service.jobs import Worker
+from service.store import Store
+from service.state import make_builder
+from service.settings import Settings
+build, pause = building.build_tile, float(sys.argv[3])
+def slowly(*args):
+    time.sleep(pause)
+    return build(*args)
+building.build_tile = slowly
+settings = Settings(data_dir=Path(sys.argv[1]), database_url=sys.argv[2])
+store = Store(settings.data_dir, settings.resolved_database_url)
+store.open(as_service=False)
+worker = Worker(store, make_builder(store, settings), name=sys.argv[4], ready=lambda: None)
+print("ready", flush=True)
+worker.work()
+"""
+
+
+def rolling(metres: int = 190) -> Heightmap:
+    """Half-metre cells, a lake of unknown heights in it."""
+    y, x = np.mgrid[0 : 2 * metres, 0 : 2 * metres + 30] * 0.5
+    heights = 0.8 * np.sin(0.1 * x) + 0.6 * np.cos(0.07 * y + 0.1 * x)
+    heights[40:90, 200:260] = np.nan
+    return Heightmap(heights.astype(np.float32), GridFrame(500_000.0, 4_000_190.0, 0.5, *heights.shape, "EPSG:32630"))
+
+
+def asked(store: Store, heightmap_id: str) -> str:
+    """A cost map of physics that waits."""
+    request = {"robot": Robot().as_dict(), "model": "physics", "spacing_m": 1.0, "headings": 8}
+    return store.add_costmap(heightmap_id, request).id
+
+
+@contextmanager
+def worker(folder: Path, url: str, *, name: str, pause_s: float = 0.0) -> Iterator[subprocess.Popen[str]]:
+    """A process that makes cost maps, killed in the end. pause_s : before every tile."""
+    command = [sys.executable, "-c", WORK, str(folder), url, str(pause_s), name]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        yield process
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+
+
+def until(condition, timeout_s: float = 240.0) -> None:  # type: ignore[no-untyped-def]
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
+
+
+def fingerprint(folder: Path) -> str:
+    """SHA-256 over every array of a lattice, bit by bit."""
+    digest = hashlib.sha256()
+    group = zarr.open_group(folder, mode="r")
+    for name, array in sorted(group.arrays()):
+        digest.update(name.encode() + np.ascontiguousarray(array[:]).tobytes())
+    return digest.hexdigest()
+
+
+def postgres_programs() -> Path | None:
+    """The folder of Debian's PostgreSQL programs, None where it is not installed."""
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+    return found[-1].parent if found and shutil.which("runuser") else None
+
+
+@contextmanager
+def postgres(port: int) -> Iterator[str]:
+    """The URL of a fresh PostgreSQL that listens on this machine alone."""
+    programs = postgres_programs()
+    assert programs is not None
+    home = Path(tempfile.mkdtemp(prefix="joulemap-postgres-"))
+    as_postgres = []
+    if os.geteuid() == 0:  # which PostgreSQL refuses to run as
+        shutil.chown(home, "postgres", "postgres")
+        as_postgres = ["runuser", "-u", "postgres", "--"]
+
+    def call(program: str, *arguments: str) -> None:
+        command = [*as_postgres, str(programs / program), "-D", str(home / "data"), *arguments]
+        subprocess.run(command, check=True, capture_output=True, cwd="/")
+
+    try:
+        call("initdb", "-A", "trust", "-U", "postgres")
+        options = f"-p {port} -k {home} -c listen_addresses=127.0.0.1"
+        call("pg_ctl", "-w", "-l", str(home / "log"), "-o", options, "start")
+        try:
+            yield f"postgresql+psycopg://postgres@127.0.0.1:{port}/postgres"
+        finally:
+            call("pg_ctl", "-w", "-m", "immediate", "stop")
+    finally:
+        shutil.rmtree(home, ignore_errors=True)
