@@ -70,7 +70,7 @@ class CompactPredictor(Learned):
             series = self._series(slopes_of(heights), code)
             answer_tile(
                 heights, series, headings.basis, headings.stencil, headings.own, headings.sign, headings.per_width,
-                weights, known, price, traction[rows, cols], std[rows, cols],
+                weights, known, price, (rows.start, cols.start, step), traction, std,
             )  # fmt: skip
 
         if dense:
