@@ -89,6 +89,12 @@ def test_the_papers_network_repeats_itself_too():
     assert same_weights(one, other)
 
 
+def test_a_last_patch_alone_is_no_batch():
+    _, _, examples = driven(6, architecture="resnet18")  # 32 x 32 patches end as one value per channel
+    options = TrainingOptions(epochs=1, batch=2, learning_rate=1e-4)
+    train_network(examples, architecture="resnet18", held_out_runs=[6], options=options)
+
+
 def test_whole_runs_are_held_out():
     _, _, examples = driven(80)
     result = train_network(examples, held_out_runs=[2, 5], options=TrainingOptions(epochs=1))
