@@ -62,8 +62,8 @@ defined everywhere):
 The resistance fitted to a run serves its sum, but not its segments: least squares follow the dear ones, and on slopes
 braking and drivetrain losses bend the line. The network's intervals held {covered} of the same segments (their widths
 were found on them: factor {spread.factor:.2f}, quantiles {_quantiles(spread)}). A whole run is off by a factor of its
-own of {100 * spread.run_share:.0f} % (standard deviation): what nobody told the network of robot and ground. Neighbouring
-errors go together over {spread.correlation_m:.1f} m.
+own of {100 * spread.run_share:.0f} % (standard deviation): what nobody told the network of robot and ground.
+Neighbouring errors go together over {spread.correlation_m:.1f} m.
 
 ## Learned ranges
 Outside of them the answer comes with a warning; the robot's values are clamped to the range inside the network.
