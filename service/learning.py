@@ -24,7 +24,7 @@ from model.energy.uncertainty import FEWEST, Spread, fit_spread
 from model.errors import InputError, RunsError
 from model.loop.prediction import Prediction, predict_segments
 from model.loop.runs import Run, read_run
-from model.loop.segments import Segments, concatenate, cut_segments
+from model.loop.segments import CARRIED, Segments, concatenate, cut_segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.calibrating import keep_base_runs
@@ -71,7 +71,7 @@ def read_segments(
     parts = []
     for run in runs:
         counted = charge or run.voltage_v is None
-        cut = cut_segments(run, charge=counted)
+        cut = cut_segments(run, charge=counted, max_speed_mps=CARRIED * robot.speed_mps)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
     return runs, concatenate(parts)
 

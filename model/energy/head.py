@@ -39,9 +39,7 @@ class Headings:
 
 
 @njit(cache=True, nogil=True)
-def answer_tile(
-    heights, series, basis, stencil, own, sign, per_width, weights, known, price, traction, std
-):
+def answer_tile(heights, series, basis, stencil, own, sign, per_width, weights, known, price, traction, std):
     """Fill a tile: traction [J/m] (holding the grade before) and the standard deviation of a segment's energy [J].
 
     heights : (8 rows + 9, 8 cols + 9) [m], the working pixels around the cells. series : (rows, cols, units * C).

@@ -163,3 +163,15 @@ def test_segments_cannot_be_changed():
 def test_a_length_must_be_positive():
     with pytest.raises(InputError, match="positive"):
         cut_segments(line(), length_m=0.0)
+
+
+def test_a_robot_that_is_carried_does_not_drive():
+    t = np.arange(0.0, 60.0, 0.1)
+    speed = np.where(t < 30.0, 0.5, 4.0)  # driven for half a minute, then carried at a run
+    x = np.concatenate([[0.0], np.cumsum(speed[:-1] * 0.1)])
+    run = Run("carried", t, x, np.zeros_like(x), np.where(t < 30.0, 3.0, 0.5), np.full_like(t, 24.0))
+    driven = cut_segments(run, max_speed_mps=1.5)
+    assert driven.left_out["fast"] == pytest.approx(119, abs=1)
+    assert len(driven) == pytest.approx(15, abs=1)
+    # without a limit the pace of the carrying passes for the robot's, and its own for standing
+    assert (cut_segments(run).duration_s < 0.5).all()
