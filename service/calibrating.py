@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from model.loop.suggest import Suggestion, suggest_drive
 from numpy.typing import NDArray
 
 from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
@@ -29,7 +28,8 @@ from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import Residuals, residuals_of
 from model.loop.runs import read_run
-from model.loop.segments import CARRIED, Segments, concatenate, cut_segments
+from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
+from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -53,8 +53,8 @@ def read_calibration_runs(
             f"{len(without)} of {len(runs)} runs have no voltage (the first is {without[0]}): calibrate them apart",
             run=without[0],
         )
-    segments = concatenate(
-        [cut_segments(run, charge=bool(without), max_speed_mps=CARRIED * robot.speed_mps) for run in runs]
+    segments = driven_only(
+        concatenate([cut_segments(run, charge=bool(without), max_speed_mps=CARRIED * robot.speed_mps) for run in runs])
     )
     return segments, {run.name: run.repairs for run in runs if run.repairs}
 

@@ -6,7 +6,8 @@ another without overlap. What is left out is counted in `Segments.left_out`:
 
 gaps, stops : divisions of a run for that reason. bent : segments driven much longer than their straight length.
 slow : segments that took much longer than the run's usual pace. remainders : ends of pieces shorter than a segment.
-not_positive : segments whose measured energy is not above zero. fast : segments faster than the robot can drive.
+not_positive : segments whose measured energy is not above zero. fast : segments faster than the robot can drive. undriven : segments of runs
+that draw next to nothing.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _SMOOTHING_S = 0.3  # or one interval
 _TRACK_HEADING_S = 0.5  # directions need more smoothing than places
 _COMPASS_AGREES_RAD = 0.25
 _STAND_S = 1.0
+UNDRIVEN = 0.15
 CARRIED = 3.0
 """Faster than so many times its declared speed a robot was carried, or its positions wandered: such segments are left
 out where a robot is known."""
@@ -203,6 +205,21 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
         stands=tuple((r + int(o), t, e) for p, o in zip(parts, offsets, strict=False) for r, t, e in p.stands),
         left_out=left_out,
     )
+
+
+def driven_only(segments: Segments) -> Segments:
+    """Without the runs that draw next to nothing: their median current is below `UNDRIVEN` of that of the median run, as
+    of a robot on a trailer, or of one that stands while its positions wander. Counted as `undriven`; never with fewer
+    than three runs."""
+    medians = {int(k): float(np.median(segments.current_a[segments.run == k])) for k in np.unique(segments.run)}
+    if len(medians) < 3:
+        return segments
+    least = UNDRIVEN * float(np.median(list(medians.values())))
+    still = [k for k, current in medians.items() if current < least]
+    if not still:
+        return segments
+    apart = np.isin(segments.run, still)
+    return replace(segments.take(~apart), left_out=segments.left_out | {"undriven": int(apart.sum())})
 
 
 def split_runs(segments: Segments, held_out: Iterable[int]) -> tuple[Segments, Segments]:
