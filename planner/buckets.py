@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 BUCKETS = 512
-FIRST_CAPACITY = 1024
+FIRST_CAPACITY = 128
 SETTLED = 128
 """Flag in `pred` of cells that need no further look."""
 SEED, DROVE, TURNED_RIGHT, TURNED_LEFT = 0, 1, 2, 3

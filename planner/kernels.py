@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from model.frames import heading_of_step
 
@@ -172,11 +172,14 @@ def _blend(corners, u, v):
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def leg_energies(traction, gradient, blocked, terms, legs):
-    """`leg_energy` of many legs. legs : (n, 4) float64 of row0, col0, row1, col1. Returns (n,) float64 [J]."""
+    """`leg_energy` of many legs. legs : (n, 4) float64 of row0, col0, row1, col1. Returns (n,) float64 [J].
+
+    On one thread: most questions are a handful of legs, and on a busy machine waiting for a second thread takes longer.
+    """
     out = np.empty(legs.shape[0])
-    for k in prange(legs.shape[0]):
+    for k in range(legs.shape[0]):
         out[k] = leg_energy(traction, gradient, blocked, terms, legs[k, 0], legs[k, 1], legs[k, 2], legs[k, 3])
     return out
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import get_num_threads, njit, prange, set_num_threads
 from numpy.typing import NDArray
 
 from model.errors import InputError, NegativeCycleError
@@ -19,6 +21,8 @@ from planner.lattice import CostLattice
 NEIGHBOURS = (8, 16, 32)
 MAX_SWEEPS = 200
 """Sweeps (there and back over the map) after which `least_potential` is taken to have no end."""
+SMALL_MAP = 50_000
+"""Cells below which moves are priced on one thread."""
 HEIGHT_RATES = 9
 """How many rates [J per metre of climb] the bounds of `MoveTable.bound_per_m` are known for."""
 
@@ -157,17 +161,29 @@ def _priced(
     """(rows, cols, N) float32 [J] energies of all moves, and their bounds (B,) [J/m] at the rates."""
     matrix = interpolation_matrix(headings, lattice.headings).astype(np.float32)
     at_moves = lattice.traction_per_m.reshape(-1, lattice.headings) @ matrix.T  # (cells, N)
-    allowed = _allowed_moves(
-        np.ascontiguousarray(lattice.gradient), np.ascontiguousarray(lattice.blocked), *heading_vector(headings),
-        *lattice.max_tangents,
-    )  # fmt: skip
     pieces = [_pieces(int(r), int(c)) for r, c in offsets]
     cells, share = _stack_stencils(offsets, pieces)
     piece_share, piece_cell, piece_blend = _stack_pieces(pieces)
-    return _price_moves(
-        at_moves.reshape(*lattice.frame.shape, -1), allowed, np.ascontiguousarray(lattice.elevation_m), offsets,
-        length_m, price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
-    )  # fmt: skip
+    with _threads_for(lattice.blocked.size):
+        allowed = _allowed_moves(
+            np.ascontiguousarray(lattice.gradient), np.ascontiguousarray(lattice.blocked), *heading_vector(headings),
+            *lattice.max_tangents,
+        )  # fmt: skip
+        return _price_moves(
+            at_moves.reshape(*lattice.frame.shape, -1), allowed, np.ascontiguousarray(lattice.elevation_m), offsets,
+            length_m, price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
+        )  # fmt: skip
+
+
+@contextmanager
+def _threads_for(cells: int) -> Iterator[None]:
+    """One thread for a small map: on a busy machine waiting for a second takes a thousand times the work."""
+    threads = get_num_threads()
+    set_num_threads(1 if cells < SMALL_MAP else threads)
+    try:
+        yield
+    finally:
+        set_num_threads(threads)
 
 
 def _height_rates(lattice: CostLattice) -> NDArray[np.float64]:

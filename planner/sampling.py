@@ -182,8 +182,8 @@ def sample_route(
 
     start, goal : (2,) fractional (row, col). planner : rrtstar, informed_rrtstar or bitstar. places : (rows, cols)
     bool, the only cells to sample in, see `hopeful_places`. The record's `history` has (seconds, energy [J]) of the
-    best solution as it fell. Raises NoRouteError when nothing was found in time (which proves nothing), InputError on a bad
-    setting.
+    best solution as it fell. Raises NoRouteError when nothing was found in time (which proves nothing), InputError on a
+    bad setting.
     """
     if planner not in _ALGORITHMS:
         raise InputError(f"planner must be one of {', '.join(_ALGORITHMS)}, got {planner!r}", planner=planner)

@@ -6,8 +6,8 @@ another without overlap. What is left out is counted in `Segments.left_out`:
 
 gaps, stops : divisions of a run for that reason. bent : segments driven much longer than their straight length.
 slow : segments that took much longer than the run's usual pace. remainders : ends of pieces shorter than a segment.
-not_positive : segments whose measured energy is not above zero. fast : segments faster than the robot can drive. undriven : segments of runs
-that draw next to nothing.
+not_positive : segments whose measured energy is not above zero. fast : segments faster than the robot can drive.
+undriven : segments of runs that draw next to nothing.
 """
 
 from __future__ import annotations
@@ -208,9 +208,9 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
 
 
 def driven_only(segments: Segments) -> Segments:
-    """Without the runs that draw next to nothing: their median current is below `UNDRIVEN` of that of the median run, as
-    of a robot on a trailer, or of one that stands while its positions wander. Counted as `undriven`; never with fewer
-    than three runs."""
+    """Without the runs that draw next to nothing: their median current is below `UNDRIVEN` of that of the median run,
+    as of a robot on a trailer, or of one that stands while its positions wander. Counted as `undriven`; never with
+    fewer than three runs."""
     medians = {int(k): float(np.median(segments.current_a[segments.run == k])) for k in np.unique(segments.run)}
     if len(medians) < 3:
         return segments

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.errors import InfeasibleError
-from model.frames import heading_of, heading_vector, wrap_angle
+from model.frames import heading_of, wrap_angle
 from model.loop.drive import Drive, planned_drive
 from model.loop.effects import Term
 from model.loop.residual import Residuals
@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 Traction = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 _STEP_M = 0.1
+_PLACES = 24
+_SLOW = 0.6  # of the cruising speed
 
 
 @dataclass(frozen=True)
@@ -64,16 +66,18 @@ def suggest_drive(
     old = _information(residuals.drive, [effect, *rivals], residuals.scale)
     now = _spread(old, len(effect.units))
     best: Suggestion | None = None
-    for kind, points, speeds in _routes(heightmap, robot, length_m, rng):
-        drive = _along(points, speeds, heightmap, robot, traction, residuals, length_m)
-        if drive is None:
+    usual = 0.2 * float(np.median(residuals.predicted[residuals.moving]))
+    for kind, points in _routes(heightmap, length_m, rng):
+        once = _along(points, heightmap, robot, traction, residuals)
+        if once is None:
             continue
-        scale = np.maximum(drive.predicted, 0.2 * float(np.median(residuals.predicted[residuals.moving])))
-        then = _spread(old + _information(drive, [effect, *rivals], scale), len(effect.units))
-        share = then / now
-        if best is None or share < best.shrinkage:
-            length = float(np.hypot(*np.diff(points, axis=0).T).sum())
-            best = Suggestion(points, kind, effect.name, speeds, share, length)
+        for pace, speeds in (("", (robot.speed_mps,)), (", slow and fast", (_SLOW * robot.speed_mps, robot.speed_mps))):
+            drive = _over_and_over(once, speeds, length_m)
+            scale = np.maximum(drive.predicted, usual)
+            then = _spread(old + _information(drive, [effect, *rivals], scale), len(effect.units))
+            if best is None or then / now < best.shrinkage:
+                length = float(np.hypot(*np.diff(points, axis=0).T).sum())
+                best = Suggestion(points, kind + pace, effect.name, speeds, then / now, length)
     if best is None:
         raise InfeasibleError(f"no route of {length_m:g} m fits on the known ground of this map", length_m=length_m)
     return best
@@ -94,68 +98,60 @@ def _spread(information: FloatArray, count: int) -> float:
     return float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * count)))
 
 
-def _routes(
-    heightmap: Heightmap, robot: Robot, length_m: float, rng: np.random.Generator
-) -> Iterator[tuple[str, FloatArray, tuple[float, ...]]]:
-    """Lines to and fro, squares, slaloms and circles; at places and headings of a seeded choice; at one or two
-    speeds."""
+def _routes(heightmap: Heightmap, length_m: float, rng: np.random.Generator) -> Iterator[tuple[str, FloatArray]]:
+    """Lines to and fro, squares, slaloms and circles inside the map, at places and headings of a seeded choice."""
     west, south, east, north = heightmap.frame.bounds
     side = min(east - west, north - south)
-    slow_fast = (0.6 * robot.speed_mps, robot.speed_mps)
-    for _ in range(60):
+    for _ in range(_PLACES):
         x, y = rng.uniform(west, east), rng.uniform(south, north)
         turn = float(rng.uniform(0.0, 2.0 * math.pi))
         reach = float(rng.uniform(0.15, 0.4)) * min(side, length_m)
-        zigzag = [(0.5 * reach * (-1) ** k * 0.3, reach * (k / 6.0 - 0.5)) for k in range(7)]
         radius = float(rng.uniform(0.8, 4.0))
         circle = [(radius * math.cos(a), radius * math.sin(a)) for a in np.linspace(0.0, 2.0 * math.pi, 37)]
         shapes = {
             "a line to and fro": [(0.0, -reach), (0.0, reach), (0.0, -reach)],
             "a square": [(-reach, -reach), (-reach, reach), (reach, reach), (reach, -reach), (-reach, -reach)],
-            "a slalom": zigzag,
+            "a slalom": [(0.15 * reach * (-1) ** k, reach * (k / 6.0 - 0.5)) for k in range(7)],
             f"circles of {radius:.1f} m": circle,
         }
         for kind, corners in shapes.items():
             p = np.asarray(corners)
-            rotated = np.stack([
-                x + p[:, 0] * math.cos(turn) + p[:, 1] * math.sin(turn),
-                y - p[:, 0] * math.sin(turn) + p[:, 1] * math.cos(turn),
-            ], axis=1)  # fmt: skip
-            yield kind, rotated, (robot.speed_mps,)
-            yield f"{kind}, slow and fast", rotated, slow_fast
+            px = x + p[:, 0] * math.cos(turn) + p[:, 1] * math.sin(turn)
+            py = y - p[:, 0] * math.sin(turn) + p[:, 1] * math.cos(turn)
+            if px.min() > west + 1 and px.max() < east - 1 and py.min() > south + 1 and py.max() < north - 1:
+                yield kind, np.stack([px, py], axis=1)
 
 
 def _along(
-    points: FloatArray, speeds: tuple[float, ...], heightmap: Heightmap, robot: Robot, traction: Traction,
-    residuals: Residuals, length_m: float,
-) -> Drive | None:  # fmt: skip
-    """A route cut into 1 m segments, driven over and over for `length_m` at each speed in turn; None off known
-    ground."""
+    points: FloatArray, heightmap: Heightmap, robot: Robot, traction: Traction, residuals: Residuals
+) -> Drive | None:
+    """A route cut into 1 m segments, driven once; None where it is too short or leaves the known ground."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     fine = np.arange(0.0, s[-1], _STEP_M)
     x, y = np.interp(fine, s, points[:, 0]), np.interp(fine, s, points[:, 1])
-    heading = heading_of(np.diff(x), np.diff(y))
     every = round(1.0 / _STEP_M)
-    count = heading.size // every
-    if count < 4:
+    count = (fine.size - 1) // every
+    if count < 4 or not np.isfinite(heightmap.sample(x, y)).all():
         return None
-    turned = np.zeros(count)
+    heading = heading_of(np.diff(x), np.diff(y))
     steps = np.abs(wrap_angle(np.diff(heading, append=heading[-1])))
-    turned[:] = steps[: count * every].reshape(count, every).sum(axis=1)
     middle = np.arange(count) * every + every // 2
-    dx, dy = heading_vector(heading[middle])
-    direction = heading_of(dx, dy)
-    price = traction(x[middle], y[middle], direction)
+    price = traction(x[middle], y[middle], heading[middle])
     conditions = {k: float(np.nanmean(v)) for k, v in residuals.drive.columns.items() if np.isfinite(v).any()}
-    plan = planned_drive(heightmap, robot, x[middle], y[middle], direction, price, conditions)
+    plan = planned_drive(heightmap, robot, x[middle], y[middle], heading[middle], price, conditions)
     if not (np.isfinite(price).all() and np.isfinite(plan.grade).all()):
         return None
-    rounds = max(1, round(length_m / count))
-    which = np.tile(np.arange(count), rounds)
+    return replace(plan, turned_abs_rad=steps[: count * every].reshape(count, every).sum(axis=1))
+
+
+def _over_and_over(once: Drive, speeds: tuple[float, ...], length_m: float) -> Drive:
+    """A route driven again and again for about `length_m`, each round at the next speed."""
+    count = len(once)
+    rounds = max(len(speeds), round(length_m / count))
     pace = np.repeat([1.0 / speeds[k % len(speeds)] for k in range(rounds)], count)
-    gentle = np.stack([np.minimum(turned[which], rate * pace) for rate in TURN_LIMITS_RADPS], axis=1)
-    clock = np.cumsum(pace)
+    again = once.take(np.tile(np.arange(count), rounds))
+    gentle = np.stack([np.minimum(again.turned_abs_rad, rate * pace) for rate in TURN_LIMITS_RADPS], axis=1)
     return replace(
-        plan.take(which), duration_s=pace, turned_abs_rad=turned[which], gentle_turn_rad=gentle, since_s=clock,
-        driven_m=np.arange(1.0, which.size + 1.0),
+        again, duration_s=pace, gentle_turn_rad=gentle, since_s=np.cumsum(pace),
+        driven_m=np.arange(1.0, pace.size + 1.0),
     )  # fmt: skip

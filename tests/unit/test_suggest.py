@@ -1,0 +1,55 @@
+"""What to drive next: where least squares knows the answer, the suggestion is that answer."""
+
+import numpy as np
+import pytest
+
+from model.errors import InfeasibleError
+from model.frames import GridFrame
+from model.loop.effects import Term
+from model.loop.residual import residuals_of
+from model.loop.suggest import suggest_drive
+from model.terrain.heightmap import Heightmap
+from tests.unit.test_trace import ROBOT, made_up, noisy
+
+TURNING = Term("turning", "turning", ("J/rad",), {"limit_radps": None})
+HOTEL = Term("hotel_load", "hotel_load", ("W",))
+FRICTION = Term("rolling_resistance", "friction", ("",))
+
+
+def field(known=True):
+    heights = np.zeros((100, 100), dtype=np.float32)
+    if not known:
+        heights[1:] = np.nan
+    return Heightmap(heights, GridFrame(0.0, 50.0, 0.5, 100, 100, None))
+
+
+def level(x, y, heading_rad):
+    return np.full(np.shape(x), ROBOT.rolling_resistance * ROBOT.weight_n)
+
+
+def straight_runs(seed=0):
+    """Runs that hardly turn, at one speed."""
+    rng = np.random.default_rng(seed)
+    drive = made_up(rng)
+    drive.turned_abs_rad[:] *= 0.02
+    drive.gentle_turn_rad[:] *= 0.02
+    drive.duration_s[:] = 2.0
+    return residuals_of(drive, noisy(rng, drive), tuple(f"run{k}" for k in range(6)), charge=False)
+
+
+def test_turning_is_learned_by_turning():
+    found = suggest_drive(straight_runs(), TURNING, [], field(), ROBOT, level)
+    assert found.kind.split()[0] == "circles" or "slalom" in found.kind
+    assert found.shrinkage < 0.1
+    assert ((found.points > 0.0) & (found.points < 50.0)).all()
+
+
+def test_idle_power_is_told_from_friction_by_speed():
+    found = suggest_drive(straight_runs(), HOTEL, [FRICTION], field(), ROBOT, level)
+    assert "slow and fast" in found.kind
+    assert found.shrinkage < 0.3
+
+
+def test_no_known_ground_no_drive():
+    with pytest.raises(InfeasibleError, match="known ground"):
+        suggest_drive(straight_runs(), TURNING, [], field(known=False), ROBOT, level)
