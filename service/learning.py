@@ -20,12 +20,12 @@ from model.energy.predictor import Predictor
 from model.energy.resnet import ResNetEnergy, load_backbone
 from model.energy.tracks import SQUARE
 from model.energy.training import Network, TrainingOptions, averaged, train_network
-from model.energy.uncertainty import FEWEST, Spread, fit_spread
+from model.energy.uncertainty import FEWEST, LEAST_SHARE, Spread, fit_spread
 from model.errors import InputError, RunsError
 from model.loop.prediction import Prediction, predict_segments
 from model.loop.record import RECORD_FILE
 from model.loop.runs import Run, read_run
-from model.loop.segments import Segments, concatenate, cut_segments
+from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.calibrating import keep_base_runs
@@ -72,9 +72,9 @@ def read_segments(
     parts = []
     for run in runs:
         counted = charge or run.voltage_v is None
-        cut = cut_segments(run, charge=counted)
+        cut = cut_segments(run, charge=counted, max_speed_mps=CARRIED * robot.speed_mps)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
-    return runs, concatenate(parts)
+    return runs, driven_only(concatenate(parts))
 
 
 def train_on_runs(
@@ -266,7 +266,7 @@ def _turning(segments: Segments, predicted_j: NDArray[np.float64], robot: Robot)
     if use.sum() < FEWEST:
         return 0.0
     rest = rest[use] - np.nanmedian(rest[~use]) if (~use).any() else rest[use]
-    weight = 1.0 / predicted_j[use] ** 2
+    weight = 1.0 / np.maximum(predicted_j[use], LEAST_SHARE * np.nanmedian(predicted_j)) ** 2
     slope = float((weight * rest * turned[use]).sum() / (weight * turned[use] ** 2).sum())
     return round(max(slope, 0.0), 3) if math.isfinite(slope) else 0.0
 
