@@ -230,7 +230,7 @@ def train(
 
 def evaluate(
     heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")],
-    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs (CSV), as for `train`.")],
+    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs, as for `train`.")],
     model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
     robot: RobotFile = None,
     charge: Charge = False,

@@ -188,6 +188,14 @@ def test_coverage_counts_what_lies_inside():
     assert inside == {"50": 0.25, "80": 0.5, "90": 0.75}
 
 
+def test_a_single_run_predicted_well_does_not_promise_that_of_the_next():
+    predicted_j = np.full(100, 50.0)
+    energy = predicted_j + np.tile([2.0, -2.0], 50)  # its sum is right to the joule
+    assert fit_spread(energy, predicted_j, predicted_j * 0.1, np.zeros(100)).run_share == pytest.approx(
+        Spread.run_share / math.sqrt(2.0)
+    )
+
+
 def test_a_spread_covers_what_it_was_made_for():
     rng = np.random.default_rng(0)
     run = np.repeat(np.arange(40), 200)
