@@ -28,7 +28,7 @@ from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import Residuals, residuals_of
 from model.loop.runs import read_run
-from model.loop.segments import Segments, concatenate, cut_segments
+from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
@@ -37,7 +37,9 @@ BASE_FOLDER = "base"
 """Where a calibrated model's folder keeps its base model."""
 
 
-def read_calibration_runs(files: Sequence[Path], *, crs: str | None) -> tuple[Segments, dict[str, dict[str, int]]]:
+def read_calibration_runs(
+    files: Sequence[Path], robot: Robot, *, crs: str | None
+) -> tuple[Segments, dict[str, dict[str, int]]]:
     """The segments of all runs, in joules, or in ampere seconds where a run has no voltage; and the repairs by run.
 
     Raises RunsError for no run, or for runs of which only some have a voltage.
@@ -51,7 +53,9 @@ def read_calibration_runs(files: Sequence[Path], *, crs: str | None) -> tuple[Se
             f"{len(without)} of {len(runs)} runs have no voltage (the first is {without[0]}): calibrate them apart",
             run=without[0],
         )
-    segments = concatenate([cut_segments(run, charge=bool(without)) for run in runs])
+    segments = driven_only(
+        concatenate([cut_segments(run, charge=bool(without), max_speed_mps=CARRIED * robot.speed_mps) for run in runs])
+    )
     return segments, {run.name: run.repairs for run in runs if run.repairs}
 
 
@@ -120,7 +124,7 @@ def calibrate_on_runs(
     predictor = load_model(model)
     if isinstance(predictor, CalibratedPredictor):
         raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
-    segments, repairs = read_calibration_runs(files, crs=heightmap.frame.crs)
+    segments, repairs = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
     measured, electric = residuals_on(predictor, heightmap, robot, segments)
     base = _base_residuals(model, predictor, heightmap, robot, base_files)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
@@ -192,7 +196,7 @@ def suggest_next_drive(
     InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
     """
     predictor = load_model(model)
-    segments, _ = read_calibration_runs(files, crs=heightmap.frame.crs)
+    segments, _ = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
     measured, electric = residuals_on(predictor, heightmap, robot, segments)
     base = _base_residuals(model, predictor, heightmap, robot, base_files)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
@@ -226,5 +230,5 @@ def _base_residuals(
     """The base model's own runs: those given, or those kept in its folder."""
     if not files:
         return None if model in MODEL_NAMES else read_record(model)
-    segments, _ = read_calibration_runs(files, crs=heightmap.frame.crs)
+    segments, _ = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
     return residuals_on(predictor, heightmap, robot, segments)[0]

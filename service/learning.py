@@ -20,11 +20,12 @@ from model.energy.predictor import Predictor
 from model.energy.resnet import ResNetEnergy, load_backbone
 from model.energy.tracks import SQUARE
 from model.energy.training import Network, TrainingOptions, averaged, train_network
-from model.energy.uncertainty import FEWEST, Spread, fit_spread
+from model.energy.uncertainty import FEWEST, LEAST_SHARE, Spread, fit_spread
 from model.errors import InputError, RunsError
 from model.loop.prediction import Prediction, predict_segments
+from model.loop.record import RECORD_FILE
 from model.loop.runs import Run, read_run
-from model.loop.segments import Segments, concatenate, cut_segments
+from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.calibrating import keep_base_runs
@@ -71,9 +72,9 @@ def read_segments(
     parts = []
     for run in runs:
         counted = charge or run.voltage_v is None
-        cut = cut_segments(run, charge=counted)
+        cut = cut_segments(run, charge=counted, max_speed_mps=CARRIED * robot.speed_mps)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
-    return runs, concatenate(parts)
+    return runs, driven_only(concatenate(parts))
 
 
 def train_on_runs(
@@ -154,6 +155,7 @@ def train_on_runs(
     }
     artifact = replace(work.artifact(net), spread=spread, turn_j_per_rad=turn, training=training)
     version = save_artifact(out, artifact)
+    (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
     if all(run.voltage_v is not None for run in runs) and not charge:
         traction = np.concatenate([p.traction_per_m for _, p in held])
         keep_base_runs(out, heightmap, robot, apart, traction)
@@ -178,25 +180,26 @@ class _Training:
         if architecture == "compact":
             angles = np.random.default_rng([seed, len(s)]).uniform(0.0, 2.0 * math.pi, (_COPIES - 1, len(s)))
             turns = np.concatenate([turns, angles])
-        self.examples: Examples = concatenated([
+        seen = [
             cut_examples(
                 heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=self.part[straight], payload_kg=payload,
                 architecture=architecture, size=patch_size, turned_rad=turned,
             )
             for turned in turns
-        ])  # fmt: skip
-        self.known = len(self.examples) // len(turns)
-        mine = self.examples.domain() if len(self.examples) else None
-        carried = (min(0.0, float(payload.min(initial=0.0))), max(0.0, float(payload.max(initial=0.0))))
-        self.domain = replace(mine, payload_kg=carried) if mine else None
-        if self.domain is not None and learned is not None:
+        ]  # fmt: skip
+        self.known = len(seen[0])  # a turned square has corners elsewhere: at the map's edge it may be unknown
+        if self.known == 0:
+            raise InputError(
+                f"none of the {len(segments)} segments goes straight over ground that the heightmap knows",
+                segments=len(segments),
+            )
+        self.examples: Examples = concatenated(seen)
+        carried = (min(0.0, float(payload.min())), max(0.0, float(payload.max())))
+        self.domain = replace(self.examples.domain(), payload_kg=carried)
+        if learned is not None:
             self.domain = learned.joined(self.domain)
 
     def artifact(self, net: Network) -> Artifact:
-        if self.domain is None:
-            raise InputError(
-                "none of the segments lies on ground that the heightmap knows", segments=len(self.segments)
-            )
         return Artifact(net, self.domain, self.patch_size if self.architecture == "resnet18" else SQUARE)
 
     def fit(
@@ -263,7 +266,7 @@ def _turning(segments: Segments, predicted_j: NDArray[np.float64], robot: Robot)
     if use.sum() < FEWEST:
         return 0.0
     rest = rest[use] - np.nanmedian(rest[~use]) if (~use).any() else rest[use]
-    weight = 1.0 / predicted_j[use] ** 2
+    weight = 1.0 / np.maximum(predicted_j[use], LEAST_SHARE * np.nanmedian(predicted_j)) ** 2
     slope = float((weight * rest * turned[use]).sum() / (weight * turned[use] ** 2).sum())
     return round(max(slope, 0.0), 3) if math.isfinite(slope) else 0.0
 

@@ -26,7 +26,7 @@ def model_card(version: str, parameters: int, training: Mapping[str, Any], domai
     )
     ranges = {**domain.robot, "resolution [m/pixel]": domain.resolution_m, "slope [deg]": (0.0, domain.max_slope_deg)}
     learned = "\n".join(f"| {name} | {low:.3g} .. {high:.3g} |" for name, (low, high) in ranges.items())
-    covered = ", ".join(f"{share:.0%} in the {level} % interval" for level, share in training["coverage"].items())
+    covered = ", ".join(f"{share:.0%} (of {level} %)" for level, share in training["coverage"].items())
     return f"""# Model card: the network that joulemap ships
 
 Compact dense network (`model/energy/compact.py`), {parameters:,} parameters. Version `{version}`, {training["made"]}.
@@ -60,10 +60,12 @@ defined everywhere):
 {table}
 
 The resistance fitted to a run serves its sum, but not its segments: least squares follow the dear ones, and on slopes
-braking and drivetrain losses bend the line. The network's intervals held {covered} of the same segments (their widths
-were found on them: factor {spread.factor:.2f}, quantiles {_quantiles(spread)}). A whole run is off by a factor of its
-own of {100 * spread.run_share:.0f} % (standard deviation): what nobody told the network of robot and ground. Neighbouring
-errors go together over {spread.correlation_m:.1f} m.
+braking and drivetrain losses bend the line.
+
+The intervals held {covered} of the same segments
+(their widths were found on them: factor {spread.factor:.2f}, quantiles {_quantiles(spread)}).
+A whole run is off by a factor of its own, of {100 * spread.run_share:.0f} % (standard deviation): what nobody told the
+network of robot and ground. Neighbouring errors go together over {spread.correlation_m:.1f} m.
 
 ## Learned ranges
 Outside of them the answer comes with a warning; the robot's values are clamped to the range inside the network.

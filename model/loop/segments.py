@@ -6,7 +6,8 @@ another without overlap. What is left out is counted in `Segments.left_out`:
 
 gaps, stops : divisions of a run for that reason. bent : segments driven much longer than their straight length.
 slow : segments that took much longer than the run's usual pace. remainders : ends of pieces shorter than a segment.
-not_positive : segments whose measured energy is not above zero.
+not_positive : segments whose measured energy is not above zero. fast : segments faster than the robot can drive.
+undriven : segments of runs that draw next to nothing.
 """
 
 from __future__ import annotations
@@ -37,6 +38,10 @@ _SMOOTHING_S = 0.3  # or one interval
 _TRACK_HEADING_S = 0.5  # directions need more smoothing than places
 _COMPASS_AGREES_RAD = 0.25
 _STAND_S = 1.0
+UNDRIVEN = 0.15
+CARRIED = 3.0
+"""Faster than so many times its declared speed a robot was carried, or its positions wandered: such segments are left
+out where a robot is known."""
 _STANDS_WITHIN_M = 0.05
 _STANDS_EVENLY = 0.25
 
@@ -103,8 +108,10 @@ def cut_segments(
     charge: bool = False,
     max_driven_ratio: float = 1.2,
     max_duration_ratio: float = 3.0,
+    max_speed_mps: float = math.inf,
 ) -> Segments:
-    """Cut one run. charge : integrate the current alone [A s], for logs without voltage.
+    """Cut one run. charge : integrate the current alone [A s], for logs without voltage. max_speed_mps : what is faster
+    was not driven but carried, or its positions wander.
 
     Raises RunsError where the voltage is missing and `charge` is not asked for.
     """
@@ -122,8 +129,8 @@ def cut_segments(
     _count(left_out, "gaps", int(gap.sum()) - 1)
     x, y, vx, vy = _smooth(t, x, y, np.cumsum(gap), max(_SMOOTHING_S, interval))
     speed = np.hypot(vx, vy)
-    moving = speed > 0.0
-    usual = float(np.median(speed[speed > 0.25 * np.quantile(speed, 0.9)])) if moving.any() else 0.0
+    own = speed[(speed > 0.0) & (speed <= max_speed_mps)]
+    usual = float(np.median(own[own > 0.25 * np.quantile(own, 0.9)])) if own.size else 0.0
     piece, stops = _pieces(t, speed, gap, 0.15 * usual, _STAND_S)
     _count(left_out, "stops", stops)
 
@@ -152,9 +159,10 @@ def cut_segments(
     bent = (qs - ps) > max_driven_ratio * length_m
     slow = ~bent & ((qt - pt) * usual > max_duration_ratio * length_m)
     dead = ~bent & ~slow & ~(energy > 0)
-    for key, mask in (("bent", bent), ("slow", slow), ("not_positive", dead)):
+    fast = ~bent & ~dead & (qs - ps > max_speed_mps * (qt - pt))
+    for key, mask in (("bent", bent), ("slow", slow), ("not_positive", dead), ("fast", fast)):
         _count(left_out, key, int(mask.sum()))
-    keep = ~(bent | slow | dead)
+    keep = ~(bent | slow | dead | fast)
     middle = np.clip(np.searchsorted(run.t, (pt + qt) / 2), 0, len(run) - 1)
     return Segments(
         **{key: np.ascontiguousarray(values[keep]) for key, values in columns.items()},
@@ -197,6 +205,21 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
         stands=tuple((r + int(o), t, e) for p, o in zip(parts, offsets, strict=False) for r, t, e in p.stands),
         left_out=left_out,
     )
+
+
+def driven_only(segments: Segments) -> Segments:
+    """Without the runs that draw next to nothing: their median current is below `UNDRIVEN` of that of the median run,
+    as of a robot on a trailer, or of one that stands while its positions wander. Counted as `undriven`; never with
+    fewer than three runs."""
+    medians = {int(k): float(np.median(segments.current_a[segments.run == k])) for k in np.unique(segments.run)}
+    if len(medians) < 3:
+        return segments
+    least = UNDRIVEN * float(np.median(list(medians.values())))
+    still = [k for k, current in medians.items() if current < least]
+    if not still:
+        return segments
+    apart = np.isin(segments.run, still)
+    return replace(segments.take(~apart), left_out=segments.left_out | {"undriven": int(apart.sum())})
 
 
 def split_runs(segments: Segments, held_out: Iterable[int]) -> tuple[Segments, Segments]:

@@ -8,7 +8,7 @@ import pytest
 
 from model.errors import InputError, RunsError
 from model.loop.runs import Run
-from model.loop.segments import concatenate, cut_segments, split_runs
+from model.loop.segments import concatenate, cut_segments, driven_only, split_runs
 
 
 def run_along(x, y, *, rate_hz=10.0, volts=28.0, amps=2.0, name="run", **extras) -> Run:
@@ -163,3 +163,27 @@ def test_segments_cannot_be_changed():
 def test_a_length_must_be_positive():
     with pytest.raises(InputError, match="positive"):
         cut_segments(line(), length_m=0.0)
+
+
+def test_a_robot_that_is_carried_does_not_drive():
+    t = np.arange(0.0, 60.0, 0.1)
+    speed = np.where(t < 30.0, 0.5, 4.0)  # driven for half a minute, then carried at a run
+    x = np.concatenate([[0.0], np.cumsum(speed[:-1] * 0.1)])
+    run = Run("carried", t, x, np.zeros_like(x), np.where(t < 30.0, 3.0, 0.5), np.full_like(t, 24.0))
+    driven = cut_segments(run, max_speed_mps=1.5)
+    assert driven.left_out["fast"] == pytest.approx(119, abs=1)
+    assert len(driven) == pytest.approx(15, abs=1)
+
+
+def test_a_run_that_draws_nothing_was_not_driven():
+    t = np.arange(0.0, 40.0, 0.1)
+
+    def drawing(name: str, current_a: float) -> Run:
+        return Run(name, t, 0.5 * t, np.zeros_like(t), np.full_like(t, current_a), np.full_like(t, 24.0))
+
+    parts = [cut_segments(drawing(name, a)) for name, a in (("a", 3.0), ("b", 2.0), ("c", 0.3), ("d", 2.5))]
+    found = driven_only(concatenate(parts))
+    assert found.left_out["undriven"] == len(parts[2])
+    assert set(found.run) == {0, 1, 3}
+    assert found.runs == ("a", "b", "c", "d")
+    assert len(driven_only(concatenate(parts[1:3]))) == len(parts[1]) + len(parts[2])  # two runs tell nothing
