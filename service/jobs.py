@@ -61,26 +61,34 @@ class Worker:
         while not self._stopping.is_set():
             self._wake.clear()
             try:
-                step = steps.take()
-            except OperationalError as error:  # a database that is busy or restarts comes back
+                worked = self._do_next(steps)
+            except OperationalError as error:  # a database that is busy or restarts comes back, and so does the step
                 _LOG.warning("the database does not answer: %s", error.orig)
-                step = None
-            if step is None:
+                worked = False
+            if not worked:
                 self._builder.rest()
                 self._wake.wait(_LOOK_S)
-                continue
-            with _Lease(steps, step):
-                try:
-                    self._ready()
-                except BusyError as error:  # no fault of the cost map: later
-                    _LOG.info("not ready: %s", error.message)
-                    steps.release()
-                    continue
-                try:
-                    self._builder.do(step, steps)
-                except Exception as error:
-                    self._fail(step, error)
         steps.release()
+
+    def _do_next(self, steps: Steps) -> bool:
+        """Take a step and do it; False when there is none."""
+        step = steps.take()
+        if step is None:
+            return False
+        with _Lease(steps, step):
+            try:
+                self._ready()
+            except BusyError as error:  # no fault of the cost map: later
+                _LOG.info("not ready: %s", error.message)
+                steps.release()
+                return False
+            try:
+                self._builder.do(step, steps)
+            except OperationalError:
+                raise
+            except Exception as error:
+                self._fail(step, error)
+        return True
 
     def _fail(self, step: Step, error: Exception) -> None:
         if self._store.status(step.costmap_id) in (None, FAILED):  # deleted, or another worker's failure came first

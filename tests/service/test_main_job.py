@@ -23,7 +23,7 @@ def test_heightmap_is_kept_as_it_was_sent(client: TestClient, heightmap_id: str)
     assert about["bounds"] == [WEST, NORTH - 30, WEST + 40, NORTH]
     assert about["known_share"] == pytest.approx(1 - 12 / 1200)
     assert about["hash"] == hill().data_hash
-    assert client.app.state.service.store.load_heightmap(heightmap_id).data_hash == hill().data_hash  # type: ignore[attr-defined]
+    assert client.app.state.service.store.open_heightmap(heightmap_id).data_hash == hill().data_hash  # type: ignore[attr-defined]
 
 
 def test_raw_body_with_parameters(client: TestClient) -> None:
