@@ -23,6 +23,7 @@ from model.energy.training import Network, TrainingOptions, averaged, train_netw
 from model.energy.uncertainty import FEWEST, LEAST_SHARE, Spread, fit_spread
 from model.errors import InputError, RunsError
 from model.loop.prediction import Prediction, predict_segments
+from model.loop.record import RECORD_FILE
 from model.loop.runs import Run, read_run
 from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
@@ -154,6 +155,7 @@ def train_on_runs(
     }
     artifact = replace(work.artifact(net), spread=spread, turn_j_per_rad=turn, training=training)
     version = save_artifact(out, artifact)
+    (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
     if all(run.voltage_v is not None for run in runs) and not charge:
         traction = np.concatenate([p.traction_per_m for _, p in held])
         keep_base_runs(out, heightmap, robot, apart, traction)
@@ -178,25 +180,26 @@ class _Training:
         if architecture == "compact":
             angles = np.random.default_rng([seed, len(s)]).uniform(0.0, 2.0 * math.pi, (_COPIES - 1, len(s)))
             turns = np.concatenate([turns, angles])
-        self.examples: Examples = concatenated([
+        seen = [
             cut_examples(
                 heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=self.part[straight], payload_kg=payload,
                 architecture=architecture, size=patch_size, turned_rad=turned,
             )
             for turned in turns
-        ])  # fmt: skip
-        self.known = len(self.examples) // len(turns)
-        mine = self.examples.domain() if len(self.examples) else None
-        carried = (min(0.0, float(payload.min(initial=0.0))), max(0.0, float(payload.max(initial=0.0))))
-        self.domain = replace(mine, payload_kg=carried) if mine else None
-        if self.domain is not None and learned is not None:
+        ]  # fmt: skip
+        self.known = len(seen[0])  # a turned square has corners elsewhere: at the map's edge it may be unknown
+        if self.known == 0:
+            raise InputError(
+                f"none of the {len(segments)} segments goes straight over ground that the heightmap knows",
+                segments=len(segments),
+            )
+        self.examples: Examples = concatenated(seen)
+        carried = (min(0.0, float(payload.min())), max(0.0, float(payload.max())))
+        self.domain = replace(self.examples.domain(), payload_kg=carried)
+        if learned is not None:
             self.domain = learned.joined(self.domain)
 
     def artifact(self, net: Network) -> Artifact:
-        if self.domain is None:
-            raise InputError(
-                "none of the segments lies on ground that the heightmap knows", segments=len(self.segments)
-            )
         return Artifact(net, self.domain, self.patch_size if self.architecture == "resnet18" else SQUARE)
 
     def fit(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from model.energy.domain import Learned
 from model.energy.predictor import MODEL_NAMES, Predictor
 from model.errors import InputError, ModelError, NoRouteError, TooLargeError
 from model.frames import GridFrame, heading_bins
@@ -88,7 +89,7 @@ def make_cost_lattice(
     """
     check_lattice(heightmap.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
-    if isinstance(predictor, CalibratedPredictor):
+    if isinstance(predictor, CalibratedPredictor | Learned):
         robot = predictor.robot_with_turning(robot)
     return build_lattice(heightmap, robot, predictor, spacing_m=spacing_m, headings=headings, progress=progress)
 
@@ -218,5 +219,6 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
                 router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05)
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
     for model in models:
-        make_cost_lattice(heightmap, Robot(), model=model, models_dir=models_dir)
+        for spacing_m in (1.0, 3.0):  # a network answers these by dense passes and by single squares
+            make_cost_lattice(heightmap, Robot(), model=model, spacing_m=spacing_m, models_dir=models_dir)
     return time.perf_counter() - began

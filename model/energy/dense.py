@@ -50,7 +50,7 @@ class CompactPredictor(Learned):
         """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at
         the cell centres of `frame`; NaN where the map is unknown.
 
-        Spacings of 1, 1/2, 1/3 ... 1/8 m are answered by dense passes, any other by one square per cell.
+        Spacings of 1, 1/2, 1/3 ... 1/8 m are answered by dense passes, any other by a square per cell and heading.
         """
         headings_rad = np.ascontiguousarray(headings_rad, dtype=np.float64)
         traction = tan_grade_lattice(heightmap, frame, headings_rad)  # (rows, cols, K), turned into traction below
@@ -70,7 +70,7 @@ class CompactPredictor(Learned):
             series = self._series(slopes_of(heights), code)
             answer_tile(
                 heights, series, headings.basis, headings.stencil, headings.own, headings.sign, headings.per_width,
-                weights, known, price, traction[rows, cols], std[rows, cols],
+                weights, known, price, (rows.start, cols.start, step), traction, std,
             )  # fmt: skip
 
         if dense:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +113,10 @@ class Learned(ABC):
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """In words, every way in which this map or robot lies outside what the network learned."""
         return self.domain.warnings(heightmap, robot)
+
+    def robot_with_turning(self, robot: Robot) -> Robot:
+        """The robot with what turning took in the model's runs."""
+        return replace(robot, turn_j_per_rad=robot.turn_j_per_rad + self.turn_j_per_rad)
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from model.energy.compact import SPREAD_RANGE, STRIDE
 from model.energy.physics import antipodes
-from model.energy.tracks import SQUARE, corner, describe, track_stencil
+from model.energy.tracks import SQUARE, WIDEST_M, corner, describe, track_stencil
 from model.energy.uncertainty import LEAST_SHARE
 
 _MIDDLE = (SQUARE - 1) // 2
@@ -35,22 +35,26 @@ class Headings:
         """basis : (K, C), the series' functions at those headings."""
         own, sign = antipodes(headings_rad)
         stencil = track_stencil(headings_rad, np.full(headings_rad.size, width_m))
-        return cls(np.ascontiguousarray(basis.T), stencil, own, sign, 1.0 / width_m)
+        return cls(np.ascontiguousarray(basis.T), stencil, own, sign, 1.0 / min(width_m, WIDEST_M))
 
 
 @njit(cache=True, nogil=True)
-def answer_tile(heights, series, basis, stencil, own, sign, per_width, weights, known, price, traction, std):
+def answer_tile(heights, series, basis, stencil, own, sign, per_width, weights, known, price, at, traction, std):
     """Fill a tile: traction [J/m] (holding the grade before) and the standard deviation of a segment's energy [J].
 
+    Its cells are every `step`-th of the lattice from (top, left) on, at = (top, left, step): the whole lattice is
+    handed over, because a part of it is contiguous or not by chance, and the loop would be compiled for both.
     heights : (8 rows + 9, 8 cols + 9) [m], the working pixels around the cells. series : (rows, cols, units * C).
     basis, stencil, own, sign, per_width : as in `Headings`. weights : as from `CompactNet.folded_head`. known : a mu, c
     and the weight [N]. price : the robot's hotel_per_m and regeneration, the energy of level ground [J], and the factor
-    of the spread (as `segment_std`). traction, std : (rows, cols, K) float32.
+    of the spread (as `segment_std`). traction, std : of the lattice, (_, _, K) float32.
     """
     tracks_w, shift, head_w, head_b, final_w, final_b = weights
     resistance, climb, weight_n = known
     hotel, regeneration, level, factor = price
-    rows, cols, count = traction.shape
+    top, left, step = at
+    rows, cols = series.shape[:2]
+    count = traction.shape[2]
     units, features = tracks_w.shape
     last, terms = head_w.shape[0], basis.shape[0]
     zero = np.float32(0.0)
@@ -109,12 +113,13 @@ def answer_tile(heights, series, basis, stencil, own, sign, per_width, weights, 
                     for j in range(cols):
                         out[o, j] += final_w[o, v] * second[v, j]
             for j in range(cols):
+                r, c = top + step * i, left + step * j
                 if np.isnan(series[i, j, 0]):
-                    traction[i, j, k] = np.nan
-                    std[i, j, k] = np.nan
+                    traction[r, c, k] = np.nan
+                    std[r, c, k] = np.nan
                 else:
-                    demand = weight_n * (resistance + climb * traction[i, j, k] + out[0, j])
+                    demand = weight_n * (resistance + climb * traction[r, c, k] + out[0, j])
                     energy = hotel + max(demand, 0.0) + regeneration * min(demand, 0.0)
                     relative = math.exp(min(max(out[1, j], _LOWEST), _HIGHEST))
-                    traction[i, j, k] = demand
-                    std[i, j, k] = factor * relative * max(energy, LEAST_SHARE * level)
+                    traction[r, c, k] = demand
+                    std[r, c, k] = factor * relative * max(energy, LEAST_SHARE * level)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -268,7 +269,9 @@ class _Trainer:
         options: TrainingOptions, seed: int,
     ) -> None:  # fmt: skip
         self.net, self.options, self.seed = net, options, seed
-        self.identity = f"{examples.data_hash} seed {seed} {options} {len(train)}"
+        start = hashlib.sha256(b"".join(v.contiguous().numpy().tobytes() for v in net.state_dict().values()))
+        aside = np.unique(examples.run[held]).tolist()
+        self.identity = f"{examples.data_hash} seed {seed} {options} without {aside} from {start.hexdigest()[:16]}"
         self.data = _Tensors(examples)
         self.train, self.held = torch.from_numpy(train), torch.from_numpy(held)
         if isinstance(net, ResNetEnergy) and options.freeze_backbone:
@@ -308,6 +311,8 @@ class _Trainer:
         torch.manual_seed(int(rng.integers(2**31)))
         order = self.train[torch.from_numpy(rng.permutation(len(self.train)))]
         batches = order.split(options.batch)
+        if isinstance(self.net, ResNetEnergy) and len(batches) > 1 and len(batches[-1]) == 1:
+            batches = batches[:-1]  # one patch alone has no batch to be normalised over
         self.net.train()
         if isinstance(self.net, ResNetEnergy) and options.freeze_backbone:
             self.net.backbone.eval()
@@ -366,7 +371,9 @@ class _Trainer:
     def _resume(self, checkpoint: Path) -> None:
         state = torch.load(checkpoint, weights_only=True)
         if state["identity"] != self.identity:
-            raise ModelError(f"{checkpoint} belongs to another training (other data, seed or options)")
+            raise ModelError(
+                f"{checkpoint} belongs to another training (other data, held-out runs, start, seed or options)"
+            )
         self.net.load_state_dict(state["net"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.best, self.best_error, self.best_epoch = state["best"], state["best_error"], state["best_epoch"]

@@ -87,7 +87,8 @@ def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, ru
 
     The factor makes the mean square of the standardised errors, without their largest hundredth, that of a normal
     distribution cut at the same place; the quantiles are those of the standardised errors (split conformal
-    prediction, Lei et al. 2018, with the finite-sample correction).
+    prediction, Lei et al. 2018, with the finite-sample correction). The usual run_share counts as one run more: a
+    single run, well predicted by chance, says little of the next.
     """
     energy, predicted = np.asarray(energy_j, dtype=np.float64), np.asarray(predicted_j, dtype=np.float64)
     std, runs = np.asarray(std_j, dtype=np.float64), np.asarray(run)
@@ -112,5 +113,5 @@ def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, ru
         squares += float((rest**2).sum())
     neighbour = min(max(products / squares if squares else 0.0, 0.0), 0.9)
     correlation = (1.0 + neighbour) / (1.0 - neighbour)  # of a first-order autoregression: sum of its correlations
-    run_share = math.sqrt(float(np.mean(np.square(shares)))) if shares else Spread.run_share
+    run_share = math.sqrt(float(np.mean(np.square([*shares, Spread.run_share]))))
     return Spread(factor, quantiles, run_share, correlation, int(energy.size))

@@ -222,7 +222,7 @@ def train(
         {
             "learned from": f"{model.segments} segments of {len(model.runs)} runs",
             "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}",
-            "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving (turn_j_per_rad of a robot file)",
+            "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",
         }
     )
     answer.document({"out": str(out), **asdict(model)})
@@ -230,7 +230,7 @@ def train(
 
 def evaluate(
     heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")],
-    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs (CSV), as for `train`.")],
+    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs, as for `train`.")],
     model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
     robot: RobotFile = None,
     charge: Charge = False,

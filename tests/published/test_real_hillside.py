@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from model.energy.physics import PhysicsPredictor
+from model.errors import NoRouteError
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
 from planner.edges import path_price, price_world_path, world_points
@@ -108,7 +109,10 @@ def test_sampling_planners_never_beat_the_improved_grid_path_by_a_hundredth(hill
     planner = RoutePlanner(lattice)
     start, goal = crossings[0]
     best = planner.plan(start, goal).route
-    sampled = planner.plan(start, goal, planner=sampler, time_limit_s=6.0, refine=False).route
+    try:
+        sampled = planner.plan(start, goal, planner=sampler, time_limit_s=6.0, refine=False).route
+    except NoRouteError:  # a busy machine: this crossing takes a tree some seconds of work
+        sampled = planner.plan(start, goal, planner=sampler, time_limit_s=60.0, refine=False).route
     assert sampled.energy_j == pytest.approx(price_world_path(lattice, sampled.points), rel=1e-9)
     hasty = planner.plan(start, goal, planner="bitstar", time_limit_s=6.0, refine=False)
     assert hasty.saving_j >= 0.0  # the shortest path is an answer too

@@ -9,9 +9,11 @@ from pathlib import Path
 
 PROBE = """
 import gc, json, sys, tempfile
+from contextlib import suppress
 from pathlib import Path
 from fastapi.testclient import TestClient
 from numba.core.dispatcher import Dispatcher
+from model.errors import BusyError
 from service.app import create_app
 from tests.service.conftest import GOAL, START, hill, settings_for
 from model.terrain.writers import write_geotiff
@@ -21,9 +23,14 @@ def compiled():
     own = [d for d in own if d.py_func.__module__.startswith(("model", "planner"))]
     return {f"{d.py_func.__module__}.{d.py_func.__name__}": sorted(map(str, d.signatures)) for d in own}
 
-with tempfile.TemporaryDirectory() as folder, TestClient(create_app(settings_for(Path(folder)))) as client:
+folder = tempfile.mkdtemp()
+settings = settings_for(Path(folder)).model_copy(update={"warm_models": ("physics", "default")})
+with TestClient(create_app(settings)) as client:
     service = client.app.state.service
-    service.await_kernels()
+    while True:
+        with suppress(BusyError):  # without a cache, and on a busy machine, compiling takes its time
+            service.await_kernels()
+            break
     before = compiled()
     heightmap = client.post("/v1/heightmaps", content=write_geotiff(None, hill())).json()["id"]
     for robot in ({}, {"regeneration": 0.5, "turn_j_per_rad": 2.0}):
@@ -35,6 +42,10 @@ with tempfile.TemporaryDirectory() as folder, TestClient(create_app(settings_for
         task = {"start": START, "goal": GOAL, "round_trip": True}
         assert client.post(f"/v1/costmaps/{made}/feasibility", json=task).status_code == 200
         assert client.get(f"/v1/costmaps/{made}/at", params={"x": START[0], "y": START[1]}).status_code == 200
+    for spacing in (1.0, 0.5, 1.5):  # a network's tiles in a row or apart, and single squares
+        asked = {"heightmap_id": heightmap, "model": "default", "spacing_m": spacing, "headings": 8}
+        done = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"})
+        assert done.json()["status"] == "succeeded", done.json()
     after = compiled()
     assert len(before) > 10
     print(json.dumps({name: signatures for name, signatures in after.items() if before.get(name) != signatures}))

@@ -65,6 +65,18 @@ def test_dense_passes_and_single_squares_agree(resolution_m, spacing_m):
     assert np.isfinite(lattice[1:-1, 1:-1]).all()
 
 
+def test_the_two_ways_agree_on_a_robot_wider_than_the_tracks_reach():
+    heightmap, robot, headings = rough(0.2, side_m=6.0), Robot(width_m=2.0), heading_bins(6)
+    frame = heightmap.frame.respaced(1.0)
+    net = some_net()
+    torch.nn.init.normal_(net.tracks.weight, std=0.5)
+    model = predictor(net)
+    x, y = frame.centres()
+    places = np.broadcast_arrays(x[None, :, None], y[:, None, None], headings)
+    single = model.segment_traction(heightmap, robot, *places).reshape(places[0].shape)
+    np.testing.assert_allclose(model.traction_per_m(heightmap, robot, frame, headings), single, rtol=1e-5, atol=5e-4)
+
+
 def test_a_window_is_a_part_of_the_whole():
     heightmap = rough(0.2)
     frame = heightmap.frame.respaced(1.0)

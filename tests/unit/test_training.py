@@ -89,6 +89,12 @@ def test_the_papers_network_repeats_itself_too():
     assert same_weights(one, other)
 
 
+def test_a_last_patch_alone_is_no_batch():
+    _, _, examples = driven(6, architecture="resnet18")  # 32 x 32 patches end as one value per channel
+    options = TrainingOptions(epochs=1, batch=2, learning_rate=1e-4)
+    train_network(examples, architecture="resnet18", held_out_runs=[6], options=options)
+
+
 def test_whole_runs_are_held_out():
     _, _, examples = driven(80)
     result = train_network(examples, held_out_runs=[2, 5], options=TrainingOptions(epochs=1))
@@ -180,6 +186,14 @@ def test_coverage_counts_what_lies_inside():
     spread = Spread(quantiles=(0.5, 1.0, 2.0))
     inside = coverage([10.0, 10.0, 10.0, 10.0], [10.0, 10.9, 11.5, 13.0], [1.0] * 4, spread)
     assert inside == {"50": 0.25, "80": 0.5, "90": 0.75}
+
+
+def test_a_single_run_predicted_well_does_not_promise_that_of_the_next():
+    predicted_j = np.full(100, 50.0)
+    energy = predicted_j + np.tile([2.0, -2.0], 50)  # its sum is right to the joule
+    assert fit_spread(energy, predicted_j, predicted_j * 0.1, np.zeros(100)).run_share == pytest.approx(
+        Spread.run_share / math.sqrt(2.0)
+    )
 
 
 def test_a_spread_covers_what_it_was_made_for():

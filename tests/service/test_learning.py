@@ -1,0 +1,128 @@
+"""From runs to a model in the corners: one run, runs of another place, trainings cut off, and what a folder keeps."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from model.energy.domain import Domain
+from model.energy.physics import tan_grade
+from model.energy.predictor import load_predictor
+from model.errors import InputError, ModelError
+from model.frames import GridFrame
+from model.loop.calibrated import CalibratedPredictor, Correction
+from model.loop.prediction import predict_segments
+from model.loop.record import RECORD_FILE
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from service.learning import read_segments, train_on_runs
+from service.workflows import make_cost_lattice
+
+ROBOT = Robot(rolling_resistance=0.1)
+SHIPPED = Path(__file__).resolve().parents[2] / "model" / "weights"
+
+
+def waves() -> Heightmap:
+    frame = GridFrame(0.0, 8.0, 0.25, 32, 160)
+    x, y = frame.centres()
+    return Heightmap((0.3 * np.sin(x[None, :] / 3.0) + 0.1 * np.cos(y[:, None])).astype(np.float32), frame)
+
+
+def drive(folder: Path, name: str, *, y: float, columns: str = "voltage", payload_kg: float = 0.0) -> Path:
+    """A log of 36 m straight to the east, 1.2 times what equation 5 asks for."""
+    t = np.arange(0.0, 72.0, 0.1)
+    x = 2.0 + ROBOT.speed_mps * t
+    grade = tan_grade(waves(), x, 4.0, np.pi / 2)
+    power = 1.2 * ROBOT.price_per_m(ROBOT.weight_n * (ROBOT.rolling_resistance + grade)) * ROBOT.speed_mps
+    volts = ROBOT.nominal_voltage_v
+    rows = [
+        f"{a:.2f},{b:.4f},{y},{p / volts:.5f},{payload_kg}" + (f",{volts}" if columns else "")
+        for a, b, p in zip(t, x, power, strict=True)
+    ]
+    file = folder / name
+    file.write_text("\n".join([f"t,x,y,current,payload{',' + columns if columns else ''}", *rows]) + "\n")
+    return file
+
+
+def train(files, out, **options):
+    return train_on_runs(waves(), ROBOT, files, out=out, epochs=1, start_from=SHIPPED, **options)
+
+
+def test_a_single_run_is_held_out_stretch_by_stretch(tmp_path):
+    run = drive(tmp_path, "run.csv", y=4.0)
+    model = train([run], tmp_path / "model")
+    assert model.held_out_runs == ["run.csv"]
+    assert model.held_out["segments"] == model.segments > 25
+
+
+def test_segments_at_the_maps_edge_are_counted_though_their_turned_squares_leave_the_map(tmp_path):
+    files = [drive(tmp_path, f"{y}.csv", y=y) for y in (0.2, 7.8)]
+    segments = read_segments(files, ROBOT, crs=None)[1]
+    assert train(files, tmp_path / "model").segments == len(segments)
+
+
+def test_runs_beside_the_map_are_refused_in_words(tmp_path):
+    files = [drive(tmp_path, f"{k}.csv", y=500.0 + k) for k in range(2)]
+    with pytest.raises(InputError, match="straight over ground that the heightmap knows"):
+        train(files, tmp_path / "model")
+    with pytest.raises(InputError, match="straight over ground that the heightmap knows"):
+        train_on_runs(waves(), ROBOT, files, out=tmp_path / "model", epochs=1)
+
+
+def test_a_training_cut_off_goes_on_to_the_same_weights_and_never_from_another_start(tmp_path):
+    files = [drive(tmp_path, f"{k}.csv", y=2.0 + 2.0 * k) for k in range(3)]
+    whole, out = train(files, tmp_path / "whole"), tmp_path / "cut"
+
+    class Killed(Exception):
+        pass
+
+    def kill(done: float) -> None:
+        if done > 0.5:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(files, out, progress=kill)
+    with pytest.raises(ModelError, match="another training"):
+        train_on_runs(waves(), ROBOT, files, out=out, epochs=1, start_from=tmp_path / "whole", resume=True)
+    assert train(files, out, resume=True).version == whole.version
+    assert not list(out.glob("*.pt"))
+
+
+def test_the_runs_of_an_earlier_model_do_not_stay_beside_a_new_one(tmp_path):
+    files = [drive(tmp_path, f"{k}.csv", y=2.0 + 2.0 * k) for k in range(2)]
+    train(files, tmp_path / "model")
+    assert (tmp_path / "model" / RECORD_FILE).is_file()
+    train(files, tmp_path / "model", charge=True)
+    assert not (tmp_path / "model" / RECORD_FILE).exists()
+
+
+def test_runs_with_and_without_voltage_are_learned_together(tmp_path):
+    files = [drive(tmp_path, "with.csv", y=3.0), drive(tmp_path, "without.csv", y=3.0, columns="")]
+    energy = read_segments(files, ROBOT, crs=None)[1].energy_j
+    one, other = np.split(energy, 2)
+    np.testing.assert_allclose(one, other, rtol=1e-6)  # the voltage was the nominal one throughout
+
+
+def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
+    train([drive(tmp_path, "run.csv", y=4.0)], tmp_path / "model")
+    config = tmp_path / "model" / "config.json"
+    values = json.loads(config.read_text())
+    config.write_text(json.dumps(values | {"turn_j_per_rad": 7.0}))
+    declared = Robot(turn_j_per_rad=2.0)
+    lattice = make_cost_lattice(waves(), declared, model=tmp_path / "model", headings=8)
+    assert lattice.robot.turn_j_per_rad == 9.0
+
+
+def test_a_calibration_without_effects_changes_no_prediction_with_payload_or_of_charge(tmp_path):
+    base = load_predictor("default")
+    base.domain = Domain(base.domain.robot, base.domain.resolution_m, base.domain.max_slope_deg, (0.0, 20.0))
+    segments = read_segments([drive(tmp_path, "loaded.csv", y=4.0, payload_kg=8.0)], ROBOT, crs=None)[1]
+    assert (segments.extras["payload"] == 8.0).all()
+    plain = predict_segments(base, waves(), ROBOT, segments)
+    calibrated = CalibratedPredictor(base, Correction((), ()), name="mine", version="1")
+    same = predict_segments(calibrated, waves(), ROBOT, segments)
+    np.testing.assert_allclose(same.energy_j, plain.energy_j, rtol=0.01)  # its metres are those of the segment
+    np.testing.assert_array_equal(same.std_j, plain.std_j)
+    charge = CalibratedPredictor(base, Correction((), (), charge=True), name="mine", version="1")
+    assert np.isfinite(predict_segments(charge, waves(), ROBOT, segments).energy_j).all()
