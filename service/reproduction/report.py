@@ -217,9 +217,7 @@ def _driving(summary: Summary) -> str:
         return ""
     drives = list(fields[0]["metres"])
     body = [[drive, f"{sum(f['metres'][drive] for f in fields) / len(fields):.0f}"] for drive in drives]
-    return _lines(["drive", "metres per seed"], body) + (
-        "\nThe first third of each lawnmower's runs is trained on.\n"
-    )
+    return _lines(["drive", "metres per seed"], body) + ("\nThe first third of each lawnmower's runs is trained on.\n")
 
 
 def _roughness(summary: Summary) -> str:
