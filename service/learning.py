@@ -132,7 +132,7 @@ def train_on_runs(
         net, held, passes = work.fit(options, seed, progress)
     apart = segments.take(np.concatenate([mine for mine, _ in held]))
     predicted = np.concatenate([p.energy_j for _, p in held])
-    turn = _turning(apart, predicted, robot)
+    turn = _turning(apart, predicted)
     predicted = predicted + turn * np.abs(apart.heading_change_rad)
     known = np.isfinite(predicted)
     stds = np.concatenate([np.full(p.energy_j.size, np.nan) if p.std_j is None else p.std_j for _, p in held])
@@ -256,12 +256,11 @@ def _parts(segments: Segments) -> NDArray[np.int64]:
     return np.arange(len(segments)) * _STRETCHES // max(len(segments), 1)
 
 
-def _turning(segments: Segments, predicted_j: NDArray[np.float64], robot: Robot) -> float:
+def _turning(segments: Segments, predicted_j: NDArray[np.float64]) -> float:
     """Energy of turning [J/rad] beyond what straight driving explains, at least 0: the least-squares slope of what is
-    left, over the square of the prediction, once the time that turns take longer has its idle power."""
+    left, over the square of the prediction. The idle power of the time that turns take longer is in it."""
     turned = np.abs(segments.heading_change_rad)
-    longer = np.maximum(segments.duration_s - segments.driven_m / robot.speed_mps, 0.0)
-    rest = segments.energy_j - predicted_j - robot.idle_power_w * longer
+    rest = segments.energy_j - predicted_j
     use = np.isfinite(rest) & (turned >= MAX_TURN_RAD)
     if use.sum() < FEWEST:
         return 0.0

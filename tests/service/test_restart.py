@@ -178,7 +178,7 @@ def test_a_job_is_done_step_by_step_and_a_failed_one_keeps_its_problem(store: St
     assert problem is not None
     assert (problem["status"], problem["request_id"]) == (500, failed)
     assert "log only" not in str(problem)
-    assert builder.gone == [failed]
+    assert builder.gone[0] == failed
     wait_until(lambda: store.status(next_one) == "failed")  # the others are still looked after
     worker.stop()
 
