@@ -39,6 +39,7 @@ _TRACK_HEADING_S = 0.5  # directions need more smoothing than places
 _COMPASS_AGREES_RAD = 0.25
 _STAND_S = 1.0
 UNDRIVEN = 0.15
+"""Share of the usual current below which a whole run was not driven."""
 CARRIED = 3.0
 """Faster than so many times its declared speed a robot was carried, or its positions wandered: such segments are left
 out where a robot is known."""
