@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from model.loop.effects import Term, quantity
 from model.loop.residual import Residuals
-from model.loop.segments import TURN_LIMITS_RADPS
+from model.loop.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.frames import heading_vector
-from model.loop.segments import TURN_LIMITS_RADPS, Segments
+from model.loop.segments import Segments
+from model.loop.track import TURN_LIMITS_RADPS
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 

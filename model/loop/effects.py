@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from model.errors import ModelError
 from model.loop.drive import Drive
-from model.loop.segments import TURN_LIMITS_RADPS
+from model.loop.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
 Formula = Callable[..., FloatArray]

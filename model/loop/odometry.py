@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from model.errors import InputError, RunsError
 from model.frames import GridFrame
 from model.loop.runs import Run, run_of
-from model.loop.segments import TURN_LIMITS_RADPS, Segments
+from model.loop.segments import Segments
 from model.loop.table import read_table
+from model.loop.track import TURN_LIMITS_RADPS
 from model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]

@@ -18,33 +18,35 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from model.errors import InputError, RunsError
-from model.frames import heading_of, wrap_angle
+from model.frames import heading_of
 from model.loop.runs import Run
+from model.loop.track import (
+    SMOOTHING_S,
+    cut_chords,
+    find_stands,
+    integral,
+    pieces_of,
+    smooth,
+    track_headings,
+    track_speeds,
+    turns_between,
+)
 
 FloatArray = NDArray[np.float64]
 
 ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
 """Columns [deg] whose mean over a segment is the mean direction."""
-
-TURN_LIMITS_RADPS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)
-"""Limits up to which `Segments.gentle_turn_rad` counts how fast a robot turns."""
-
-_LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
-_SMOOTHING_S = 0.3  # or one interval
-_TRACK_HEADING_S = 0.5  # directions need more smoothing than places
-_COMPASS_AGREES_RAD = 0.25
-_STAND_S = 1.0
 UNDRIVEN = 0.15
 """Share of the usual current below which a whole run was not driven."""
 CARRIED = 3.0
 """Faster than so many times its declared speed a robot was carried, or its positions wandered: such segments are left
 out where a robot is known."""
-_STANDS_WITHIN_M = 0.05
-_STANDS_EVENLY = 0.25
+
+_LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
+_STAND_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,11 @@ class Segments:
     x, y : the centre [m]. heading_rad : of p -> q. energy_j : drawn from the battery [J], or charge [A s] if `charge`.
     duration_s. driven_m : horizontal length of the track. heading_change_rad : of the track from p to q, > 0 to the
     right. turned_abs_rad : turns to both sides added up. gentle_turn_rad : (n, 7), the same where every rate of turning
-    counts up to the limits `TURN_LIMITS_RADPS` only. gained_m2ps2 : half the square of the
-    speed, what it rose by between p and q (falls do not count). voltage_v (NaN where it
-    was not recorded), current_a : means. t0 : stamp at p. run : index into `runs`. extras : mean of each further
-    numeric column (NaN where blank); texts : text columns at the middle. stands : (run, seconds, energy) of every
-    stand of 2 s or more without its first and last half second. left_out : reason -> count.
+    counts up to the limits `track.TURN_LIMITS_RADPS` only. gained_m2ps2 : half the square of the speed, what it rose by
+    between p and q (falls do not count). voltage_v (NaN where it was not recorded), current_a : means. t0 : stamp at p.
+    run : index into `runs`. extras : mean of each further numeric column (NaN where blank); texts : text columns at the
+    middle. stands : (run, seconds, energy) of every stand of 2 s or more without its first and last half second.
+    left_out : reason -> count.
     """
 
     x: FloatArray
@@ -128,14 +130,14 @@ def cut_segments(
     longest_gap = max(_LONGEST_GAP_S, 2.5 * interval)
     gap = np.concatenate([[True], (np.diff(t) > longest_gap) | run.breaks[good][1:]])
     _count(left_out, "gaps", int(gap.sum()) - 1)
-    x, y, vx, vy = _smooth(t, x, y, np.cumsum(gap), max(_SMOOTHING_S, interval))
+    x, y, vx, vy = smooth(t, x, y, np.cumsum(gap), max(SMOOTHING_S, interval))
     speed = np.hypot(vx, vy)
     own = speed[(speed > 0.0) & (speed <= max_speed_mps)]
     usual = float(np.median(own[own > 0.25 * np.quantile(own, 0.9)])) if own.size else 0.0
-    piece, stops = _pieces(t, speed, gap, 0.15 * usual, _STAND_S)
+    piece, stops = pieces_of(t, speed, gap, 0.15 * usual, _STAND_S)
     _count(left_out, "stops", stops)
 
-    ends, remainders = _cut(x, y, piece, length_m)  # (n, 2) fractional positions of p and q
+    ends, remainders = cut_chords(x, y, piece, length_m)  # (n, 2) fractional positions of p and q
     _count(left_out, "remainders", remainders)
     station = np.arange(t.size, dtype=np.float64)
 
@@ -144,11 +146,11 @@ def cut_segments(
 
     (px, qx), (py, qy), (pt, qt) = at(x), at(y), at(t)
     ps, qs = at(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))]))
-    turned, turned_abs, gentle = _turned(t, _headings(run, good, np.cumsum(gap), interval, speed), ends)
-    rises = np.maximum(np.diff(0.5 * _speeds(run, good, np.cumsum(gap), interval, speed) ** 2, prepend=0.0), 0.0)
+    turned, turned_abs, gentle = turns_between(t, track_headings(run, good, np.cumsum(gap), interval, speed), ends)
+    rises = np.maximum(np.diff(0.5 * track_speeds(run, good, np.cumsum(gap), interval, speed) ** 2, prepend=0.0), 0.0)
     gained_p, gained_q = at(np.cumsum(np.where(gap, 0.0, rises)))
     power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
-    energy = _integral(run.t, power, qt) - _integral(run.t, power, pt)
+    energy = integral(run.t, power, qt) - integral(run.t, power, pt)
     first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
     voltage = np.full(pt.size, np.nan) if run.voltage_v is None else _mean(run.voltage_v, first, last, False)
     columns = {
@@ -173,7 +175,7 @@ def cut_segments(
         charge=charge,
         extras={key: _mean(values, first, last, key in ANGLE_COLUMNS)[keep] for key, values in run.extras.items()},
         texts={key: values[middle][keep] for key, values in run.texts.items()},
-        stands=_stands(t, x, y, piece, run.t, power, run.extras.get("speed")),
+        stands=find_stands(t, x, y, piece, run.t, power, run.extras.get("speed")),
         left_out=left_out,
     )
 
@@ -238,14 +240,6 @@ def _count(counts: dict[str, int], key: str, count: int) -> None:
         counts[key] = counts.get(key, 0) + count
 
 
-def _integral(t: FloatArray, power: FloatArray, at: FloatArray) -> FloatArray:
-    """Integral of piecewise linear `power` from t[0] to `at`, exactly."""
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
-    k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
-    there = np.interp(at, t, power)
-    return total[k] + 0.5 * (power[k] + there) * (at - t[k])
-
-
 def _mean(values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64], angle: bool) -> FloatArray:
     """Mean of the known samples in rows [first, last); NaN where there is none. Angles [deg] as directions, 0..360."""
     if angle:
@@ -258,182 +252,3 @@ def _mean(values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64],
     counts = np.concatenate([[0], np.cumsum(known)])
     n = counts[last] - counts[first]
     return np.where(n > 0, centre + (sums[last] - sums[first]) / np.maximum(n, 1), np.nan)
-
-
-def _headings(
-    run: Run, good: NDArray[np.int64], piece: NDArray[np.int64], interval: float, speed: FloatArray
-) -> FloatArray:
-    """Where the robot points [rad] at the rows `good`: its `heading` column where that agrees with the track, which it
-    knows better than positions do; else the direction of the track."""
-    t, x, y = run.t[good], run.x[good], run.y[good]
-    _, _, vx, vy = _smooth(t, x, y, piece, max(_TRACK_HEADING_S, interval))
-    track = heading_of(vx, vy)
-    compass = run.extras.get("heading")
-    if compass is None or np.isfinite(compass[good]).mean() < 0.8:
-        return track
-    known = np.isfinite(compass)
-    turns = np.unwrap(np.radians(compass[known]))
-    pointed = np.interp(t, run.t[known], turns)
-    clear = speed > 0.5 * float(np.quantile(speed, 0.9))
-    if np.median(np.abs(wrap_angle(pointed - track)[clear])) > _COMPASS_AGREES_RAD:
-        return track
-    north, east, _, _ = _smooth(t, np.cos(pointed), np.sin(pointed), piece, max(_SMOOTHING_S, interval))
-    return heading_of(east, north)
-
-
-def _turned(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Heading change between fractional positions, followed through every sample: signed (> 0 to the right), absolute,
-    and absolute with every rate up to the limits only (n, limits)."""
-    step, dt = wrap_angle(np.diff(heading)), np.diff(t)
-    station = np.arange(t.size, dtype=np.float64)
-
-    def between(steps: FloatArray) -> FloatArray:
-        total = np.concatenate([[0.0], np.cumsum(steps)])
-        return np.interp(ends[:, 1], station, total) - np.interp(ends[:, 0], station, total)
-
-    gentle = [between(np.minimum(np.abs(step), limit * dt)) for limit in TURN_LIMITS_RADPS]
-    return between(step), between(np.abs(step)), np.stack(gentle, axis=1)
-
-
-def _speeds(
-    run: Run, good: NDArray[np.int64], piece: NDArray[np.int64], interval: float, track: FloatArray
-) -> FloatArray:
-    """Speed at the rows `good` [m/s]: the `speed` column, evened out, where it agrees with the track; else its."""
-    logged = run.extras.get("speed")
-    if logged is None or np.isfinite(logged[good]).mean() < 0.8:
-        return track
-    known = np.isfinite(logged)
-    told = np.interp(run.t[good], run.t[known], logged[known])
-    if np.median(np.abs(told - track)) > 0.2 * float(np.median(track)):
-        return track
-    return _smooth(run.t[good], told, told, piece, max(_SMOOTHING_S, interval))[0]
-
-
-def _stands(
-    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], stamps: FloatArray, power: FloatArray,
-    speed: FloatArray | None,
-) -> tuple[tuple[int, float, float], ...]:  # fmt: skip
-    """(0, seconds, energy) of every stand, without its first and last half second. The robot stays where it is and
-    draws evenly and little: one that turns on the spot, or that lost its position on the way, is not standing."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[1], (piece != 0).astype(int), [1]])))
-    usual = float(np.median(power))
-    found = []
-    for first, after in zip(edges[::2], edges[1::2], strict=True):
-        start, end = float(t[first]) + 0.5, float(t[after - 1]) - 0.5
-        rows = (stamps >= start) & (stamps <= end)
-        drawn = power[rows]
-        if end - start < 1.0 or drawn.size < 5 or drawn.std() > _STANDS_EVENLY * drawn.mean() > 0:
-            continue
-        moved = math.hypot(x[after - 1] - x[first], y[after - 1] - y[first])
-        told = 0.0 if speed is None else float(np.nan_to_num(np.abs(speed[rows])).mean())
-        if moved < _STANDS_WITHIN_M and told < _STANDS_WITHIN_M and 0.0 < drawn.mean() < 0.7 * usual:
-            ends = _integral(stamps, power, np.array([start, end]))
-            found.append((0, end - start, float(ends[1] - ends[0])))
-    return tuple(found)
-
-
-@njit(cache=True)
-def _smooth(
-    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], sigma_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Local straight lines in time with Gaussian weights, never across pieces: position and velocity, (n,) each."""
-    n = t.size
-    sx, sy, vx, vy = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
-    reach = 3.0 * sigma_s + 1e-6  # rounding must not take one side's last sample
-    for k in range(n):
-        w0 = w1 = w2 = x0 = x1 = y0 = y1 = 0.0
-        for side in (-1, 1):
-            j = k if side == 1 else k - 1
-            while 0 <= j < n and piece[j] == piece[k] and abs(t[j] - t[k]) <= reach:
-                dt = t[j] - t[k]
-                w = math.exp(-0.5 * (dt / sigma_s) ** 2)
-                w0 += w
-                w1 += w * dt
-                w2 += w * dt * dt
-                x0 += w * (x[j] - x[k])
-                x1 += w * dt * (x[j] - x[k])
-                y0 += w * (y[j] - y[k])
-                y1 += w * dt * (y[j] - y[k])
-                j += side
-        det = w0 * w2 - w1 * w1
-        if det > 1e-12:
-            sx[k] = x[k] + (w2 * x0 - w1 * x1) / det
-            sy[k] = y[k] + (w2 * y0 - w1 * y1) / det
-            vx[k] = (w0 * x1 - w1 * x0) / det
-            vy[k] = (w0 * y1 - w1 * y0) / det
-        else:
-            sx[k], sy[k] = x[k], y[k]
-    return sx, sy, vx, vy
-
-
-@njit(cache=True)
-def _pieces(
-    t: FloatArray, speed: FloatArray, gap: NDArray[np.bool_], standing_mps: float, standing_s: float
-) -> tuple[NDArray[np.int64], int]:
-    """Number of the piece each sample belongs to (0 while standing for `standing_s` or more), and how many stands."""
-    n = t.size
-    piece = np.zeros(n, dtype=np.int64)
-    now = 0
-    stops = 0
-    fresh = True
-    k = 0
-    while k < n:
-        fresh = fresh or gap[k]
-        if speed[k] < standing_mps:
-            j = k
-            while j + 1 < n and speed[j + 1] < standing_mps and not gap[j + 1]:
-                j += 1
-            if t[j] - t[k] >= standing_s:
-                stops += 1
-                fresh = True
-                k = j + 1
-                continue
-        if fresh:
-            now += 1
-            fresh = False
-        piece[k] = now
-        k += 1
-    return piece, stops
-
-
-@njit(cache=True)
-def _cut(x: FloatArray, y: FloatArray, piece: NDArray[np.int64], length: float) -> tuple[FloatArray, int]:
-    """Fractional positions (n, 2) of p and q, `length` apart in a straight line, and the number of remainders."""
-    n = x.size
-    ends = np.empty((n + 1, 2))
-    count = 0
-    remainders = 0
-    k = 0
-    while k < n:
-        if piece[k] == 0:
-            k += 1
-            continue
-        here = piece[k]
-        start = float(k)
-        px, py = x[k], y[k]
-        j = k + 1
-        while j < n and piece[j] == here:
-            if math.hypot(x[j] - px, y[j] - py) < length:
-                j += 1
-                continue
-            ax, ay = x[j - 1] - px, y[j - 1] - py
-            f0 = start - (j - 1) if start > j - 1 else 0.0
-            dx, dy = x[j] - x[j - 1], y[j] - y[j - 1]
-            a = dx * dx + dy * dy  # |a + f d| = length, the later root
-            b = ax * dx + ay * dy
-            c = ax * ax + ay * ay - length * length
-            f = min(max((-b + math.sqrt(max(b * b - a * c, 0.0))) / a, f0), 1.0)
-            end = j - 1 + f
-            ends[count, 0] = start
-            ends[count, 1] = end
-            count += 1
-            if count == ends.shape[0]:
-                grown = np.empty((2 * count, 2))
-                grown[:count] = ends
-                ends = grown
-            start = end
-            px, py = x[j - 1] + f * dx, y[j - 1] + f * dy
-        if start < j - 1:
-            remainders += 1
-        k = j
-    return ends[:count].copy(), remainders

@@ -19,7 +19,7 @@ from model.frames import heading_of, wrap_angle
 from model.loop.drive import Drive, planned_drive
 from model.loop.effects import Term
 from model.loop.residual import Residuals
-from model.loop.segments import TURN_LIMITS_RADPS
+from model.loop.track import TURN_LIMITS_RADPS
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 

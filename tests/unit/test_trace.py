@@ -15,7 +15,7 @@ from model.loop.effects import Term
 from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
-from model.loop.segments import TURN_LIMITS_RADPS
+from model.loop.track import TURN_LIMITS_RADPS
 from model.robot import Robot
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=12.0, speed_mps=0.5)
