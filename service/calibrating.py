@@ -62,7 +62,8 @@ def read_calibration_runs(
 def residuals_on(
     predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments
 ) -> tuple[Residuals, dict[str, np.ndarray]]:
-    """Residuals of segments against a model, and each row's mean voltage, current and power. Raises RunsError."""
+    """Residuals of segments against a model, and what the battery's meters said of each row: means of voltage, current
+    and power, energy, and the current's ripple. Raises RunsError."""
     if len(segments) == 0:
         raise RunsError("the runs hold no segment of 1 m: did the robot move, and is its position recorded?")
     said = predict_segments(predictor, heightmap, robot, segments)
@@ -86,7 +87,8 @@ _MARK = "measured "
 def _electric(segments: Segments, stands: int) -> dict[str, np.ndarray]:
     rest = np.full(stands, np.nan)
     power = segments.energy_j / segments.duration_s
-    means = {"voltage": segments.voltage_v, "current": segments.current_a, "power": power}
+    means = {"voltage": segments.voltage_v, "current": segments.current_a, "power": power, "energy": segments.energy_j,
+             "ripple": segments.ripple}  # fmt: skip
     return {_MARK + key: np.concatenate([values, rest]) for key, values in means.items()}
 
 
