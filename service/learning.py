@@ -48,7 +48,8 @@ often go to and fro in one direction, and a network that has seen no other errs 
 @dataclass(frozen=True)
 class TrainedModel:
     """What a training left. segments : learned from and held out; held_out : errors on `held_out_runs`, each predicted
-    by a network that had not seen it. turn_j_per_rad : what turning took beyond straight driving [J/rad]."""
+    by a network that had not seen it. stopped_by_held_out : whether the same runs said when to stop, which flatters
+    the errors. turn_j_per_rad : what turning took beyond straight driving [J/rad]."""
 
     version: str
     segments: int
@@ -57,6 +58,7 @@ class TrainedModel:
     held_out: dict[str, Any]
     epochs: int
     turn_j_per_rad: float
+    stopped_by_held_out: bool
 
 
 def read_segments(
@@ -151,6 +153,7 @@ def train_on_runs(
         "runs": list(segments.runs),
         "held_out_runs": names,
         "held_out": held_out,
+        "stopped_by_held_out": not crossed,
         "seed": seed,
         "epochs": passes,
         "started_from": str(start_from or backbone or ""),
@@ -161,7 +164,7 @@ def train_on_runs(
     if all(run.voltage_v is not None for run in runs) and not charge:
         keep_base_runs(out, heightmap, robot, apart, said.traction_per_m)
     work.forget()
-    return TrainedModel(version, work.known, list(segments.runs), names, held_out, passes, turn)
+    return TrainedModel(version, work.known, list(segments.runs), names, held_out, passes, turn, not crossed)
 
 
 class _Training:

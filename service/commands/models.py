@@ -232,7 +232,8 @@ def train(
     answer.table(
         {
             "learned from": f"{model.segments} segments of {len(model.runs)} runs",
-            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}",
+            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
+            + (", flattered a little: they said when to stop" if model.stopped_by_held_out else ""),
             "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",
         }
     )
