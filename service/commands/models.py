@@ -161,7 +161,12 @@ def train(
     weights: Annotated[
         Path | None, typer.Option(metavar="FILE", help="ResNet18 backbone with torchvision's names (ImageNet's file).")
     ] = None,
-    patch_size: Annotated[int, typer.Option(min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper.")] = 64,
+    patch_size: Annotated[
+        int | None,
+        typer.Option(
+            min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper. [default: those of `--from`, else 64]"
+        ),
+    ] = None,
     epochs: Annotated[
         int | None,
         typer.Option(min=1, help="Passes over the data, at most. [default: 12 for compact, 60 for resnet18]"),
@@ -186,6 +191,12 @@ def train(
     """
     answer = Answer(json_file)
     if heightmap is None and not runs:
+        told = {
+            "--robot": robot, "--from": start_from, "--weights": weights, "--patch-size": patch_size,
+            "--epochs": epochs, "--charge": charge, "--resume": resume, "--arch": architecture is Architecture.RESNET18,
+        }  # fmt: skip
+        if idle := [name for name, value in told.items() if value]:
+            raise typer.BadParameter(f"{', '.join(idle)}: only with --heightmap and --runs")
         from service.pretraining import DEFAULT_SEED, train_default
 
         with progress_bar("Training the shipped network") as report:
@@ -221,7 +232,8 @@ def train(
     answer.table(
         {
             "learned from": f"{model.segments} segments of {len(model.runs)} runs",
-            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}",
+            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
+            + (", flattered a little: they said when to stop" if model.stopped_by_held_out else ""),
             "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",
         }
     )
