@@ -2,8 +2,9 @@
 
 Robot weight times elevation explains the climbs but for noise: a price comes from the slope of a square metre, a rise
 from two heights. Taken as it is, the noisiest move of the map would set the bound for all. A surface may be anything,
-so it is lowered here and there until every move costs at least its rise and some `a` per metre beside it. How large
-`a` may grow is set by the cheapest loop of the map, around which every rise cancels (Bellman-Ford; Johnson 1977).
+so it is first averaged towards what the prices there and back say, then lowered here and there until every move costs
+at least its rise and some `a` per metre beside it. How large `a` may grow is set by the cheapest loop of the map,
+around which every rise cancels (Bellman-Ford; Johnson 1977).
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 from model.errors import NegativeCycleError
 
+SWEEPS = 3
+"""Averages over neighbours: they take out noise, which is all that has to go."""
 HALVINGS = 6
 """How closely the largest `a` is found: this often the span it may lie in, which is a few J/m, is halved."""
 EFFORT = 0.5
@@ -27,12 +30,14 @@ ROUNDING_J = 1e-9
 def even_surface(
     energy: NDArray[np.float32], offsets: NDArray[np.int64], length_m: NDArray[np.float64], surface: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(rows, cols) float64 [J]: `surface` lowered here and there, so that every move costs much more than its rise.
+    """(rows, cols) float64 [J]: `surface` evened out, so that every move costs as much beside its rise as can be had.
 
-    energy : (rows, cols, N) float32 [J], NaN where there is no such move; offsets : (N, 2); length_m : (N,);
-    surface : (rows, cols) float64 [J]. Where some prices are negative no move costs less than its rise afterwards;
-    NegativeCycleError, with a place on the loop, where no surface can do that.
+    energy : (rows, cols, N) float32 [J], NaN where there is no such move; offsets : (N, 2) clockwise all the way
+    round; length_m : (N,); surface : (rows, cols) float64 [J]. Where some prices are negative no move costs less than
+    its rise afterwards; NegativeCycleError, with a place on the loop, where no surface can do that.
     """
+    for _ in range(SWEEPS):
+        surface = _levelled(energy, offsets, surface)
     least = spare_per_m(energy, offsets, length_m, surface)
     if least.min() < 0.0:
         lower = surface.copy()
@@ -59,6 +64,30 @@ def even_surface(
         else:
             high = aim
     return surface
+
+
+@njit(cache=True, parallel=True)
+def _levelled(energy, offsets, surface):
+    """(rows, cols) float64 [J]: each cell where its neighbours and the prices there and back put it, on average.
+
+    A sweep towards the surface of least squares: half of what a move costs more than its way back is its rise.
+    """
+    rows, cols, moves = energy.shape
+    out = surface.copy()
+    for i in prange(rows):
+        for j in range(cols):
+            total, count = 0.0, 0
+            for n in range(moves):
+                there = energy[i, j, n]
+                if not math.isnan(there):
+                    r, c = i + offsets[n, 0], j + offsets[n, 1]
+                    back = energy[r, c, (n + moves // 2) % moves]
+                    if not math.isnan(back):
+                        total += surface[r, c] - 0.5 * (there - back)
+                        count += 1
+            if count > 0:
+                out[i, j] = total / count
+    return out
 
 
 @njit(cache=True, parallel=True)
