@@ -13,7 +13,8 @@ from model.energy.uncertainty import Spread
 from model.errors import InputError
 from model.frames import GridFrame, heading_vector, wrap_angle
 from model.robot import Robot
-from model.terrain.heightmap import Heightmap, bilinear
+from model.terrain.heightmap import Heightmap
+from model.terrain.rows import columns_between, sample_row
 
 FloatArray = NDArray[np.float64]
 
@@ -125,15 +126,21 @@ def antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
 
 @njit(cache=True, parallel=True)
 def _grades(heights, row, col, drow, dcol, own, sign, length_m, out):  # fmt: skip
+    ahead = [columns_between(col + right, heights.shape[1]) for right in dcol]
+    behind = [columns_between(col - right, heights.shape[1]) for right in dcol]
     for i in prange(row.size):
+        line, high, low = np.empty(heights.shape[1]), np.empty(col.size), np.empty(col.size)
+        grades = np.empty((drow.size, col.size), dtype=np.float32)
+        for k in range(drow.size):
+            if sign[k] < 0.0:
+                grades[k] = -grades[own[k]]
+            else:
+                sample_row(heights, row[i] + drow[k], ahead[k], line, high)
+                sample_row(heights, row[i] - drow[k], behind[k], line, low)
+                grades[k] = (high - low) / length_m
         for j in range(col.size):
             for k in range(drow.size):
-                if sign[k] < 0.0:
-                    out[i, j, k] = -out[i, j, own[k]]
-                else:
-                    ahead = bilinear(heights, row[i] + drow[k], col[j] + dcol[k])
-                    behind = bilinear(heights, row[i] - drow[k], col[j] - dcol[k])
-                    out[i, j, k] = (ahead - behind) / length_m
+                out[i, j, k] = grades[k, j]
 
 
 class PhysicsPredictor:
