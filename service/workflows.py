@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.energy.domain import Learned
 from model.energy.predictor import MODEL_NAMES, Predictor
 from model.errors import InputError, ModelError, NoRouteError, TooLargeError
 from model.frames import GridFrame, heading_bins
-from model.loop.calibrated import CalibratedPredictor
 from model.robot import Battery, Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.windows import Ground
@@ -29,6 +27,8 @@ from planner.plan import PLANNERS, RoutePlanner
 from planner.route import Route, price_route
 from planner.tiles import Tiling
 from service.calibrating import load_model
+from service.rerouting import planning_robot
+from service.spreads import std_along
 
 DEFAULT_MODEL = "default"
 _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -84,9 +84,7 @@ def prepare_build(
     """
     tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
-    if isinstance(predictor, CalibratedPredictor | Learned):
-        robot = predictor.robot_with_turning(robot)
-    return robot, predictor, tiling
+    return planning_robot(predictor, robot), predictor, tiling
 
 
 def make_cost_lattice(
@@ -243,8 +241,8 @@ def assess(
     if (path is None) == (start is None and goal is None) or (start is None) != (goal is None):
         raise InputError("give either `path`, or `start` and `goal`")
     back = None
+    lattice = planner.lattice if isinstance(planner, RoutePlanner) else planner
     if path is not None:
-        lattice = planner.lattice if isinstance(planner, RoutePlanner) else planner
         points = np.asarray(path, dtype=np.float64)
         out = price_route(lattice, points)
         if round_trip:
@@ -257,8 +255,15 @@ def assess(
         out = router.plan(there, home).route
         if round_trip:
             back = router.plan(home, there).route
-    pieces = [route.profile.energy_j for route in (out, back) if route is not None]
-    return Assessment(judge_along(np.concatenate(pieces), battery), out, back)
+    routes = [route for route in (out, back) if route is not None]
+    return Assessment(judge_routes(lattice, routes, battery), out, back)
+
+
+def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:
+    """The verdict for routes of one lattice driven one after another, with a probability where its model knows how far
+    off it may be."""
+    pieces = np.concatenate([route.profile.energy_j for route in routes])
+    return judge_along(pieces, battery, std_j=std_along(lattice, routes))
 
 
 def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:
