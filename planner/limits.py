@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.rows import columns_between, sample_row
+from model.threads import pieces, share_out
 from planner.lattice import Blocked
 
 SQUARE_M = 1.0
 """Side of the square around a cell that is judged: the paper's patch."""
+
+_ROWS_AT_ONCE = 32
 
 
 def ground_limits(
@@ -37,18 +40,24 @@ def ground_limits(
     row, _ = heightmap.frame.rowcol(0.0, y)
     _, col = heightmap.frame.rowcol(x, 0.0)
     diameter = 2.0 * robot.wheel_radius_m / heightmap.resolution_m
-    return _ground_limits(
-        heightmap.heights, row, col, heightmap.resolution_m, samples, int(diameter), robot.wheel_radius_m,
-        int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP),
+    elevation = np.empty(frame.shape, dtype=np.float32)
+    gradient = np.full((*frame.shape, 2), np.nan, dtype=np.float32)
+    blocked = np.zeros(frame.shape, dtype=np.uint8)
+    codes = int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP)
+    share_out(
+        lambda rows: _ground_limits(
+            heightmap.heights, row[rows], col, heightmap.resolution_m, samples, int(diameter), robot.wheel_radius_m,
+            codes, elevation[rows], gradient[rows], blocked[rows],
+        ),
+        pieces(frame.rows, _ROWS_AT_ONCE),
     )  # fmt: skip
+    return elevation, gradient, blocked
 
 
-@njit(cache=True, parallel=True)
-def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, outside, unknown, step):
+@njit(cache=True, nogil=True)
+def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, codes, elevation, gradient, blocked):
+    outside, unknown, step = codes
     rows, cols = row.size, col.size
-    elevation = np.empty((rows, cols), dtype=np.float32)
-    gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
-    blocked = np.zeros((rows, cols), dtype=np.uint8)
     half = 0.5 * (samples - 1)
     pitch_m = SQUARE_M / (samples - 1)
     pixel = pitch_m / resolution_m
@@ -58,9 +67,9 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, ou
     edge = 0.5 + 1e-6
     centre = columns_between(col, heights.shape[1])
     squares = columns_between((col.reshape(-1, 1) + (np.arange(samples) - half) * pixel).ravel(), heights.shape[1])
-    for i in prange(rows):
-        line, middle = np.empty(heights.shape[1]), np.empty(cols)
-        z = np.empty((samples, cols * samples))
+    line, middle = np.empty(heights.shape[1]), np.empty(cols)
+    z = np.empty((samples, cols * samples))
+    for i in range(rows):
         sample_row(heights, row[i], centre, line, middle)
         for a in range(samples):  # a grows to the south
             sample_row(heights, row[i] + (a - half) * pixel, squares, line, z[a])
@@ -100,7 +109,6 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, ou
                     furthest = max(furthest, abs(of[b] - plane))
             if furthest > 2.0 * max_step_m:
                 blocked[i, j] = step
-    return elevation, gradient, blocked
 
 
 @njit(cache=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.patches import cut_squares
+from model.threads import share_out
 
 FloatArray = NDArray[np.float64]
 
@@ -142,12 +142,9 @@ def _series(ground: GroundPass, slopes: NDArray[np.float32]) -> NDArray[np.float
 
 
 def _each(fill: Callable[[tuple[int, int]], None], tiles: Sequence[tuple[int, int]]) -> None:
-    """A tile per thread, nothing shared inside a tile: threads that meet at a barrier after every layer stand still
-    for most of the time when the machine has other work, here about eight times as long."""
+    """A tile per thread, nothing shared inside a tile."""
     threads = torch.get_num_threads()
     try:
-        with ThreadPoolExecutor(min(threads, len(tiles)), initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            for _ in pool.map(fill, tiles):
-                pass
+        share_out(fill, tiles, initializer=torch.set_num_threads, initargs=(1,))
     finally:
         torch.set_num_threads(threads)

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from model.energy.uncertainty import Spread
@@ -15,11 +15,14 @@ from model.frames import GridFrame, heading_vector, wrap_angle
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.rows import columns_between, sample_row
+from model.threads import pieces, share_out
 
 FloatArray = NDArray[np.float64]
 
 SEGMENT_M = 1.0
 """Horizontal length of a segment [m]: the paper's d. Source: Wei & Isler 2022, section V-D."""
+
+_ROWS_AT_ONCE = 32
 
 
 def eq5_traction_per_m(weight_n: ArrayLike, rolling_resistance: ArrayLike, tan_grade: ArrayLike) -> FloatArray:
@@ -109,7 +112,11 @@ def tan_grade_lattice(heightmap: Heightmap, frame: GridFrame, headings_rad: Floa
     dx, dy = heading_vector(headings)
     half_pixels = 0.5 * SEGMENT_M / heightmap.resolution_m
     out = np.empty((frame.rows, frame.cols, headings.size), dtype=np.float32)
-    _grades(heightmap.heights, row, col, -dy * half_pixels, dx * half_pixels, own, sign, SEGMENT_M, out)
+    down, right = -dy * half_pixels, dx * half_pixels
+    share_out(
+        lambda rows: _grades(heightmap.heights, row[rows], col, down, right, own, sign, SEGMENT_M, out[rows]),
+        pieces(frame.rows, _ROWS_AT_ONCE),
+    )
     return out
 
 
@@ -124,13 +131,13 @@ def antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     return own, sign
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _grades(heights, row, col, drow, dcol, own, sign, length_m, out):  # fmt: skip
     ahead = [columns_between(col + right, heights.shape[1]) for right in dcol]
     behind = [columns_between(col - right, heights.shape[1]) for right in dcol]
-    for i in prange(row.size):
-        line, high, low = np.empty(heights.shape[1]), np.empty(col.size), np.empty(col.size)
-        grades = np.empty((drow.size, col.size), dtype=np.float32)
+    line, high, low = np.empty(heights.shape[1]), np.empty(col.size), np.empty(col.size)
+    grades = np.empty((drow.size, col.size), dtype=np.float32)
+    for i in range(row.size):
         for k in range(drow.size):
             if sign[k] < 0.0:
                 grades[k] = -grades[own[k]]
