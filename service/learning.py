@@ -29,8 +29,8 @@ from model.loop.runs import Run, read_run
 from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.calibrating import keep_base_runs
 from service.pretraining import MAX_TURN_RAD
+from service.residuals import keep_base_runs
 
 LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
 FINE_TUNING_RATE = 5e-4
@@ -49,7 +49,8 @@ often go to and fro in one direction, and a network that has seen no other errs 
 class TrainedModel:
     """What a training left. segments : learned from and held out; held_out : errors on `held_out_runs`, each predicted
     by a network that had not seen it. stopped_by_held_out : whether the same runs said when to stop, which flatters
-    the errors. turn_j_per_rad : what turning took beyond straight driving [J/rad]."""
+    the errors. turn_j_per_rad : what turning took beyond straight driving [J/rad]. keeps_runs : whether its folder
+    keeps its runs, for calibrations to hold later ones against."""
 
     version: str
     segments: int
@@ -59,6 +60,7 @@ class TrainedModel:
     epochs: int
     turn_j_per_rad: float
     stopped_by_held_out: bool
+    keeps_runs: bool
 
 
 def read_segments(
@@ -161,10 +163,13 @@ def train_on_runs(
     artifact = replace(work.artifact(net), spread=spread, turn_j_per_rad=turn, training=training)
     version = save_artifact(out, artifact)
     (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
+    keeps_runs = False
     if all(run.voltage_v is not None for run in runs) and not charge:
-        keep_base_runs(out, heightmap, robot, apart, said.traction_per_m)
+        keeps_runs = keep_base_runs(out, heightmap, robot, apart, said.traction_per_m)
     work.forget()
-    return TrainedModel(version, work.known, list(segments.runs), names, held_out, passes, turn, not crossed)
+    return TrainedModel(
+        version, work.known, list(segments.runs), names, held_out, passes, turn, not crossed, keeps_runs
+    )
 
 
 class _Training:

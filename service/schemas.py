@@ -274,6 +274,10 @@ class VerdictOut(Answer):
     charge_at_start: float = Field(description="state of charge, 0..1")
     charge_at_end: float = Field(description="state of charge after the task, 0..1")
     reserve: float = Field(description="share of the capacity that must remain, 0..1")
+    energy_std_j: float | None = Field(
+        description="standard deviation of energy_j [J]; null where the model does not know how far off it may be"
+    )
+    probability: float | None = Field(description="that the battery lasts, 0..1; null likewise")
 
 
 class ShortestOut(Answer):

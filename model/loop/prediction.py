@@ -52,6 +52,7 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
     base = predictor.base if isinstance(predictor, CalibratedPredictor) else predictor
     traction, std = base.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     factor = payload_factor(base, robot, segments)
+    std = predictor.std_of(std, traction, robot) if isinstance(predictor, CalibratedPredictor) else std
     traction = traction * factor
     std = None if std is None else std * factor * segments.driven_m
     if isinstance(predictor, CalibratedPredictor):  # its effects know more of a log than a plan could

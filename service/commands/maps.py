@@ -9,21 +9,20 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from service.commands.options import ModelName, RobotFile, robot_of, there
 from service.commands.words import route_words, saving_words
 
-MapFolder = Annotated[Path, typer.Argument(metavar="MAP.zarr", help="A cost map made by `joulemap costmap`.")]
-RobotFile = Annotated[
-    Path | None,
-    typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in 35 kg 4WD rover]"),
-]
-ModelName = Annotated[
-    str, typer.Option("--model", metavar="M", help="`default` (the shipped network), `physics`, or a model's folder.")
+MapFolder = Annotated[
+    Path, typer.Argument(metavar="MAP.zarr", callback=there, help="A cost map made by `joulemap costmap`.")
 ]
 
 
 def costmap(
     heightmap: Annotated[
-        Path, typer.Argument(metavar="HEIGHTMAP", help="GeoTIFF, ESRI ASCII (.asc), .npy, .npz or 16-bit PNG.")
+        Path,
+        typer.Argument(
+            metavar="HEIGHTMAP", callback=there, help="GeoTIFF, ESRI ASCII (.asc), .npy, .npz or 16-bit PNG."
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="MAP.zarr", help="Folder to write the cost map to.")],
     robot: RobotFile = None,
@@ -59,7 +58,6 @@ def costmap(
 
     `joulemap costmap heights.png --resolution 0.5 --scale 0.01 --model physics --out heights.zarr`
     """
-    from model.robot import Robot
     from model.terrain.readers import open_ground
     from service.workflows import write_cost_lattice
 
@@ -68,7 +66,7 @@ def costmap(
         heightmap, resolution_m=resolution, west_m=west, north_m=north, crs=crs,
         scale_m=scale, offset_m=offset, nodata=nodata, band=band,
     )  # fmt: skip
-    rover = Robot.from_toml(robot) if robot is not None else Robot()
+    rover = robot_of(robot)
     with progress_bar("Cost map") as report:
         made = write_cost_lattice(
             out, ground, rover, model=model, spacing_m=spacing, headings=headings, progress=report
@@ -169,7 +167,8 @@ def path(
         from service.pictures import route_picture
 
         ground = Heightmap(lattice.elevation_m, lattice.frame, source=str(costmap))
-        write_file(picture, route_picture(ground, plan, title=f"{lattice.robot.name} on {costmap.stem}"))
+        title = f"{lattice.robot.name} on {costmap.stem}"
+        write_file(picture, route_picture(ground, plan.route, plan.shortest, title=title))
     answer.document(found)
 
 
@@ -180,7 +179,9 @@ def feasibility(
     path: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="A path instead: GeoJSON, the JSON of `joulemap path`, or CSV with x,y lines."
+            metavar="FILE",
+            callback=there,
+            help="A path instead: GeoJSON, the JSON of `joulemap path`, or CSV with x,y lines.",
         ),
     ] = None,
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from service.commands.options import there
 
 
 def serve(
@@ -72,7 +73,11 @@ def demo(
     exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service and end by itself.")] = False,
     heightmap: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Another heightmap than the sample (any format that says its cell size)."),
+        typer.Option(
+            metavar="FILE",
+            callback=there,
+            help="Another heightmap than the sample (any format that says its cell size).",
+        ),
     ] = None,
     start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m].")] = None,
     goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m].")] = None,

@@ -11,14 +11,13 @@ from pydantic import BaseModel
 
 from model.errors import ConflictError
 from model.robot import Robot
-from planner.budget import judge_along
 from service.answers import battery_of, feasibility_out, path_geojson, path_out
 from service.documents import problems
 from service.problems import jsonable
 from service.schemas import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest, robot_values
 from service.state import Service, with_kernels
 from service.store import CostmapRow
-from service.workflows import assess
+from service.workflows import assess, judge_routes
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"])
 KernelsDep = Annotated[Service, Depends(with_kernels)]
@@ -56,7 +55,7 @@ def find_path(
             time_limit_s=wanted.time_limit_s,
             seed=wanted.seed,
         )
-    verdict = judge_along(plan.route.profile.energy_j, battery) if wanted.battery is not None else None
+        verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
     if format == "geojson" or (format is None and GEOJSON in (accept or "")):
         return JSONResponse(path_geojson(plan, verdict, _warnings(row)), media_type=GEOJSON)
     return _answer(path_out(plan, verdict, _warnings(row)))

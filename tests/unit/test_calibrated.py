@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from model.energy.physics import PhysicsPredictor
+from model.energy.uncertainty import USUAL_SPREAD, Spread
 from model.errors import ConflictError
 from model.frames import GridFrame, heading_bins
 from model.loop.calibrated import CalibratedPredictor, Correction
@@ -73,3 +74,17 @@ def test_turns_go_into_the_robot():
 def test_charge_without_voltage_makes_no_plan():
     with pytest.raises(ConflictError, match="ampere seconds"):
         calibrated(charge=True).segment_traction(hill(), ROBOT, [20.0], [15.0], [0.0])
+
+
+def test_the_deviation_is_that_of_what_remained():
+    """Of a model without a word of its own: a tenth of the price, times the factor of the held-out runs."""
+    source = calibrated(spread=Spread(factor=1.5, run_share=0.02))
+    east = math.pi / 2
+    _, std = source.segment_traction_and_std(hill(), ROBOT, [20.0], [15.0], [east])
+    assert std[0] == pytest.approx(1.5 * USUAL_SPREAD * (20.0 + 0.15 * WEIGHT), rel=1e-5)
+    frame = hill().frame.respaced(1.0)
+    lattice = source.traction_and_std(hill(), ROBOT, frame, heading_bins(4))[1]
+    assert lattice[15, 20, 1] == pytest.approx(std[0], rel=1e-5)
+    assert source.provenance()["spread"]["run_share"] == source.spread.run_share == 0.02
+    assert Correction.from_dict(source.correction.as_dict()).spread == source.spread
+    assert calibrated().traction_and_std(hill(), ROBOT, frame, heading_bins(4))[1] is None

@@ -209,5 +209,5 @@ def test_a_spread_covers_what_it_was_made_for():
     for level, share in coverage(energy[~half], predicted_j[~half], spread.factor * std[~half], spread).items():
         assert share == pytest.approx(float(level) / 100.0, abs=0.025)
     sums = [(energy[run == k].sum() - predicted_j[run == k].sum()) for k in range(20, 40)]
-    told = [spread.route_std(predicted_j[run == k], spread.factor * std[run == k]) for k in range(20, 40)]
+    told = [spread.route_std(predicted_j[run == k], spread.factor * std[run == k])[-1] for k in range(20, 40)]
     assert np.std(np.array(sums) / np.array(told)) == pytest.approx(1.0, abs=0.4)
