@@ -11,6 +11,7 @@ from model.errors import NegativeCycleError
 from model.robot import Robot
 from model.terrain.windows import Ground
 from model.traction import TractionSource
+from planner.figures import figures_of, joined_figures
 from planner.lattice_build import build_tile, knows_spread, provenance_of
 from planner.lattice_io import LatticeFolder
 from planner.plan import RoutePlanner
@@ -18,7 +19,7 @@ from planner.tiles import Tiling
 from service.steps import Step, Steps
 from service.store import Store
 from service.tables import LAY_OUT
-from service.workflows import figures_of, joined_figures, prepare_build
+from service.workflows import prepare_build
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from model.terrain.heightmap import Heightmap
 from model.terrain.windows import Ground
 from planner.budget import Verdict, judge_along
 from planner.edges import energy_per_m_at
+from planner.figures import figures_of, joined_figures
 from planner.lattice import Blocked, CostLattice
 from planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
 from planner.plan import PLANNERS, RoutePlanner
@@ -34,7 +35,6 @@ from service.spreads import std_along
 
 DEFAULT_MODEL = "default"
 _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-_STRIP_ROWS = 256
 
 
 def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Predictor:
@@ -139,44 +139,9 @@ def write_cost_lattice(
     return Written(tiling.frame, robot, provenance, joined_figures(parts))
 
 
-def figures_of(lattice: CostLattice) -> dict[str, Any]:
-    """What `joined_figures` needs of a part of a lattice, JSON-able. min, max, total of the prices [J/m] of all (cell,
-    heading) pairs that may be driven, None where there is none; counts : pairs under each `Blocked` code."""
-    codes = lattice.blocked_by_heading()
-    prices = lattice.energy_per_m[codes == Blocked.FREE]
-    return {
-        "min": float(prices.min()) if prices.size else None,
-        "max": float(prices.max()) if prices.size else None,
-        "total": float(prices.sum(dtype=np.float64)),
-        "counts": np.bincount(codes.ravel(), minlength=len(Blocked)).tolist(),
-    }
-
-
-def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """JSON-able figures of a lattice out of those of its parts.
-
-    energy_per_m : min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None where there is none;
-    blocked : share of all pairs under each reason, `free` included.
-    """
-    counts = np.sum([part["counts"] for part in parts], axis=0)
-    driven = [part for part in parts if part["counts"][Blocked.FREE]]
-    energy = {
-        "min": min(part["min"] for part in driven),
-        "mean": sum(part["total"] for part in driven) / int(counts[Blocked.FREE]),
-        "max": max(part["max"] for part in driven),
-    } if driven else None  # fmt: skip
-    return {
-        "energy_per_m": energy,
-        "blocked": {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked},
-    }
-
-
 def summarise(lattice: CostLattice) -> dict[str, Any]:
-    """`joined_figures` of a lattice in memory, strip by strip so that a big one is not copied."""
-    rows = lattice.frame.rows
-    return joined_figures(
-        [figures_of(lattice.window(row, min(row + _STRIP_ROWS, rows))) for row in range(0, rows, _STRIP_ROWS)]
-    )
+    """`joined_figures` of a lattice in memory."""
+    return joined_figures([figures_of(lattice)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -218,7 +218,7 @@ def train(
             find_runs(runs),
             out=out,
             architecture=architecture.value,
-            start_from=_folder_of(start_from or ("default" if architecture is Architecture.COMPACT else "none")),
+            start_from=folder_of(start_from or ("default" if architecture is Architecture.COMPACT else "none")),
             backbone=weights,
             patch_size=patch_size,
             epochs=epochs,
@@ -275,7 +275,7 @@ def evaluate(
     answer.document(found)
 
 
-def _folder_of(name: str) -> Path | None:
+def folder_of(name: str) -> Path | None:
     """A model's folder; the shipped one's for "default", None for "none"."""
     import model
 
