@@ -47,7 +47,9 @@ def _ahead(guide, cell, cols):
     """The bound at a cell; inf where the goal is known to be out of reach."""
     best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
     if guide.pairs.shape[0] > 0:
-        cells = math.hypot(guide.goal[0] - cell // cols, guide.goal[1] - cell % cols)
+        row = np.int64(cell) // cols
+        down, right = guide.goal[0] - row, guide.goal[1] - (np.int64(cell) - row * cols)
+        cells = math.sqrt(down * down + right * right)
         height = guide.surface[cell]
         for k in range(guide.pairs.shape[0]):
             best = max(best, guide.pairs[k, 0] * cells - guide.pairs[k, 1] * height + guide.rest[k])
