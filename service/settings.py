@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import unquote
 
-from pydantic import Field
+from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.workflows import DEFAULT_MODEL
@@ -15,7 +16,9 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="JOULEMAP_", extra="ignore")
 
-    data_dir: Path = Field(default=Path("data"), description="folder of everything that is kept")
+    data_dir: Path = Field(
+        default=Path("data"), description="folder of everything that is kept: a path or a file:// URL"
+    )
     database_url: str | None = Field(default=None, description="SQLAlchemy URL; default: SQLite in the data directory")
     models_dir: Path | None = Field(default=None, description="folder of trained models; default: `models` in data_dir")
     host: str = Field(default="127.0.0.1", description="address to listen on")
@@ -32,6 +35,17 @@ class Settings(BaseSettings):
     build_here: bool = Field(default=True, description="do jobs in the service; else only in `joulemap worker`")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
     warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
+
+    @field_validator("data_dir", mode="before")
+    @classmethod
+    def _folder_of_url(cls, value: str | Path) -> Path:
+        """file:///srv/joulemap is /srv/joulemap; what several machines share must be a folder on each of them."""
+        scheme, colon, rest = str(value).partition(":")
+        if not colon or len(scheme) < 2:
+            return Path(value)
+        if scheme != "file":
+            raise ValueError(f"data lies in a folder, given by its path or a file:// URL, not by {scheme}:")
+        return Path(unquote(rest if not rest.startswith("//") else "/" + rest.lstrip("/")))
 
     @property
     def resolved_database_url(self) -> str:

@@ -17,10 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from model.terrain.readers import read_heightmap
+from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.quality import compare_peers, compare_planners
 from tests.bench.searches import bench_searches
 from tests.bench.stages import bench
 from tests.bench.timing import Row
+from tests.bench.workers import bench_workers
 
 SIZES = (200, 1000)
 
@@ -32,6 +34,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the rows here")
     only = parser.add_mutually_exclusive_group()
     only.add_argument("--searches", action="store_true", help="only the searches")
+    only.add_argument("--lattice", action="store_true", help="only the cost lattice")
+    only.add_argument("--workers", action="store_true", help="only two worker processes beside one")
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     options = parser.parse_args()
@@ -42,8 +46,15 @@ def main() -> None:
         for cells in options.sizes:
             console.print(compare_peers(cells, options.resolution))
     else:
-        measure = bench_searches if options.searches else bench
-        rows = [row for cells in options.sizes for row in measure(cells, options.resolution)]
+        stages = [bench_lattice, bench]
+        if options.searches or options.lattice:
+            stages = [bench_searches if options.searches else bench_lattice]
+        if options.workers:
+            rows = bench_workers()
+        else:
+            rows = [row for cells in options.sizes for stage in stages for row in stage(cells, options.resolution)]
+        if bench_lattice in stages and not options.workers:
+            rows += [*bench_bins(options.resolution), *bench_tiles()]
         machine = (
             f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
         )
