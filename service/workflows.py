@@ -249,7 +249,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
         router = RoutePlanner(lattice)
         for planner in PLANNERS:
             with suppress(NoRouteError):  # a sampling planner on a busy machine may find none in so short a time
-                router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05)
+                router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05, alternatives=1)
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
     for model in models:
         for spacing_m in (1.0, 3.0):  # a network answers these by dense passes and by single squares
