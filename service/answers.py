@@ -13,6 +13,7 @@ from model.robot import Battery, Robot
 from planner.budget import Verdict
 from planner.plan import Plan
 from planner.route import Route, geojson
+from service.loop_schemas import CalibrationOut, RunOut, RunsOut
 from service.problems import jsonable
 from service.schemas import (
     BatteryIn,
@@ -26,7 +27,7 @@ from service.schemas import (
     ShortestOut,
     VerdictOut,
 )
-from service.store import DONE, CostmapRow, HeightmapRow
+from service.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
 from service.workflows import Assessment
 
 
@@ -67,6 +68,34 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
         blocked=summary.get("blocked"),
         warnings=(provenance or {}).get("warnings", []),
         provenance=provenance,
+        problem=row.problem,  # type: ignore[arg-type]
+        links=links,
+    )
+
+
+def runs_out(row: RunsRow) -> RunsOut:
+    runs = [RunOut(**run) for run in row.stats]
+    return RunsOut(id=row.id, created_at=_utc(row.created_at), runs=runs, links={"self": f"/v1/runs/{row.id}"})
+
+
+def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> CalibrationOut:
+    base, asked, summary = f"/v1/calibrations/{row.id}", row.request, row.summary or {}
+    links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
+    if row.status == DONE:
+        links["page"] = f"{base}/report.html"
+    return CalibrationOut(
+        id=row.id,
+        status=row.status,  # type: ignore[arg-type]
+        progress=row.progress,
+        created_at=_utc(row.created_at),
+        finished_at=_utc(row.finished_at) if row.finished_at else None,
+        heightmap_id=row.heightmap_id,
+        runs=asked["runs"],
+        base_runs=asked["base_runs"],
+        robot=RobotOut(**asked["robot"]),
+        model=asked["model"],
+        calibrated_model=summary.get("model"),
+        report=summary.get("report") if with_report else None,
         problem=row.problem,  # type: ignore[arg-type]
         links=links,
     )

@@ -66,7 +66,8 @@ def calibrate_on_runs(
     target = out / "model"
     if target.exists():
         raise ConflictError(f"{target} is there already: a model version is never changed", path=str(target))
-    predictor = load_base(model)
+    predictor = load_model(model)
+    refuse_calibrated(model, predictor)
     segments, repairs = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
     measured, electric, std = residuals_on(predictor, heightmap, robot, segments)
     base = base_residuals(model, predictor, heightmap, robot, base_files)
@@ -107,12 +108,10 @@ def _part(
     return None if progress is None else lambda share: progress(start + (end - start) * share)
 
 
-def load_base(model: str | Path) -> Predictor:
-    """`load_model` of one that can be calibrated. Raises ModelError, and InputError for one that is calibrated."""
-    predictor = load_model(model)
+def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
+    """Raises InputError for a model that cannot be calibrated because it is already."""
     if isinstance(predictor, CalibratedPredictor):
         raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
-    return predictor
 
 
 def correction_of(found: Calibration, std_j: FloatArray) -> Correction:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +35,12 @@ def read_calibration_runs(
     """
     if not files:
         raise RunsError("there is no run to read: no file has such a name")
+    names = Counter(file.name for file in files)
     runs = [read_run(file, crs=crs) for file in files]
+    runs = [
+        replace(run, name=f"{file.parent.name}/{run.name}") if names[file.name] > 1 else run
+        for run, file in zip(runs, files, strict=True)
+    ]
     without = [run.name for run in runs if run.voltage_v is None]
     if without and len(without) < len(runs):
         raise RunsError(

@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike
 from model.energy.predictor import MODEL_NAMES, Predictor
 from model.errors import InputError, ModelError, NoRouteError, TooLargeError
 from model.frames import GridFrame, heading_bins
+from model.loop.runs import run_of
+from model.loop.segments import cut_segments
 from model.robot import Battery, Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.windows import Ground
@@ -234,7 +236,7 @@ def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery
 def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:
     """Seconds spent on loading every compiled kernel (compiling it where no cache has it) and the named models.
 
-    Runs the whole way once on a tiny map: lattice, every planner with and without turning, verdicts.
+    Runs the whole way once on a tiny map: lattice, every planner with and without turning, verdicts, a measured run.
     """
     began = time.perf_counter()
     rows = np.arange(12.0)
@@ -251,6 +253,9 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
             with suppress(NoRouteError):  # a sampling planner on a busy machine may find none in so short a time
                 router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05, alternatives=1)
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
+    seconds = np.arange(0.0, 20.0, 0.1)
+    columns = {"t": seconds, "x": 0.5 * seconds, "y": np.sin(seconds), "current": np.ones(seconds.size)}
+    cut_segments(run_of(columns, {}, name="warm-up"), charge=True)
     for model in models:
         for spacing_m in (1.0, 3.0):  # a network answers these by dense passes and by single squares
             make_cost_lattice(heightmap, Robot(), model=model, spacing_m=spacing_m, models_dir=models_dir)

@@ -16,7 +16,7 @@ from service.documents import problems
 from service.problems import jsonable
 from service.schemas import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest, robot_values
 from service.state import Service, with_kernels
-from service.store import CostmapRow
+from service.tables import CostmapRow
 from service.tours import TourOut, TourRequest, tour_out
 from service.workflows import assess, judge_routes
 

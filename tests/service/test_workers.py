@@ -14,7 +14,8 @@ from sqlalchemy import select
 
 from service.jobs import SERVICE
 from service.steps import Steps
-from service.store import StepRow, Store
+from service.store import Store
+from service.tables import StepRow
 from tests.service.test_restart import free_port
 from tests.service.workers import asked, fingerprint, postgres, postgres_programs, rolling, until, worker
 

@@ -31,7 +31,7 @@ planner.tiles.TILE_CELLS = 32  # many tiles on a small map
 import service.building as building
 from service.jobs import Worker
 from service.store import Store
-from service.state import make_builder
+from service.state import make_makers
 from service.settings import Settings
 build, pause = building.build_tile, float(sys.argv[3])
 def slowly(*args):
@@ -41,7 +41,7 @@ building.build_tile = slowly
 settings = Settings(data_dir=sys.argv[1], database_url=sys.argv[2])
 store = Store(settings.data_dir, settings.resolved_database_url)
 store.open(as_service=False)
-worker = Worker(store, make_builder(store, settings), name=sys.argv[4], ready=lambda: None)
+worker = Worker(store, make_makers(store, settings), name=sys.argv[4], ready=lambda: None)
 print("ready", flush=True)
 worker.work()
 """
