@@ -48,6 +48,7 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
             "image": f"{base}/image.png",
             "at": f"{base}/at",
             "paths": f"{base}/paths",
+            "tours": f"{base}/tours",
             "feasibility": f"{base}/feasibility",
         }
     provenance = summary.get("provenance")
@@ -164,6 +165,7 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
         **route_values(route),
         profile=pieces,
         shortest=ShortestOut(energy_j=shortest.energy_j, length_m=shortest.length_m, path=path_points(shortest)),
+        alternatives=[RouteOut(**route_values(other)) for other in plan.others],
         saving_j=plan.saving_j,
         saving_percent=_percent(plan.saving_j, shortest.energy_j),
         battery=verdict_out(verdict) if verdict is not None else None,
@@ -178,11 +180,13 @@ def path_geojson(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> di
     """A FeatureCollection of both paths; the map's CRS stands once, at its top."""
     best = geojson(plan.route, kind="energy_optimal", planner=plan.planner, saving_j=plan.saving_j)
     shortest = geojson(plan.shortest, kind="shortest")
+    others = [geojson(other, kind="alternative") for other in plan.others]
     crs = best.pop("crs", None)
-    shortest.pop("crs", None)
+    for feature in (shortest, *others):
+        feature.pop("crs", None)
     collection: dict[str, Any] = {
         "type": "FeatureCollection",
-        "features": [best, shortest],
+        "features": [best, shortest, *others],
         "warnings": [*warnings, *plan.route.notes],
         "battery": verdict_out(verdict).model_dump() if verdict is not None else None,
     }

@@ -251,7 +251,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
         router = RoutePlanner(lattice)
         for planner in PLANNERS:
             with suppress(NoRouteError):  # a sampling planner on a busy machine may find none in so short a time
-                router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05)
+                router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05, alternatives=1)
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
     seconds = np.arange(0.0, 20.0, 0.1)
     columns = {"t": seconds, "x": 0.5 * seconds, "y": np.sin(seconds), "current": np.ones(seconds.size)}

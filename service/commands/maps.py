@@ -128,7 +128,8 @@ def path(
     refine: Annotated[bool, typer.Option(help="Improve the grid path to any angle.")] = True,
     time_limit: Annotated[float, typer.Option(min=0.01, help="Seconds for the sampling planners.")] = 5.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the sampling planners.")] = 0,
-    geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write both paths as GeoJSON.")] = None,
+    alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Other good ways to look for, at most.")] = 0,
+    geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw both paths and profiles (PNG).")] = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -148,14 +149,16 @@ def path(
     answer = Answer(json_file)
     lattice = load_lattice(costmap)
     plan = RoutePlanner(lattice).plan(
-        start, goal, planner=planner, neighbours=neighbours, refine=refine, time_limit_s=time_limit, seed=seed
-    )
+        start, goal, planner=planner, neighbours=neighbours, refine=refine, time_limit_s=time_limit, seed=seed,
+        alternatives=alternatives,
+    )  # fmt: skip
     known = lattice.provenance.get("warnings", [])
     found = path_out(plan, None, known).model_dump(mode="json")
     answer.say(f"[bold]Path[/] for {lattice.robot.name}, planner {plan.planner}")
     answer.table(
         {
             "energy-optimal": route_words(found),
+            **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
             "shortest": route_words(found["shortest"]),
             "saved": saving_words(found, found["shortest"]),
         }
