@@ -123,9 +123,9 @@ class RoutePlanner:
         """The energy-optimal and the shortest route from start to goal (world x, y [m]).
 
         planner : one of `PLANNERS`; neighbours : 8, 16 or 32 (grid planners); refine : any-angle improvement of the
-        path found; time_limit_s, seed : for the sampling planners, which with `from_grid` sample only where the grid
-        leaves hope of a better way, and answer with the grid's if they find none; alternatives : most other ways to
-        look for, see `alternative_paths`. Raises PointError, BlockedError, NoRouteError.
+        path found; time_limit_s, seed : for the sampling planners, which with `from_grid` sample only near the grid's
+        path, or where the grid leaves hope of a better way, and answer with the grid's if they find none;
+        alternatives : most other ways to look for (`alternative_paths`). Raises PointError, BlockedError, NoRouteError.
         """
         if planner not in PLANNERS:
             raise InputError(f"planner must be one of {', '.join(PLANNERS)}, got {planner!r}", planner=planner)
@@ -206,21 +206,21 @@ class RoutePlanner:
         self, start: Points, goal: Points, planner: str, time_limit_s: float, seed: int, from_grid: int | None,
         progress: Callable[[float], None] | None,
     ) -> tuple[Points, dict[str, Any]]:  # fmt: skip
-        from planner.sampling import hopeful_places, sample_route  # OMPL is loaded only where it is asked for
+        from planner import sampling  # OMPL is loaded only where it is asked for
 
         lattice = self.lattice
+        options: dict[str, Any] = {"time_limit_s": time_limit_s, "seed": seed, "progress": progress}
         if from_grid is None:
-            return sample_route(
-                lattice, start, goal, planner=planner, time_limit_s=time_limit_s, seed=seed, progress=progress
-            )
+            return sampling.sample_route(lattice, start, goal, planner=planner, **options)
         table = self._table(from_grid, distance=False)
         grid = grid_search(lattice, table, start, goal)
         details: dict[str, Any] = {"grid_energy_j": grid.energy_j}
         try:
-            points, found = sample_route(
-                lattice, start, goal, planner=planner, time_limit_s=time_limit_s, seed=seed, progress=progress,
-                places=hopeful_places(lattice, table, start, goal),
-            )  # fmt: skip
+            if planner == "bitstar":
+                points, found = sampling.sample_along(lattice, grid.points, **options)
+            else:
+                places = sampling.hopeful_places(lattice, table, start, goal)
+                points, found = sampling.sample_route(lattice, start, goal, planner=planner, places=places, **options)
         except NoRouteError:
             return grid.points, details
         better = path_price(lattice, points) < path_price(lattice, grid.points)

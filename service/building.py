@@ -16,6 +16,7 @@ from planner.lattice_build import build_tile, knows_spread, provenance_of
 from planner.lattice_io import LatticeFolder
 from planner.plan import RoutePlanner
 from planner.tiles import Tiling
+from service.reuse import with_stored_base
 from service.steps import Step, Steps
 from service.store import Store
 from service.tables import LAY_OUT
@@ -94,6 +95,7 @@ class Builder:
                 models_dir=self._models_dir,
                 max_values=self._max_values,
             )
+            source = with_stored_base(self._store, row, source, tiling)
             folder = LatticeFolder(self._store.lattice_path(costmap_id))
             self._open = costmap_id, _Job(ground, robot, source, tiling, folder)
         return self._open[1]

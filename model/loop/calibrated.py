@@ -186,7 +186,10 @@ class CalibratedPredictor:
                 f"the model {self.name} was calibrated on charge without voltage: it predicts ampere seconds, and "
                 "joules of a plan would need the battery's voltage"
             )
-        drive = planned_drive(heightmap, robot, x, y, heading_rad, traction, self.correction.conditions)
+        drive = planned_drive(
+            heightmap, robot, x, y, heading_rad, traction, self.correction.conditions,
+            with_ground=any(term.reads_ground for term in self.correction.terms),
+        )  # fmt: skip
         motion = self.correction.predict(drive, planner_only=True) - drive.hotel_part
         down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)
         return np.where(motion >= 0, motion, down)

@@ -1,6 +1,8 @@
 """A calibrated model plans with its effects: prices of lattices and segments are those its formulas state."""
 
+import inspect
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from model.energy.uncertainty import USUAL_SPREAD, Spread
 from model.errors import ConflictError
 from model.frames import GridFrame, heading_bins
 from model.loop.calibrated import CalibratedPredictor, Correction
-from model.loop.effects import Term
+from model.loop.effects import FORMULAS, GROUND, Term, quantity
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -88,3 +90,20 @@ def test_the_deviation_is_that_of_what_remained():
     assert source.provenance()["spread"]["run_share"] == source.spread.run_share == 0.02
     assert Correction.from_dict(source.correction.as_dict()).spread == source.spread
     assert calibrated().traction_and_std(hill(), ROBOT, frame, heading_bins(4))[1] is None
+
+
+def test_who_reads_the_ground_says_so():
+    """Of every formula and quantity: those whose code reads the ground of a drive are listed, and no others."""
+    fields = ("grade", "cross_abs", "cross_sq", "cross", "roughness_m", "elevation_m")
+    for name, formula in FORMULAS.items():
+        reads = any(f"drive.{field}" in inspect.getsource(formula) for field in fields)
+        assert reads == (name in GROUND), name
+    known = re.findall(r'"(\w+)": lambda: drive\.(\w+)', inspect.getsource(quantity))
+    assert {name for name, field in known if field in fields} == GROUND - {"braking", "climbing"}
+    for name, field in known:
+        assert Term("x", "smooth", ("",), {"over": name, "knots": [0.0], "of_all": False}).reads_ground == (
+            field in fields
+        )
+    assert Term("x", "by_run", ("",), {"of": "climbing", "runs": []}).reads_ground
+    assert Term("x", "friction", ("",), {}, {"over": "roughness", "above": 0.01}).reads_ground
+    assert not Term("x", "friction", ("",), {}, {"word": "terrain", "is": "mud"}).reads_ground
