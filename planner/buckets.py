@@ -47,7 +47,9 @@ def _ahead(guide, cell, cols):
     """The bound at a cell; inf where the goal is known to be out of reach."""
     best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
     if guide.pairs.shape[0] > 0:
-        cells = math.hypot(guide.goal[0] - cell // cols, guide.goal[1] - cell % cols)
+        row = np.int64(cell) // cols
+        down, right = guide.goal[0] - row, guide.goal[1] - (np.int64(cell) - row * cols)
+        cells = math.sqrt(down * down + right * right)
         height = guide.surface[cell]
         for k in range(guide.pairs.shape[0]):
             best = max(best, guide.pairs[k, 0] * cells - guide.pairs[k, 1] * height + guide.rest[k])
@@ -61,10 +63,21 @@ def _ahead(guide, cell, cols):
 @njit(cache=True)
 def _grown(queue, count):
     """The same buckets with room for twice as many."""
-    out = np.empty((queue.shape[0], 2 * queue.shape[1]), dtype=queue.dtype)
-    for slot in range(queue.shape[0]):
+    out = np.empty((BUCKETS, 2 * queue.shape[1]), dtype=queue.dtype)
+    for slot in range(BUCKETS):
         out[slot, : count[slot]] = queue[slot, : count[slot]]
     return out
+
+
+@njit(cache=True, inline="always")
+def _put(queue, count, bucket, cell):
+    """Lay a cell into a bucket of the ring; the ring, a wider one where that bucket was full."""
+    slot = bucket & (BUCKETS - 1)
+    if count[slot] == queue.shape[1]:
+        queue = _grown(queue, count)
+    queue[slot, count[slot]] = cell
+    count[slot] += 1
+    return queue
 
 
 @njit(cache=True, nogil=True)
@@ -100,11 +113,7 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
         key = energy[cell] + _ahead(guide, cell, cols)
         if key < np.inf:
             beyond |= math.floor(key * per_j) >= current + BUCKETS
-            slot = min(math.floor(key * per_j), current + BUCKETS - 1) % BUCKETS
-            if count[slot] == queue.shape[1]:
-                queue = _grown(queue, count)
-            queue[slot, count[slot]] = cell
-            count[slot] += 1
+            queue = _put(queue, count, min(math.floor(key * per_j), current + BUCKETS - 1), cell)
             waiting += 1
     total = np.inf
     last = -1
@@ -121,11 +130,7 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
             if beyond:
                 due = math.floor((so_far + _ahead(guide, cell, cols)) * per_j)
                 if due > current:
-                    slot = min(due, current + BUCKETS - 1) % BUCKETS
-                    if count[slot] == queue.shape[1]:
-                        queue = _grown(queue, count)
-                    queue[slot, count[slot]] = cell
-                    count[slot] += 1
+                    queue = _put(queue, count, min(due, current + BUCKETS - 1), cell)
                     waiting += 1
                     continue
             pred[cell] |= SETTLED
@@ -158,11 +163,7 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
                 if due >= current + BUCKETS:
                     due = current + BUCKETS - 1
                     beyond = True
-                slot = due % BUCKETS
-                if count[slot] == queue.shape[1]:
-                    queue = _grown(queue, count)
-                queue[slot, count[slot]] = other
-                count[slot] += 1
+                queue = _put(queue, count, due, other)
                 waiting += 1
         waiting -= count[here]
         count[here] = 0
@@ -203,11 +204,7 @@ def search_headings(energy, pred, price, jump, gap, first, targets, target_rest,
         if due[cell] < _NEVER:
             to_drive[cell] = (1 << moves) - 1
             due[cell] = min(due[cell], current + BUCKETS - 1)
-            slot = due[cell] % BUCKETS
-            if count[slot] == queue.shape[1]:
-                queue = _grown(queue, count)
-            queue[slot, count[slot]] = cell
-            count[slot] += 1
+            queue = _put(queue, count, due[cell], cell)
     waiting = count.sum()
     total = np.inf
     last = -1
@@ -261,22 +258,14 @@ def search_headings(energy, pred, price, jump, gap, first, targets, target_rest,
                 at = min(max(math.floor((reached + ahead) * per_j), current), current + BUCKETS - 1)
                 if at < due[other]:
                     due[other] = at
-                    slot = at % BUCKETS
-                    if count[slot] == queue.shape[1]:
-                        queue = _grown(queue, count)
-                    queue[slot, count[slot]] = other
-                    count[slot] += 1
+                    queue = _put(queue, count, at, other)
                     waiting += 1
             to_drive[cell] = left
             due[cell] = _NEVER
             if left != 0:
                 at = math.floor((later - top) * per_j) + current + 1
                 due[cell] = min(max(at, current + 1), current + BUCKETS - 1)
-                slot = due[cell] % BUCKETS
-                if count[slot] == queue.shape[1]:
-                    queue = _grown(queue, count)
-                queue[slot, count[slot]] = cell
-                count[slot] += 1
+                queue = _put(queue, count, due[cell], cell)
                 waiting += 1
         waiting -= count[here]
         count[here] = 0

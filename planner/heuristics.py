@@ -1,26 +1,25 @@
 """Lower bounds in joules for the energy that is still to come.
 
-Every move of a `MoveTable` satisfies  energy >= a_b * length + b * climb  for each tabulated rate b [J per metre of
-climb], with a_b = bound_per_m the largest such number. Summed along any grid path from n to a cell m, the climbs
-telescope to z_m - z_n and the lengths are at least the straight distance, so for a_b >= 0
+Every move of a `MoveTable` satisfies  energy >= a_s * length + s * rise  for each tabulated share s of the rise of its
+surface p, with a_s = bound_per_m the largest such number. Summed along any grid path from n to a cell m, the rises
+telescope to p_m - p_n and the lengths are at least the straight distance, so for a_s >= 0
 
-    h_b(n) = a_b * |n - m| + b * (z_m - z_n)  <=  energy of every grid path from n to m                  (admissible)
+    h_s(n) = a_s * |n - m| + s * (p_m - p_n)  <=  energy of every grid path from n to m                  (admissible)
 
-and for a move n -> k, h_b(n) - h_b(k) <= a_b * length + b * climb <= energy                             (consistent).
+and for a move n -> k, h_s(n) - h_s(k) <= a_s * length + s * rise <= energy                              (consistent).
 
 A goal g joined to several cells m, each with r_m still to drive, has one bound for all: with
-c_b = min over m of (r_m + b z_m - a_b |m - g|),
+c_s = min over m of (r_m + s p_m - a_s |m - g|),
 
-    h_b(n) = a_b * |n - g| - b z_n + c_b  <=  a_b * |n - m| + b * (z_m - z_n) + r_m  for every m  (triangle inequality).
+    h_s(n) = a_s * |n - g| - s p_n + c_s  <=  a_s * |n - m| + s * (p_m - p_n) + r_m  for every m  (triangle inequality).
 
 A landmark L (`landmarks.py`) with least energies d gives d(n, L) - d(m, L) <= d(n, m) and d(L, m) - d(L, n) <= d(n, m),
 for which the least over m of r_m and the part of m may be taken at once too (Goldberg & Harrelson 2005).
 
-The maximum of consistent bounds is consistent. b = 0 is the plain cheapest-metre bound; a large b counts the climb to a
-higher goal in full; and where some prices are negative (regeneration), any b with a_b >= 0 is the height potential that
-makes energy - b * climb >= 0 on every move, which is what Dijkstra needs (Johnson 1977; Sachenbacher et al., AAAI-11).
-Prices come from metre-long slopes blended between cells, so on rough ground no b may do; then `moves.least_potential`
-takes the place of the elevation, with a = 0 and b = 1, and the same proofs hold.
+The maximum of consistent bounds is consistent. s = 0 is the plain cheapest-metre bound; s = 1 counts the climb to a
+higher goal in full; and where some prices are negative (regeneration), any s with a_s >= 0 is the height potential that
+makes energy - s * rise >= 0 on every move, which is what Dijkstra needs (Johnson 1977; Sachenbacher et al., AAAI-11).
+`potential.py` sees to it that s = 1 is one wherever there is any.
 """
 
 from __future__ import annotations
@@ -36,14 +35,14 @@ _NO_MARKS = np.empty((0, 0), dtype=np.float32)
 
 
 def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
-    """(B, 2) usable pairs (a_b [J/m], b [J per unit of climb]) for A*."""
-    pairs = np.column_stack([table.bound_per_m, table.rate_j_per_m])
+    """(B, 2) usable pairs (a_s [J/m], s) for A*."""
+    pairs = np.column_stack([table.bound_per_m, table.rise_share])
     usable = pairs[(pairs[:, 0] >= 0.0) & np.isfinite(pairs[:, 0])]
     return usable if usable.size else np.zeros((1, 2))  # no move at all
 
 
 def dijkstra_bounds(table: MoveTable) -> NDArray[np.float64]:
-    """(1, 2) the pair (0, b) that turns A* into Dijkstra: b = 0, or the least height potential that is needed."""
+    """(1, 2) the pair (0, s) that turns A* into Dijkstra: s = 0, or the least share of the rise that is needed."""
     usable = energy_bounds(table)
     return np.array([[0.0, usable[:, 1].min()]])
 

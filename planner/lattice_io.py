@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import zarr
+from zarr.codecs import BloscCodec
 
 from model.errors import InputError, JoulemapError
 from model.frames import GridFrame, heading_bins
@@ -22,6 +23,7 @@ from planner.tiles import TILE_CELLS, Tiling
 FORMAT = "joulemap.cost-lattice/1"
 _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
 _OPTIONAL = ("std_j",)
+_COMPRESSOR = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")  # noise of the last bits does not compress: be quick
 
 
 class LatticeFolder:
@@ -58,7 +60,9 @@ class LatticeFolder:
         for name, (more, dtype, unknown) in arrays.items():
             shape = (*tiling.frame.shape, *more)
             chunks = (*(min(side, n) for n in tiling.frame.shape), *more)
-            group.create_array(name, shape=shape, chunks=chunks, dtype=dtype, fill_value=unknown)
+            group.create_array(
+                name, shape=shape, chunks=chunks, dtype=dtype, fill_value=unknown, compressors=_COMPRESSOR
+            )
         group.attrs.update(_metadata(tiling.frame, robot))
 
     def write(self, part: CostLattice, rows: slice, cols: slice) -> None:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from model.frames import GridFrame
 from model.robot import Robot
-from model.terrain.heightmap import Heightmap, bilinear
+from model.terrain.heightmap import Heightmap
+from model.terrain.rows import columns_between, sample_row
+from model.threads import pieces, share_out
 from planner.lattice import Blocked
 
 SQUARE_M = 1.0
 """Side of the square around a cell that is judged: the paper's patch."""
+
+_ROWS_AT_ONCE = 32
 
 
 def ground_limits(
@@ -36,46 +40,56 @@ def ground_limits(
     row, _ = heightmap.frame.rowcol(0.0, y)
     _, col = heightmap.frame.rowcol(x, 0.0)
     diameter = 2.0 * robot.wheel_radius_m / heightmap.resolution_m
-    return _ground_limits(
-        heightmap.heights, row, col, heightmap.resolution_m, samples, int(diameter), robot.wheel_radius_m,
-        int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP),
+    elevation = np.empty(frame.shape, dtype=np.float32)
+    gradient = np.full((*frame.shape, 2), np.nan, dtype=np.float32)
+    blocked = np.zeros(frame.shape, dtype=np.uint8)
+    codes = int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP)
+    share_out(
+        lambda rows: _ground_limits(
+            heightmap.heights, row[rows], col, heightmap.resolution_m, samples, int(diameter), robot.wheel_radius_m,
+            codes, elevation[rows], gradient[rows], blocked[rows],
+        ),
+        pieces(frame.rows, _ROWS_AT_ONCE),
     )  # fmt: skip
+    return elevation, gradient, blocked
 
 
-@njit(cache=True, parallel=True)
-def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, outside, unknown, step):
+@njit(cache=True, nogil=True)
+def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, codes, elevation, gradient, blocked):
+    outside, unknown, step = codes
     rows, cols = row.size, col.size
-    elevation = np.full((rows, cols), np.nan, dtype=np.float32)
-    gradient = np.full((rows, cols, 2), np.nan, dtype=np.float32)
-    blocked = np.zeros((rows, cols), dtype=np.uint8)
     half = 0.5 * (samples - 1)
     pitch_m = SQUARE_M / (samples - 1)
     pixel = pitch_m / resolution_m
     reach = half * pixel
-    spread = 0.0  # sum of squared offsets along one axis, over the whole square [m2]
-    for a in range(samples):
-        spread += ((a - half) * pitch_m) ** 2 * samples
+    offsets = (np.arange(samples) - half) * pitch_m  # to the east, or to the south [m]
+    spread = (offsets**2).sum() * samples  # over the whole square [m2]
     edge = 0.5 + 1e-6
-    for i in prange(rows):
-        z = np.empty((samples, samples))
+    centre = columns_between(col, heights.shape[1])
+    squares = columns_between((col.reshape(-1, 1) + (np.arange(samples) - half) * pixel).ravel(), heights.shape[1])
+    line, middle = np.empty(heights.shape[1]), np.empty(cols)
+    z = np.empty((samples, cols * samples))
+    for i in range(rows):
+        sample_row(heights, row[i], centre, line, middle)
+        for a in range(samples):  # a grows to the south
+            sample_row(heights, row[i] + (a - half) * pixel, squares, line, z[a])
         for j in range(cols):
-            elevation[i, j] = bilinear(heights, row[i], col[j])
+            elevation[i, j] = middle[j]
             if (
                 row[i] - reach < -edge or row[i] + reach > heights.shape[0] - 1 + edge
                 or col[j] - reach < -edge or col[j] + reach > heights.shape[1] - 1 + edge
             ):  # fmt: skip
                 blocked[i, j] = outside
                 continue
-            mean = 0.0
-            rise_east = 0.0
-            rise_north = 0.0
-            for a in range(samples):  # a grows to the south
+            mean, rise_east, rise_north = 0.0, 0.0, 0.0
+            for a in range(samples):
+                of = z[a, j * samples : (j + 1) * samples]
+                total = 0.0
                 for b in range(samples):
-                    h = bilinear(heights, row[i] + (a - half) * pixel, col[j] + (b - half) * pixel)
-                    z[a, b] = h
-                    mean += h
-                    rise_east += h * (b - half) * pitch_m
-                    rise_north -= h * (a - half) * pitch_m
+                    total += of[b]
+                    rise_east += of[b] * offsets[b]
+                mean += total
+                rise_north -= total * offsets[a]
             rise_east /= spread
             rise_north /= spread
             mean /= samples * samples
@@ -87,12 +101,14 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, ou
             if run > 0 and _has_step(heights, row[i], col[j], reach, run, max_step_m):
                 blocked[i, j] = step
                 continue
+            furthest = 0.0
             for a in range(samples):
+                of = z[a, j * samples : (j + 1) * samples]
                 for b in range(samples):
-                    plane = mean + ((b - half) * rise_east - (a - half) * rise_north) * pitch_m
-                    if abs(z[a, b] - plane) > 2.0 * max_step_m:
-                        blocked[i, j] = step
-    return elevation, gradient, blocked
+                    plane = mean + offsets[b] * rise_east - offsets[a] * rise_north
+                    furthest = max(furthest, abs(of[b] - plane))
+            if furthest > 2.0 * max_step_m:
+                blocked[i, j] = step
 
 
 @njit(cache=True)

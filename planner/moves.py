@@ -12,19 +12,18 @@ import numpy as np
 from numba import get_num_threads, njit, prange, set_num_threads
 from numpy.typing import NDArray
 
-from model.errors import InputError, NegativeCycleError
+from model.errors import InputError
 from model.frames import heading_of, heading_vector, wrap_angle
 from planner.edges import interpolation_matrix, price_terms
 from planner.kernels import mean_response
 from planner.lattice import CostLattice
+from planner.potential import ROUNDING_J, even_surface, spare_per_m
 
 NEIGHBOURS = (8, 16, 32)
-MAX_SWEEPS = 200
-"""Sweeps (there and back over the map) after which `least_potential` is taken to have no end."""
 SMALL_MAP = 50_000
 """Cells below which moves are priced on one thread."""
-HEIGHT_RATES = 9
-"""How many rates [J per metre of climb] the bounds of `MoveTable.bound_per_m` are known for."""
+RISE_SHARES = np.array([0.0, 0.5, 1.0])
+"""Shares of the surface's rise that `MoveTable.bound_per_m` is known for."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,11 +33,10 @@ class MoveTable:
     offsets : (N, 2) int64 (drow, dcol), clockwise from north. heading_rad, length_m : (N,).
     energy : (rows, cols, N) float32 [J] of the move that leaves a cell; NaN where it may not be driven.
     turn_j : (N, N) float64 [J] of turning from one move's heading into another's.
-    surface : (rows, cols) float64, what climbs are counted on: the elevation [m], unless regeneration asks for more
-        (see `heuristics`).
-    rate_j_per_m : (B,) float64, rates b [J per unit of climb], ascending.
-    bound_per_m : (B,) float64 [J/m], the largest a with energy >= a * length + b * climb for every move of the map
-        (up positive): the heuristics and the potential for negative prices rest on it.
+    surface : (rows, cols) float64 [J], what a rise is counted on: weight times elevation, evened out (`potential`).
+    rise_share : (B,) shares s of the rise, ascending from 0.
+    bound_per_m : (B,) float64 [J/m], the largest a with energy >= a * length + s * rise for every move of the map (up
+        positive): the heuristics and the potential for negative prices rest on it.
     """
 
     offsets: NDArray[np.int64]
@@ -47,7 +45,7 @@ class MoveTable:
     energy: NDArray[np.float32]
     turn_j: NDArray[np.float64]
     surface: NDArray[np.float64]
-    rate_j_per_m: NDArray[np.float64]
+    rise_share: NDArray[np.float64]
     bound_per_m: NDArray[np.float64]
 
     @property
@@ -74,33 +72,14 @@ class MoveTable:
     @property
     def never_pays(self) -> bool:
         """Whether every price is known to be at least 0."""
-        return bool((self.bound_per_m[self.rate_j_per_m == 0.0] >= 0.0).any())
-
-
-def least_potential(energy: NDArray[np.float32], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(rows, cols) float64 [J]: a surface p with energy >= p(end) - p(begin) for every move (Johnson 1977).
-
-    The least energy with which any free way can end at a cell, 0 at most, by Bellman-Ford sweeps over the map. Raises
-    NegativeCycleError where it has no end: some loop returns more than it costs.
-    """
-    potential = np.zeros(energy.shape[:2])
-    for _ in range(MAX_SWEEPS):
-        changed = _sweep(energy, offsets, potential)
-        if changed < 0:
-            return potential
-    row, col = divmod(changed, energy.shape[1])
-    raise NegativeCycleError(
-        "regeneration returns more than driving costs: some loop would fill the battery, and the energy to reach row "
-        f"{row}, column {col} by way of it has no least; lower the robot's `regeneration`",
-        row=row, col=col,
-    )  # fmt: skip
+        return bool(self.bound_per_m[0] >= 0.0)
 
 
 def distance_table(table: MoveTable) -> MoveTable:
     """The same moves at 1 J per metre, with neither climbs nor turns to pay: its cheapest paths are the shortest."""
     length = np.where(np.isnan(table.energy), np.float32(np.nan), table.length_m.astype(np.float32))
     flat = np.zeros(1)
-    return replace(table, energy=length, turn_j=np.zeros_like(table.turn_j), rate_j_per_m=flat, bound_per_m=flat + 1.0)
+    return replace(table, energy=length, turn_j=np.zeros_like(table.turn_j), rise_share=flat, bound_per_m=flat + 1.0)
 
 
 def move_offsets(neighbours: int) -> NDArray[np.int64]:
@@ -123,42 +102,54 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
     offsets = move_offsets(neighbours)
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * lattice.frame.resolution_m
-    rates = _height_rates(lattice)
-    energy, bounds = _priced(lattice, offsets, headings, length_m, rates)
+    energy = _priced(lattice, offsets, headings, length_m)
     turn = lattice.robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
-    surface = lattice.elevation_m.astype(np.float64)
-    if not (bounds >= 0.0).any() and np.isfinite(bounds).any():  # no share of the height explains what comes back
-        surface, rates, bounds = least_potential(energy, offsets), np.ones(1), np.zeros(1)
-    return MoveTable(offsets, headings, length_m, energy, turn, surface, rates, bounds)
+    with _threads_for(lattice.blocked.size):
+        lifted = lattice.robot.weight_n * np.nan_to_num(lattice.elevation_m.astype(np.float64))
+        surface = even_surface(energy, offsets, length_m, lifted)
+        bounds = _bounds(energy, offsets, length_m, surface, RISE_SHARES)
+    return MoveTable(offsets, headings, length_m, energy, turn, surface, RISE_SHARES, bounds)
 
 
 def repriced(table: MoveTable, lattice: CostLattice, window: tuple[int, int, int, int]) -> MoveTable:
     """The table of a lattice that differs from the one `table` was made of in a window (row0, row1, col0, col1) only.
 
-    Prices are written into `table.energy`; the bounds hold for both lattices. Where the prices call for another
-    potential, everything is priced anew.
+    Prices are written into `table.energy`, the surface stays, and the bounds hold for both lattices. Where the prices
+    call for another surface, everything is priced anew.
     """
     row0, row1, col0, col1 = window
     rows, cols = lattice.frame.shape
     reach = table.reach
     inner = slice(max(row0 - reach, 0), row1 + reach), slice(max(col0 - reach, 0), col1 + reach)
     top, left = max(row0 - 2 * reach, 0), max(col0 - 2 * reach, 0)
-    part = lattice.window(top, min(row1 + 2 * reach, rows), left, min(col1 + 2 * reach, cols))
-    energy, bounds = _priced(part, table.offsets, table.heading_rad, table.length_m, table.rate_j_per_m)
+    around = slice(top, min(row1 + 2 * reach, rows)), slice(left, min(col1 + 2 * reach, cols))
+    part = lattice.window(around[0].start, around[0].stop, around[1].start, around[1].stop)
+    energy = _priced(part, table.offsets, table.heading_rad, table.length_m)
+    with _threads_for(part.blocked.size):
+        surface = np.ascontiguousarray(table.surface[around])
+        bounds = _bounds(energy, table.offsets, table.length_m, surface, table.rise_share)
     bounds = np.minimum(table.bound_per_m, bounds)
-    if len(table.rate_j_per_m) == 1 or not (bounds >= 0.0).any():  # its surface is a potential, or one is needed
+    if not (bounds >= 0.0).any():
         return move_table(lattice, neighbours=len(table.offsets))
     height, width = table.energy[inner].shape[:2]
     down, right = inner[0].start - top, inner[1].start - left
     table.energy[inner] = energy[down : down + height, right : right + width]
-    return replace(table, surface=lattice.elevation_m.astype(np.float64), bound_per_m=bounds)
+    return replace(table, bound_per_m=bounds)
+
+
+def _bounds(
+    energy: NDArray[np.float32], offsets: NDArray[np.int64], length_m: NDArray[np.float64],
+    surface: NDArray[np.float64], shares: NDArray[np.float64],
+) -> NDArray[np.float64]:  # fmt: skip
+    """(B,) `MoveTable.bound_per_m` for some shares of the rise; inf where there are no moves."""
+    bounds = np.array([spare_per_m(energy, offsets, length_m, share * surface).min() for share in shares])
+    return np.where(np.abs(bounds) * length_m.min() < 2.0 * ROUNDING_J, 0.0, bounds)
 
 
 def _priced(
     lattice: CostLattice, offsets: NDArray[np.int64], headings: NDArray[np.float64], length_m: NDArray[np.float64],
-    rates: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:  # fmt: skip
-    """(rows, cols, N) float32 [J] energies of all moves, and their bounds (B,) [J/m] at the rates."""
+) -> NDArray[np.float32]:  # fmt: skip
+    """(rows, cols, N) float32 [J] energies of all moves."""
     matrix = interpolation_matrix(headings, lattice.headings).astype(np.float32)
     at_moves = lattice.traction_per_m.reshape(-1, lattice.headings) @ matrix.T  # (cells, N)
     pieces = [_pieces(int(r), int(c)) for r, c in offsets]
@@ -170,8 +161,8 @@ def _priced(
             *lattice.max_tangents,
         )  # fmt: skip
         return _price_moves(
-            at_moves.reshape(*lattice.frame.shape, -1), allowed, np.ascontiguousarray(lattice.elevation_m), offsets,
-            length_m, price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend, rates,
+            at_moves.reshape(*lattice.frame.shape, -1), allowed, offsets, length_m, price_terms(lattice), cells,
+            share, piece_share, piece_cell, piece_blend,
         )  # fmt: skip
 
 
@@ -184,13 +175,6 @@ def _threads_for(cells: int) -> Iterator[None]:
         yield
     finally:
         set_num_threads(threads)
-
-
-def _height_rates(lattice: CostLattice) -> NDArray[np.float64]:
-    """Rates worth bounding: nothing, to one and a half times the robot's weight."""
-    weight = lattice.robot.weight_n
-    between = 0.5 * (lattice.robot.regeneration + 1.0)
-    return weight * np.sort(np.append(np.linspace(0.0, 1.5, HEIGHT_RATES - 1), between))
 
 
 def _pieces(drow: int, dcol: int) -> list[tuple[float, NDArray[np.int64], NDArray[np.float64]]]:
@@ -247,26 +231,6 @@ def _stack_pieces(pieces):
     return share, cell, blend
 
 
-@njit(cache=True, nogil=True)
-def _sweep(energy, offsets, potential):
-    """Lower `potential` along all moves, once in raster order and once against it; a flat index it changed, or -1."""
-    rows, cols, moves = energy.shape
-    changed = -1
-    for turn in range(2):
-        for k in range(rows * cols):
-            cell = k if turn == 0 else rows * cols - 1 - k
-            i, j = cell // cols, cell % cols
-            for n in range(moves):
-                step = energy[i, j, n]
-                if not math.isnan(step):
-                    r, c = i + offsets[n, 0], j + offsets[n, 1]
-                    low = potential[i, j] + step
-                    if low < potential[r, c] - 1e-9:
-                        potential[r, c] = low
-                        changed = cell
-    return changed
-
-
 @njit(cache=True, parallel=True)
 def _allowed_moves(gradient, blocked, east, north, max_grade, max_cross):
     """(rows, cols) int64 bit set of the moves whose heading the cell's slope allows; 0 where blocked."""
@@ -287,14 +251,11 @@ def _allowed_moves(gradient, blocked, east, north, max_grade, max_cross):
 
 
 @njit(cache=True, parallel=True)
-def _price_moves(
-    traction, allowed, elevation, offsets, length_m, terms, cells, share, piece_share, piece_cell, piece_blend, rates
-):
-    """Energies (rows, cols, N) float32 [J] and bounds (B,) [J/m]. traction : (rows, cols, N) at the moves' headings."""
+def _price_moves(traction, allowed, offsets, length_m, terms, cells, share, piece_share, piece_cell, piece_blend):
+    """Energies (rows, cols, N) float32 [J]. traction : (rows, cols, N) at the moves' headings."""
     rows, cols, moves = traction.shape
     hotel, regeneration = terms[1], terms[2]
     energy = np.full((rows, cols, moves), np.nan, dtype=np.float32)
-    row_bounds = np.full((rows, rates.size), np.inf)
     for i in prange(rows):
         for j in range(cols):
             if allowed[i, j] == 0:
@@ -330,14 +291,5 @@ def _price_moves(
                                     tm += piece_blend[n, p, 1, q] * t
                                     t1 += piece_blend[n, p, 2, q] * t
                             mean += piece_share[n, p] * mean_response(t0, tm, t1, regeneration)
-                price = np.float32((hotel + mean) * length_m[n])
-                energy[i, j, n] = price
-                climb = np.float64(elevation[row, col]) - np.float64(elevation[i, j])
-                for b in range(rates.size):
-                    bound = (price - rates[b] * climb) / length_m[n]
-                    if bound < row_bounds[i, b]:
-                        row_bounds[i, b] = bound
-    bounds = np.empty(rates.size)
-    for b in range(rates.size):
-        bounds[b] = row_bounds[:, b].min()
-    return energy, bounds
+                energy[i, j, n] = (hotel + mean) * length_m[n]
+    return energy

@@ -43,7 +43,7 @@ def refine_path(lattice: CostLattice, points: Points, *, levels: Levels = LEVELS
     for _ in range(2):
         best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
     for leg, first_step, last_step in levels:
-        fine = _subdivide(best, leg)
+        fine = subdivided(best, leg)
         relaxed = _relax(*price_arrays(lattice), lattice.robot.turn_j_per_rad, fine, first_step, last_step, SWEEPS)
         best, energy = _cheaper(lattice, best, energy, relaxed)
         best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
@@ -64,7 +64,7 @@ def _distinct(points: Points) -> Points:
     return np.ascontiguousarray(points[keep])
 
 
-def _subdivide(points: Points, leg_cells: float) -> Points:
+def subdivided(points: Points, leg_cells: float) -> Points:
     """The same polyline with no leg longer than `leg_cells`."""
     out = [points[:1]]
     for a, b in zip(points[:-1], points[1:], strict=True):

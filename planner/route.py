@@ -21,7 +21,8 @@ class Profile:
     """A route cut into pieces of at most a metre (never across a corner). All arrays (n,).
 
     distance_m : horizontal distance from the start at the piece's end; x, y, z [m] there; heading_rad of the piece;
-    energy_j : energy of the piece, the turn at its beginning included; cumulative_j : energy from the start to its end.
+    energy_j : energy of the piece, the turn at its beginning included; cumulative_j : energy from the start to its end;
+    std_j : standard deviation of the energy of the piece alone, None where the lattice has none.
     """
 
     distance_m: NDArray[np.float64]
@@ -31,6 +32,7 @@ class Profile:
     heading_rad: NDArray[np.float64]
     energy_j: NDArray[np.float64]
     cumulative_j: NDArray[np.float64]
+    std_j: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,4 +125,26 @@ def _profile(lattice: CostLattice, points: NDArray[np.float64]) -> Profile:
         moving = (driven[1:] > 0) & (driven[:-1] > 0)
         energy[1:] += lattice.robot.turn_j_per_rad * np.where(moving, change, 0.0)
     x, y = lattice.frame.xy(fine[1:, 0], fine[1:, 1])
-    return Profile(np.cumsum(driven), x, y, elevation_at(lattice, fine[1:]), heading, energy, np.cumsum(energy))
+    std = None if lattice.std_j is None else driven * _std_at(lattice.std_j, 0.5 * (fine[1:] + fine[:-1]), heading)
+    return Profile(np.cumsum(driven), x, y, elevation_at(lattice, fine[1:]), heading, energy, np.cumsum(energy), std)
+
+
+def _std_at(
+    std_j: NDArray[np.float32], points: NDArray[np.float64], heading_rad: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(n,) standard deviation [J] of 1 m segments at (n, 2) (row, col): bilinear between cells, linear between headings
+    (a wave through the bins could become negative)."""
+    last = np.array(std_j.shape[:2]) - 1
+    place = np.clip(points, 0.0, last)
+    corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
+    share = place - corner
+    turn = heading_rad / (2.0 * np.pi) * std_j.shape[2]
+    earlier = np.floor(turn).astype(np.int64)
+    ahead = turn - earlier
+    found = np.zeros(len(points))
+    for row, col, bin_ in np.ndindex(2, 2, 2):
+        weight = np.abs(1.0 - row - share[:, 0]) * np.abs(1.0 - col - share[:, 1]) * np.abs(1.0 - bin_ - ahead)
+        cell = np.minimum(corner + np.array([row, col]), last)
+        values = std_j[cell[:, 0], cell[:, 1], (earlier + bin_) % std_j.shape[2]]
+        found += np.where(weight > 0.0, weight * values, 0.0)
+    return found

@@ -3,7 +3,8 @@
 Costs are handed to OMPL in units of the lattice's cheapest cell length, so that a straight line is a lower bound of
 every cost: BIT* may then sample inside the ellipse of its best solution. A turn cost is not part of the objective,
 because OMPL adds up motions and a turn belongs to two of them; the route that comes back is priced with its turns.
-Started from the grid, a planner samples only where the grid's two energy fields leave hope of a better way.
+Started from the grid, RRT* samples only where the grid's two energy fields leave hope of a better way, and BIT* in a
+corridor round the grid's path, then in ever narrower ones round its own.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from planner.fields import field_from, field_towards
 from planner.kernels import leg_energy
 from planner.lattice import CostLattice
 from planner.moves import MoveTable
+from planner.refine import subdivided
 
 MAX_TIME_LIMIT_S = 120.0
 _HEADINGS_PER_BIN = 8
@@ -33,6 +35,10 @@ _DIP = (math.pi / _HEADINGS_PER_BIN) ** 2 / 8.0
 HOPE = 0.03
 """The grid's best way through a place of a better any-angle way costs at most this share more than its best way: on
 even ground 16 headings are 2.75 % longer than any angle."""
+CORRIDORS_CELLS = (2.0, 1.0, 0.5)
+"""Half widths of the corridors in which BIT* is started from the grid, each for an equal share of the time."""
+_CORRIDOR_CUTS, _CORRIDOR_BATCH = 4, 300
+"""Pieces that a cell's side is cut into to draw a corridor, and how many samples BIT* takes at once in one."""
 SLICE_S = 0.25
 """How often the best solution so far is looked at."""
 TREE_STEP_CELLS = 30.0
@@ -89,12 +95,8 @@ class _Pricer:
         return self.bound * math.hypot(b[0] - a[0], b[1] - a[1])
 
 
-class _TreeObjective(ob.OptimizationObjective):
-    """For RRT* and Informed RRT*, which must be told that costs are not symmetric.
-
-    The binding cannot set a cost-to-go. Both planners ask for heuristics from the start only, to judge a whole solution
-    through a state, so from the start the bound goes on to the goal.
-    """
+class _DirectedObjective(ob.OptimizationObjective):
+    """Leg prices that are not the same both ways, without bounds: in a corridor they cost BIT* more than they save."""
 
     def __init__(self, space_information: Any, pricer: _Pricer) -> None:
         super().__init__(space_information)
@@ -108,6 +110,14 @@ class _TreeObjective(ob.OptimizationObjective):
 
     def motionCost(self, a, b):
         return ob.Cost(self._pricer.cost(a, b))
+
+
+class _TreeObjective(_DirectedObjective):
+    """For RRT* and Informed RRT*.
+
+    The binding cannot set a cost-to-go. Both planners ask for heuristics from the start only, to judge a whole solution
+    through a state, so from the start the bound goes on to the goal.
+    """
 
     def motionCostHeuristic(self, a, b):
         onward = self._pricer.least(b, self._pricer.goal) if (a[0], a[1]) == self._pricer.start else 0.0
@@ -129,23 +139,6 @@ class _EllipseObjective(ob.PathLengthOptimizationObjective):
 
     def motionCostBestEstimate(self, a, b):
         return ob.Cost(self._pricer.least(a, b))
-
-
-class _BareObjective(ob.OptimizationObjective):
-    """For BIT* on few places: without bounds, which cost it more calls than they save there."""
-
-    def __init__(self, space_information: Any, pricer: _Pricer) -> None:
-        super().__init__(space_information)
-        self._pricer = pricer
-
-    def isSymmetric(self) -> bool:
-        return False
-
-    def stateCost(self, state):
-        return ob.Cost(0.0)
-
-    def motionCost(self, a, b):
-        return ob.Cost(self._pricer.cost(a, b))
 
 
 class _Limits(ob.MotionValidator):
@@ -171,7 +164,53 @@ def hopeful_places(lattice: CostLattice, table: MoveTable, start: Points, goal: 
     """
     via = field_from(lattice, table, start).energy_j + field_towards(lattice, table, goal[None]).energy_j
     least = via.min()
-    return via <= least + HOPE * abs(least)
+    return (lattice.blocked == 0) & (via <= least + HOPE * abs(least))
+
+
+def corridor(lattice: CostLattice, points: Points, half_width: float) -> NDArray[np.bool_]:
+    """(4 rows, 4 cols) bool: quarter cells within half_width [cells] of a (row, col) polyline."""
+    reach = round(half_width * _CORRIDOR_CUTS)
+    along = np.arange(-reach, reach + 1)
+    disc = np.argwhere(np.hypot(*np.meshgrid(along, along)) <= reach) - reach
+    shape = np.array(lattice.frame.shape) * _CORRIDOR_CUTS
+    centres = np.floor((subdivided(points, 1.0 / _CORRIDOR_CUTS) + 0.5) * _CORRIDOR_CUTS).astype(int)
+    near = np.clip((centres[:, None] + disc).reshape(-1, 2), 0, shape - 1)
+    mask = np.zeros(shape, dtype=bool)
+    mask[near[:, 0], near[:, 1]] = True
+    return mask
+
+
+def sample_along(
+    lattice: CostLattice, path: Points, *, time_limit_s: float = 5.0, seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Points, dict[str, Any]]:  # fmt: skip
+    """BIT* in a corridor round `path` (n, 2) (row, col), then in ever narrower ones round what it found.
+
+    The best it found, and a record as `sample_route` gives. Raises NoRouteError when it found nothing at all.
+    """
+    share = time_limit_s / len(CORRIDORS_CELLS)
+    centre, best, least = path, None, math.inf
+    details: dict[str, Any] = {"sampling_seconds": 0.0, "legs_priced": 0, "seed": seed, "history": []}
+    for stage, half_width in enumerate(CORRIDORS_CELLS):
+        try:
+            centre, found = sample_route(
+                lattice, path[0], path[-1], planner="bitstar", time_limit_s=share, seed=seed + stage,
+                places=corridor(lattice, centre, half_width),
+            )  # fmt: skip
+        except NoRouteError:
+            continue
+        details["sampling_seconds"] += found["sampling_seconds"]
+        details["legs_priced"] += found["legs_priced"]
+        details["history"] += [
+            (round(stage * share + second, 3), energy) for second, energy in found["history"] if energy < least
+        ]
+        if found["sampled_energy_j"] < least:
+            best, least = centre, found["sampled_energy_j"]
+        if progress is not None:
+            progress((stage + 1) / len(CORRIDORS_CELLS))
+    if best is None:
+        raise NoRouteError(f"bitstar found no route along the grid's within {time_limit_s:g} s; allow more time")
+    return best, details | {"sampled_energy_j": least}
 
 
 def sample_route(
@@ -180,10 +219,10 @@ def sample_route(
 ) -> tuple[Points, dict[str, Any]]:  # fmt: skip
     """A (n, 2) (row, col) polyline from start to goal found within the time limit, and how it was found.
 
-    start, goal : (2,) fractional (row, col). planner : rrtstar, informed_rrtstar or bitstar. places : (rows, cols)
-    bool, the only cells to sample in, see `hopeful_places`. The record's `history` has (seconds, energy [J]) of the
-    best solution as it fell. Raises NoRouteError when nothing was found in time (which proves nothing), InputError on a
-    bad setting.
+    start, goal : (2,) fractional (row, col). planner : rrtstar, informed_rrtstar or bitstar. places : (k rows, k cols)
+    bool, the only k-th parts of cells to sample in, see `hopeful_places` and `corridor`. The record's `history` has
+    (seconds, energy [J]) of the best solution as it fell. Raises NoRouteError when nothing was found in time (which
+    proves nothing), InputError on a bad setting.
     """
     if planner not in _ALGORITHMS:
         raise InputError(f"planner must be one of {', '.join(_ALGORITHMS)}, got {planner!r}", planner=planner)
@@ -193,29 +232,31 @@ def sample_route(
         )
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
     ou.RNG.setSeed(seed + 1)  # OMPL takes no zero
-    free = lattice.blocked == 0 if places is None else (lattice.blocked == 0) & places
+    free = lattice.blocked == 0 if places is None else places
+    cuts = free.shape[0] // lattice.frame.rows
     space = ob.RealVectorStateSpace(2)
     bounds = ob.RealVectorBounds(2)
-    for axis, cells in enumerate(np.nonzero(free)):
-        bounds.setLow(axis, float(min(cells.min() - 0.5, start[axis], goal[axis])))
-        bounds.setHigh(axis, float(max(cells.max() + 0.5, start[axis], goal[axis])))
+    for axis, parts in enumerate(np.nonzero(free)):
+        bounds.setLow(axis, float(min(parts.min() / cuts - 0.5, start[axis], goal[axis])))
+        bounds.setHigh(axis, float(max((parts.max() + 1) / cuts - 0.5, start[axis], goal[axis])))
     space.setBounds(bounds)
     info = ob.SpaceInformation(space)
     pricer = _Pricer(lattice, start, goal)
-    last_row, last_col = free.shape[0] - 1, free.shape[1] - 1
-    rows: list[list[bool]] = free.tolist()
-    info.setStateValidityChecker(lambda s: rows[min(max(round(s[0]), 0), last_row)][min(max(round(s[1]), 0), last_col)])
+    info.setStateValidityChecker(_standable(free, cuts))
     info.setMotionValidator(_Limits(info, pricer))
     info.setup()
     make_planner, make_objective = _ALGORITHMS[planner]
     if places is not None and planner == "bitstar":
-        make_objective = _BareObjective
+        make_objective = _DirectedObjective
     problem = ob.ProblemDefinition(info)
     problem.setStartAndGoalStates(_state(space, start), _state(space, goal), 1e-6)
     problem.setOptimizationObjective(make_objective(info, pricer))
     solver = make_planner(info)
-    if hasattr(solver, "setRange"):
+    if planner != "bitstar":
         solver.setRange(TREE_STEP_CELLS)
+    elif places is not None:
+        solver.setSamplesPerBatch(_CORRIDOR_BATCH)
+        solver.setUseKNearest(True)  # the radius that BIT* would reckon is that of an open square
     solver.setProblemDefinition(problem)
     solver.setup()
     history: list[tuple[float, float]] = []
@@ -246,6 +287,17 @@ def sample_route(
         "sampled_energy_j": path_price(lattice, points),
         "history": history,
     }
+
+
+def _standable(free: NDArray[np.bool_], cuts: int) -> Callable[[Any], bool]:
+    """Whether a state lies on a True of `free`, which has `cuts` entries to a cell's side."""
+    last_row, last_col, width, mask = free.shape[0] - 1, free.shape[1] - 1, free.shape[1], free.tobytes()
+
+    def standable(state: Any) -> bool:
+        row = min(max(int((state[0] + 0.5) * cuts), 0), last_row)
+        return mask[row * width + min(max(int((state[1] + 0.5) * cuts), 0), last_col)] == 1
+
+    return standable
 
 
 def _state(space: Any, point: Points) -> Any:

@@ -13,8 +13,9 @@ from planner.moves import MoveTable
 
 _SLACK = 1e-12
 """Relative gain that is taken for rounding where prices may be negative, so that no loop goes on for ever."""
-_CELL_WIDTH, _TURN_WIDTH = 0.6, 0.6
-"""Width of a bucket in typical prices, and with turning the share of a full turn that it spans; measured, flat."""
+_CELL_WIDTH, _TURN_WIDTH = 2.0, 0.6
+"""Width of a bucket in typical prices, and with turning the share of a full turn that it spans; measured: wide buckets
+settle some cells again, and walk through memory in better order."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

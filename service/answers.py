@@ -13,6 +13,7 @@ from model.robot import Battery, Robot
 from planner.budget import Verdict
 from planner.plan import Plan
 from planner.route import Route, geojson
+from service.loop_schemas import CalibrationOut, RunOut, RunsOut
 from service.problems import jsonable
 from service.schemas import (
     BatteryIn,
@@ -26,7 +27,7 @@ from service.schemas import (
     ShortestOut,
     VerdictOut,
 )
-from service.store import DONE, CostmapRow, HeightmapRow
+from service.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
 from service.workflows import Assessment
 
 
@@ -47,6 +48,7 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
             "image": f"{base}/image.png",
             "at": f"{base}/at",
             "paths": f"{base}/paths",
+            "tours": f"{base}/tours",
             "feasibility": f"{base}/feasibility",
         }
     provenance = summary.get("provenance")
@@ -71,6 +73,34 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
     )
 
 
+def runs_out(row: RunsRow) -> RunsOut:
+    runs = [RunOut(**run) for run in row.stats]
+    return RunsOut(id=row.id, created_at=_utc(row.created_at), runs=runs, links={"self": f"/v1/runs/{row.id}"})
+
+
+def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> CalibrationOut:
+    base, asked, summary = f"/v1/calibrations/{row.id}", row.request, row.summary or {}
+    links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
+    if row.status == DONE:
+        links["page"] = f"{base}/report.html"
+    return CalibrationOut(
+        id=row.id,
+        status=row.status,  # type: ignore[arg-type]
+        progress=row.progress,
+        created_at=_utc(row.created_at),
+        finished_at=_utc(row.finished_at) if row.finished_at else None,
+        heightmap_id=row.heightmap_id,
+        runs=asked["runs"],
+        base_runs=asked["base_runs"],
+        robot=RobotOut(**asked["robot"]),
+        model=asked["model"],
+        calibrated_model=summary.get("model"),
+        report=summary.get("report") if with_report else None,
+        problem=row.problem,  # type: ignore[arg-type]
+        links=links,
+    )
+
+
 def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
     """The battery that a request means."""
     given = request or BatteryIn()
@@ -84,11 +114,22 @@ def verdict_out(verdict: Verdict) -> VerdictOut:
 
 def verdict_words(verdict: Verdict) -> str:
     """A verdict as a robot operator would say it."""
-    need = f"{verdict.energy_j / 3600:.2f} Wh needed, {verdict.available_j / 3600:.2f} Wh available above the reserve"
+    doubt = "" if verdict.energy_std_j is None else f" +- {verdict.energy_std_j / 3600:.2f}"
+    need = f"{verdict.energy_j / 3600:.2f}{doubt} Wh needed, "
+    need += f"{verdict.available_j / 3600:.2f} Wh available above the reserve"
+    if verdict.probability is not None:
+        need += f", lasts with {_probability_words(verdict.probability)}"
     if verdict.feasible:
         spare = f"{verdict.margin_j / 3600:.2f} Wh to spare"
         return f"feasible: {need}, {spare}; charge at the end {verdict.charge_at_end:.1%}"
     return f"not feasible: {need}, {verdict.shortfall_j / 3600:.2f} Wh short"
+
+
+def _probability_words(probability: float) -> str:
+    """A probability as far as it is worth saying: nobody knows the tails."""
+    if probability > 0.99:
+        return "more than 99 %"
+    return "less than 1 %" if probability < 0.01 else f"{probability:.0%}".replace("%", " %")
 
 
 def route_values(route: Route) -> dict[str, Any]:
@@ -124,6 +165,7 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
         **route_values(route),
         profile=pieces,
         shortest=ShortestOut(energy_j=shortest.energy_j, length_m=shortest.length_m, path=path_points(shortest)),
+        alternatives=[RouteOut(**route_values(other)) for other in plan.others],
         saving_j=plan.saving_j,
         saving_percent=_percent(plan.saving_j, shortest.energy_j),
         battery=verdict_out(verdict) if verdict is not None else None,
@@ -138,11 +180,13 @@ def path_geojson(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> di
     """A FeatureCollection of both paths; the map's CRS stands once, at its top."""
     best = geojson(plan.route, kind="energy_optimal", planner=plan.planner, saving_j=plan.saving_j)
     shortest = geojson(plan.shortest, kind="shortest")
+    others = [geojson(other, kind="alternative") for other in plan.others]
     crs = best.pop("crs", None)
-    shortest.pop("crs", None)
+    for feature in (shortest, *others):
+        feature.pop("crs", None)
     collection: dict[str, Any] = {
         "type": "FeatureCollection",
-        "features": [best, shortest],
+        "features": [best, shortest, *others],
         "warnings": [*warnings, *plan.route.notes],
         "battery": verdict_out(verdict).model_dump() if verdict is not None else None,
     }

@@ -14,13 +14,14 @@ from fastapi import FastAPI
 
 from service import documents, problems
 from service.limits import RequestLimits
-from service.routes import contents, costmaps, heightmaps, meta, questions
+from service.routes import calibrations, contents, costmaps, heightmaps, meta, questions, runs
 from service.settings import Settings
 from service.state import Service
 
 DESCRIPTION = """Energy planner for ground robots: a heightmap in, a directional cost map, an energy-optimal path and a
-battery verdict out. World coordinates are metres in the heightmap's CRS (x east, y north); headings are clockwise from
-north; energies are joules unless a field says otherwise. Errors are RFC 9457 problems."""
+battery verdict out; measured runs in, what the model lacked and a model that has it out. World coordinates are metres
+in the heightmap's CRS (x east, y north); headings are clockwise from north; energies are joules unless a field says
+otherwise. Errors are RFC 9457 problems."""
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
@@ -47,7 +48,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.service = service
     app.include_router(meta.router)
-    for module in (heightmaps, costmaps, contents, questions):
+    for module in (heightmaps, costmaps, contents, questions, runs, calibrations):
         app.include_router(module.router, prefix="/v1")
     problems.install(app)
     documents.install(app)
@@ -55,7 +56,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         RequestLimits,
         upload_bytes=int(settings.max_upload_mb * 1e6),
         other_bytes=int(settings.max_json_mb * 1e6),
-        upload_paths=("/v1/heightmaps", "/v1/costmaps"),
+        upload_paths=("/v1/heightmaps", "/v1/costmaps", "/v1/runs"),
     )
     return app
 

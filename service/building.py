@@ -11,13 +11,16 @@ from model.errors import NegativeCycleError
 from model.robot import Robot
 from model.terrain.windows import Ground
 from model.traction import TractionSource
+from planner.figures import figures_of, joined_figures
 from planner.lattice_build import build_tile, knows_spread, provenance_of
 from planner.lattice_io import LatticeFolder
 from planner.plan import RoutePlanner
 from planner.tiles import Tiling
+from service.reuse import with_stored_base
 from service.steps import Step, Steps
-from service.store import LAY_OUT, Store
-from service.workflows import figures_of, joined_figures, prepare_build
+from service.store import Store
+from service.tables import LAY_OUT
+from service.workflows import prepare_build
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,9 @@ class Builder:
         self._on_done = on_done
         self._open: tuple[str, _Job] | None = None
 
-    def do(self, step: Step, steps: Steps) -> None:
-        """Do one step and say that it is done. Done again, it leaves the same."""
-        job = self._job(step.costmap_id)
+    def do(self, step: Step, steps: Steps, report: Callable[[float], None] | None = None) -> None:
+        """Do one step and say that it is done; done again, it leaves the same. A tile is too short to report."""
+        job = self._job(step.job_id)
         if step.number == LAY_OUT:
             job.folder.lay_out(job.tiling, job.robot, with_std=knows_spread(job.source, job.robot))
             provenance = provenance_of(job.ground, job.robot, job.source, job.tiling)
@@ -67,7 +70,7 @@ class Builder:
             job.folder.write(part, *place)
             wanted = steps.complete(step, figures_of(part))
         if not wanted:  # the cost map was deleted meanwhile
-            self.discard(step.costmap_id)
+            self.discard(step.job_id)
 
     def rest(self) -> None:
         """Nothing is to be done: let go of what was held."""
@@ -92,15 +95,16 @@ class Builder:
                 models_dir=self._models_dir,
                 max_values=self._max_values,
             )
+            source = with_stored_base(self._store, row, source, tiling)
             folder = LatticeFolder(self._store.lattice_path(costmap_id))
             self._open = costmap_id, _Job(ground, robot, source, tiling, folder)
         return self._open[1]
 
     def _finish(self, step: Step, job: _Job, steps: Steps) -> bool:
-        provenance, *tiles = steps.results(step.costmap_id)
+        provenance, *tiles = steps.results(step.job_id)
         frame = job.tiling.frame
         job.folder.finish(provenance)
-        planner = RoutePlanner(self._store.load_lattice(step.costmap_id))
+        planner = RoutePlanner(self._store.load_lattice(step.job_id))
         try:
             planner.prepare()
         except NegativeCycleError as error:  # the map is good to look at, every question will say the same
@@ -118,7 +122,7 @@ class Builder:
             "provenance": provenance,
             **joined_figures(tiles),
         }
-        wanted = self._store.finish_costmap(step.costmap_id, summary)
+        wanted = self._store.finish(step.job_id, summary)
         if wanted and self._on_done is not None:
-            self._on_done(step.costmap_id, planner)
+            self._on_done(step.job_id, planner)
         return wanted

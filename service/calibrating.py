@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
-from model.errors import ConflictError, InputError, ModelError, RunsError
+from model.energy.uncertainty import fit_spread
+from model.errors import ConflictError, InfeasibleError, InputError, ModelError
 from model.loop.calibrated import (
     CALIBRATION_FILE,
     CalibratedPredictor,
@@ -22,86 +22,27 @@ from model.loop.calibrated import (
     save_calibrated,
 )
 from model.loop.calibration import Calibration, calibrate
-from model.loop.drive import describe_segments
-from model.loop.prediction import predict_segments
-from model.loop.record import read_record, save_record
 from model.loop.report import report_document
-from model.loop.residual import Residuals, residuals_of
-from model.loop.runs import read_run
-from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.rerouting import Comparison, Task, compare_routes
+from service.residuals import base_residuals, read_calibration_runs, residuals_on
+
+FloatArray = NDArray[np.float64]
 
 BASE_FOLDER = "base"
 """Where a calibrated model's folder keeps its base model."""
 
 
-def read_calibration_runs(
-    files: Sequence[Path], robot: Robot, *, crs: str | None
-) -> tuple[Segments, dict[str, dict[str, int]]]:
-    """The segments of all runs, in joules, or in ampere seconds where a run has no voltage; and the repairs by run.
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibrated:
+    """What a calibration leaves. document : the report, JSON-able; routes : a task before and after, None where the
+    report's `route` says why there is none."""
 
-    Raises RunsError for no run, or for runs of which only some have a voltage.
-    """
-    if not files:
-        raise RunsError("there is no run to read: no file has such a name")
-    runs = [read_run(file, crs=crs) for file in files]
-    without = [run.name for run in runs if run.voltage_v is None]
-    if without and len(without) < len(runs):
-        raise RunsError(
-            f"{len(without)} of {len(runs)} runs have no voltage (the first is {without[0]}): calibrate them apart",
-            run=without[0],
-        )
-    segments = driven_only(
-        concatenate([cut_segments(run, charge=bool(without), max_speed_mps=CARRIED * robot.speed_mps) for run in runs])
-    )
-    return segments, {run.name: run.repairs for run in runs if run.repairs}
-
-
-def residuals_on(
-    predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments
-) -> tuple[Residuals, dict[str, np.ndarray]]:
-    """Residuals of segments against a model, and what the battery's meters said of each row: means of voltage, current
-    and power, energy, and the current's ripple. Raises RunsError."""
-    if len(segments) == 0:
-        raise RunsError("the runs hold no segment of 1 m: did the robot move, and is its position recorded?")
-    said = predict_segments(predictor, heightmap, robot, segments)
-    return _residuals(heightmap, robot, segments, said.traction_per_m)
-
-
-def _residuals(
-    heightmap: Heightmap, robot: Robot, segments: Segments, traction: NDArray[np.float64]
-) -> tuple[Residuals, dict[str, np.ndarray]]:
-    drive, measured = describe_segments(segments, heightmap, robot, traction)
-    marked = replace(drive, columns=drive.columns | _electric(segments, len(drive) - len(segments)))
-    found = residuals_of(marked, measured, segments.runs, charge=segments.charge)
-    columns = dict(found.drive.columns)
-    electric = {key.removeprefix(_MARK): columns.pop(key) for key in list(columns) if key.startswith(_MARK)}
-    return replace(found, drive=replace(found.drive, columns=columns)), electric
-
-
-_MARK = "measured "
-
-
-def _electric(segments: Segments, stands: int) -> dict[str, np.ndarray]:
-    rest = np.full(stands, np.nan)
-    power = segments.energy_j / segments.duration_s
-    means = {"voltage": segments.voltage_v, "current": segments.current_a, "power": power, "energy": segments.energy_j,
-             "ripple": segments.ripple}  # fmt: skip
-    return {_MARK + key: np.concatenate([values, rest]) for key, values in means.items()}
-
-
-def keep_base_runs(
-    folder: Path, heightmap: Heightmap, robot: Robot, segments: Segments, traction: NDArray[np.float64]
-) -> None:
-    """Leave the runs that a model was trained on beside it, so that a calibration can hold later runs against them.
-
-    traction : (n,) [J/m] of every segment, from a network that had not seen its run. Runs too short to be held against
-    anything are not kept.
-    """
-    with suppress(RunsError):
-        save_record(folder, _residuals(heightmap, robot, segments, traction)[0])
+    document: dict[str, Any]
+    found: Calibration
+    routes: Comparison | None
 
 
 def calibrate_on_runs(
@@ -112,34 +53,69 @@ def calibrate_on_runs(
     *,
     out: Path,
     base_files: Sequence[Path] = (),
+    task: Task | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
-) -> tuple[dict[str, Any], Calibration]:
-    """Trace what a model lacks on measured runs and write `out/model`: the base and its effects. Returns the report.
+) -> Calibrated:
+    """Trace what a model lacks on measured runs and write `out/model`: the base and its effects.
 
-    base_files : runs without the effect, where the model's folder does not keep its own. Raises InputError, RunsError,
-    ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
+    base_files : runs without the effect, where the model's folder does not keep its own. task : start and goal whose
+    routes before and after are compared, as `compare_routes`. Raises InputError, RunsError, ModelError, and
+    ConflictError where `out/model` is there already: a model version is never changed.
     """
     target = out / "model"
     if target.exists():
         raise ConflictError(f"{target} is there already: a model version is never changed", path=str(target))
     predictor = load_model(model)
-    if isinstance(predictor, CalibratedPredictor):
-        raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
+    refuse_calibrated(model, predictor)
     segments, repairs = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
-    measured, electric = residuals_on(predictor, heightmap, robot, segments)
-    base = _base_residuals(model, predictor, heightmap, robot, base_files)
-    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
-    correction = correction_of(found)
-    version = _write(target, model, predictor, correction) if found.terms else None
+    measured, electric, std = residuals_on(predictor, heightmap, robot, segments)
+    base = base_residuals(model, predictor, heightmap, robot, base_files)
+    _tell(progress, _READ)
+    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=_part(progress, _READ, _TRACED))
+    version, routes, why_not = None, None, "nothing was found that changes a route"
+    if found.terms:
+        correction = correction_of(found, std)
+        version = _write(target, model, predictor, correction)
+        after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
+        places = np.column_stack([segments.x, segments.y])
+        try:
+            routes = compare_routes(
+                heightmap, robot, predictor, after, places, task=task, seed=seed,
+                progress=_part(progress, _TRACED, 1.0),
+            )  # fmt: skip
+        except (InfeasibleError, ConflictError) as error:  # no way, or charge without voltage: a report all the same
+            why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
+    report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
     report["runs"] = {"names": list(segments.runs), "repairs": repairs, "left_out": segments.left_out}
     report["warnings"] = predictor.warnings(heightmap, robot)
-    return report, found
+    _tell(progress, 1.0)
+    return Calibrated(report, found, routes)
 
 
-def correction_of(found: Calibration) -> Correction:
-    """What a calibration adds to its base model."""
+_READ, _TRACED = 0.1, 0.85  # of the work
+
+
+def _tell(progress: Callable[[float], None] | None, share: float) -> None:
+    if progress is not None:
+        progress(share)
+
+
+def _part(
+    progress: Callable[[float], None] | None, start: float, end: float
+) -> Callable[[float], None] | None:  # fmt: skip
+    return None if progress is None else lambda share: progress(start + (end - start) * share)
+
+
+def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
+    """Raises InputError for a model that cannot be calibrated because it is already."""
+    if isinstance(predictor, CalibratedPredictor):
+        raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
+
+
+def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
+    """What a calibration adds to its base model. std_j : (n,) of the base model for each of the calibration's rows."""
     drive, moving = found.residuals.drive, found.residuals.moving
     planner = [True] * (len(found.shared.terms) + len(found.silent)) + [e.planner for e in found.effects]
     turned = float(drive.turned_abs_rad[moving].sum())
@@ -152,6 +128,11 @@ def correction_of(found: Calibration) -> Correction:
         turn_j_per_rad=turning / turned if turned > 0 and not found.residuals.charge else 0.0,
         conditions=conditions,
         evidence=[{"name": e.term.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
+        spread=None
+        if found.residuals.charge
+        else fit_spread(
+            found.residuals.measured[moving], found.held_out_planner[moving], std_j[moving], drive.run[moving]
+        ),
     )
 
 
@@ -199,8 +180,8 @@ def suggest_next_drive(
     """
     predictor = load_model(model)
     segments, _ = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
-    measured, electric = residuals_on(predictor, heightmap, robot, segments)
-    base = _base_residuals(model, predictor, heightmap, robot, base_files)
+    measured, electric, _ = residuals_on(predictor, heightmap, robot, segments)
+    base = base_residuals(model, predictor, heightmap, robot, base_files)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
     best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
     best |= {e.term.name: e.term for e in found.effects}
@@ -224,13 +205,3 @@ def suggest_next_drive(
         length_m=length_m, seed=seed,
     )  # fmt: skip
     return suggestion, rivals
-
-
-def _base_residuals(
-    model: str | Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path]
-) -> Residuals | None:
-    """The base model's own runs: those given, or those kept in its folder."""
-    if not files:
-        return None if model in MODEL_NAMES else read_record(model)
-    segments, _ = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
-    return residuals_on(predictor, heightmap, robot, segments)[0]

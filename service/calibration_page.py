@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 from collections.abc import Callable, Mapping
 from html import escape
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 
 from model.loop.calibration import Calibration
 from model.loop.effects import quantity
+from model.terrain.heightmap import Heightmap
+from service.calibrating import Calibrated
+from service.pictures import route_picture
 
 matplotlib.use("Agg")
 
@@ -25,7 +29,7 @@ _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2424; background: #fbfaf7; max-width: 62rem; margin: 2rem auto;
   padding: 0 1rem } h1 { font-size: 1.6rem } h2 { font-size: 1.15rem; margin-top: 2.2rem } table { border-collapse:
   collapse; width: 100% } th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #ddd8cc;
-  vertical-align: top } th { font-weight: 600 } svg { max-width: 100%; height: auto } .n { text-align: right;
+  vertical-align: top } th { font-weight: 600 } svg, img { max-width: 100%; height: auto } .n { text-align: right;
   font-variant-numeric: tabular-nums } p.note { color: #5a6464 }
 """
 _QUANTITIES = {
@@ -43,8 +47,9 @@ _QUANTITIES = {
 _BINS = 14
 
 
-def report_page(document: Mapping[str, Any], found: Calibration) -> str:
-    """The page. document : the report's JSON."""
+def report_page(made: Calibrated, heightmap: Heightmap) -> str:
+    """The page. heightmap : that the runs were driven on."""
+    document, found = made.document, made.found
     unit = "A s" if document["target"] == "charge_as" else "J"
     names = ", ".join(e["name"] for e in document["effects"])
     title = f"Found: {names}" if names else "Nothing found that the model lacks"
@@ -59,6 +64,7 @@ def report_page(document: Mapping[str, Any], found: Calibration) -> str:
         f"<h1>{escape(title)}</h1><p>{lead}</p>",
         "<h2>Effects</h2>" + _effects(document),
         _confounded(document),
+        "<h2>A route before and after</h2>" + _route(made, heightmap),
         "<h2>Prediction against measurement</h2>" + _figure(_prediction(found, unit), 8.4, 4.0, 2),
         "<h2>Error by run</h2>" + _figure(_by_run(found), 8.4, 3.0, 1),
         "<h2>Where the residual lies</h2>" + _figure(_maps(found), 8.4, 3.8, 2),
@@ -91,6 +97,29 @@ def _effects(document: Mapping[str, Any]) -> str:
             f"{e['share_of_residual_variance']:.0%}", "yes" if e["in_plans"] else "no: needs a log",
         ])  # fmt: skip
     return _table(["effect", "where", "coefficients (95 %)", "p", "share of residual", "in plans"], rows)
+
+
+def _route(made: Calibrated, heightmap: Heightmap) -> str:
+    if made.routes is None:
+        return f"<p>None: {escape(made.document['route']['why_not'])}.</p>"
+    route, shown = made.document["route"], made.routes.shown
+    (x0, y0), (x1, y1) = shown.task
+    lead = (
+        f"From {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} ({escape(route['task']['chosen'])}). At the new prices the old "
+        f"route costs {_energy(route['before'])}, the new one {_energy(route['after'])}: it saves "
+        f"{route['saving_percent']:.1f} %. The old model said {shown.before.energy_j / 1000.0:.2f} kJ of the old route."
+    )
+    if len(route["tried"]) > 1:
+        savings = ", ".join(f"{task['saving_percent']:.1f} %" for task in route["tried"])
+        lead += f" Savings of all tasks tried: {savings}."
+    picture = route_picture(heightmap, shown.after, shown.repriced, title="", names=("new route", "old route"))
+    data = base64.b64encode(picture).decode("ascii")
+    return f'<p>{lead}</p><img alt="both routes on the terrain" src="data:image/png;base64,{data}">'
+
+
+def _energy(route: Mapping[str, Any]) -> str:
+    doubt = "" if route["energy_std_j"] is None else f" +- {route['energy_std_j'] / 1000.0:.2f}"
+    return f"{route['energy_j'] / 1000.0:.2f}{doubt} kJ over {route['length_m']:.0f} m"
 
 
 def _confounded(document: Mapping[str, Any]) -> str:

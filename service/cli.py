@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.commands import calibration, maps, models, reproduction, services
+from service.commands import calibration, distillation, maps, models, reproduction, services, tours
 from service.commands.console import PlainErrors
 
 app = typer.Typer(
@@ -45,7 +45,7 @@ def joulemap(
 
 
 for _panel, _commands in (
-    ("Plan", (maps.costmap, maps.path, maps.feasibility)),
+    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour)),
     ("Serve", (services.demo, services.serve, services.worker, services.warmup, services.openapi)),
     (
         "Learn",
@@ -53,6 +53,7 @@ for _panel, _commands in (
             models.simulate,
             models.train,
             models.evaluate,
+            distillation.distill,
             calibration.calibrate,
             calibration.suggest_drive,
             reproduction.baselines,

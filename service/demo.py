@@ -74,7 +74,8 @@ def run_demo(
         answer.say(f"[bold]joulemap[/] is running at {url}")
         with httpx.Client(base_url=url, timeout=COSTMAP_WITHIN_S + 60.0) as client:
             told = _ask(answer, client, ground, model, out)
-        write_file(picture, route_picture(ground.heightmap, told.plan, title=f"{ground.name}: cheapest and shortest"))
+        title = f"{ground.name}: cheapest and shortest"
+        write_file(picture, route_picture(ground.heightmap, told.plan.route, told.plan.shortest, title=title))
         answer.say(f"\n[bold]Picture[/]    {escape(str(picture))}")
         answer.warn(told.document["costmap"]["warnings"])
         answer.document({"url": url, "picture": str(picture), **told.document})

@@ -46,6 +46,27 @@ def upload_body() -> dict[str, Any]:
     }
 
 
+def runs_body() -> dict[str, Any]:
+    """`openapi_extra` of the upload of runs: a form with a file for each, or one file itself."""
+    run = {**_FILE, "description": "a measured run: CSV or Parquet"}
+    form = {
+        "type": "object",
+        "properties": {"file": {"type": "array", "items": run, "minItems": 1}},
+        "required": ["file"],
+        "additionalProperties": False,
+    }
+    return {
+        "requestBody": {
+            "required": True,
+            "content": {
+                "multipart/form-data": {"schema": form},
+                "text/csv": {"schema": {"type": "string"}},
+                "application/octet-stream": {"schema": _FILE},
+            },
+        }
+    }
+
+
 def costmap_body() -> dict[str, Any]:
     """`openapi_extra` of the cost map request: JSON with a heightmap's id, or a form with the heightmap itself."""
     fields = UploadOptions.model_json_schema()["properties"]

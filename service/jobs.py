@@ -1,4 +1,4 @@
-"""A worker: takes steps of cost maps one after another and does them, in the service or in a process of its own."""
+"""A worker: takes steps of jobs one after another and does them, in the service or in a process of its own."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
 
 from sqlalchemy.exc import OperationalError
 
 from model.errors import BusyError
-from service.building import Builder
 from service.problems import problem_of
 from service.steps import LEASE_S, Step, Steps
-from service.store import FAILED, QUEUED, RUNNING, Store
+from service.store import Store
+from service.tables import COSTMAP, FAILED, JOBS, QUEUED, RUNNING, WORDS, kind_of
 
 SERVICE = "service:"
 """How the names of workers inside a service begin; a data directory has one service, so they die with it."""
@@ -25,15 +26,36 @@ _LOOK_S = 1.0  # between looks for a step that somebody else left or added
 _WAIT_S = (0.01, 0.25)  # between looks whether a job is over: at first, and at most
 
 
-class Worker:
-    """Does steps with `builder` until stopped. A step that raises marks its cost map as failed.
+class Maker(Protocol):
+    """Does the steps of jobs of one kind."""
 
-    ready : called before a step; it may wait until kernels are warm, and raises BusyError where that takes too long.
+    def do(self, step: Step, steps: Steps, report: Callable[[float], None]) -> None:
+        """Do one step and say that it is done. report : is told now and then how far a long one is, 0..1; it raises
+        Interrupted where nobody wants the step any more."""
+
+    def rest(self) -> None:
+        """Nothing is to be done."""
+
+    def discard(self, job_id: str) -> None:
+        """Throw away what was made of a job."""
+
+
+class Interrupted(Exception):
+    """The job at hand was deleted, or the worker is to stop."""
+
+
+class Worker:
+    """Does steps until stopped. A step that raises marks its job as failed.
+
+    makers : by kind of job; ready : called before a step; it may wait until kernels are warm, and raises BusyError
+    where that takes too long.
     """
 
-    def __init__(self, store: Store, builder: Builder, *, name: str, ready: Callable[[], object]) -> None:
+    def __init__(
+        self, store: Store, makers: Mapping[str, Maker], *, name: str, ready: Callable[[], object]
+    ) -> None:  # fmt: skip
         self._store = store
-        self._builder = builder
+        self._makers = dict(makers)
         self._ready = ready
         self._name = name + secrets.token_hex(6)
         self._wake, self._stopping = threading.Event(), threading.Event()
@@ -41,7 +63,7 @@ class Worker:
 
     def start(self) -> None:
         """Work in a thread."""
-        self._thread = threading.Thread(target=self.work, name="costmaps")
+        self._thread = threading.Thread(target=self.work, name="jobs")
         self._thread.start()
 
     def wake(self) -> None:
@@ -49,7 +71,7 @@ class Worker:
         self._wake.set()
 
     def stop(self) -> None:
-        """Return when the step at hand is done (a step is at most a tile); the others stay for the next start."""
+        """Return when the step at hand is done, or a long one given up; what is left stays for the next start."""
         self._stopping.set()
         self._wake.set()
         if self._thread is not None:
@@ -57,7 +79,7 @@ class Worker:
 
     def work(self) -> None:
         """Do steps in this thread until stopped."""
-        steps = Steps(self._store.sessions, self._name)
+        steps = Steps(self._store.sessions, self._name, self._makers)
         while not self._stopping.is_set():
             self._wake.clear()
             try:
@@ -66,7 +88,8 @@ class Worker:
                 _LOG.warning("the database does not answer: %s", error.orig)
                 worked = False
             if not worked:
-                self._builder.rest()
+                for maker in self._makers.values():
+                    maker.rest()
                 self._wake.wait(_LOOK_S)
         steps.release()
 
@@ -75,30 +98,40 @@ class Worker:
         step = steps.take()
         if step is None:
             return False
+        maker = self._makers[kind_of(step.job_id)]
+
+        def report(progress: float) -> None:
+            if self._stopping.is_set() or not steps.report(step, progress):
+                raise Interrupted
+
         with _Lease(steps, step):
             try:
                 self._ready()
-            except BusyError as error:  # no fault of the cost map: later
+            except BusyError as error:  # no fault of the job: later
                 _LOG.info("not ready: %s", error.message)
                 steps.release()
                 return False
             try:
-                self._builder.do(step, steps)
+                maker.do(step, steps, report)
             except OperationalError:
                 raise
+            except Interrupted:
+                if self._store.status(step.job_id) is None:
+                    maker.discard(step.job_id)
             except Exception as error:
                 self._fail(step, error)
         return True
 
     def _fail(self, step: Step, error: Exception) -> None:
-        if self._store.status(step.costmap_id) in (None, FAILED):  # deleted, or another worker's failure came first
-            self._builder.discard(step.costmap_id)
+        discard = self._makers[kind_of(step.job_id)].discard
+        if self._store.status(step.job_id) in (None, FAILED):  # deleted, or another worker's failure came first
+            discard(step.job_id)
             return
-        problem = problem_of(error, step.costmap_id)
+        problem = problem_of(error, step.job_id)
         if problem["status"] >= 500:
-            _LOG.error("cost map %s failed", step.costmap_id, exc_info=error)
-        self._store.fail_costmap(step.costmap_id, problem)
-        self._builder.discard(step.costmap_id)
+            _LOG.error("job %s failed", step.job_id, exc_info=error)
+        self._store.fail(step.job_id, problem)
+        discard(step.job_id)
 
 
 class _Lease:
@@ -125,41 +158,41 @@ class _Lease:
                 _LOG.warning("a lease could not be renewed: %s", error.orig)
 
 
-class CostmapJobs:
-    """The jobs of one service: how many wait, when one is over, and the service's own worker."""
+class Jobs:
+    """The jobs of one service: how many wait, when one is over, and the service's own workers."""
 
-    def __init__(self, store: Store, worker: Worker | None, *, queue_size: int) -> None:
+    def __init__(self, store: Store, workers: Sequence[Worker], *, queue_size: int) -> None:
         self._store = store
-        self._worker = worker
+        self._workers = workers
         self._queue_size = queue_size
 
     def resume(self) -> None:
         """Go on with what an earlier process left unfinished."""
-        steps = Steps(self._store.sessions, SERVICE)
+        steps = Steps(self._store.sessions, SERVICE, JOBS)
         steps.release(SERVICE)
         steps.add_missing()
-        if self._worker is not None:
-            self._worker.start()
+        for worker in self._workers:
+            worker.start()
 
-    def check_room(self) -> None:
-        """Raises BusyError when the queue is full."""
-        waiting = len(self._store.unfinished())
+    def check_room(self, kind: str = COSTMAP) -> None:
+        """Raises BusyError when the queue of jobs of this kind is full."""
+        waiting = len(self._store.unfinished(kind))
         if waiting >= self._queue_size:
             raise BusyError(
-                f"{waiting} cost maps wait already, the limit is {self._queue_size}: try again in a while",
+                f"{waiting} {WORDS[kind]}s wait already, the limit is {self._queue_size}: try again in a while",
                 waiting=waiting, limit=self._queue_size, retry_after_s=10,
             )  # fmt: skip
 
     def submit(self) -> None:
-        """A cost map was added."""
-        if self._worker is not None:
-            self._worker.wake()
+        """A job was added."""
+        for worker in self._workers:
+            worker.wake()
 
-    async def wait(self, costmap_id: str, timeout_s: float) -> None:
+    async def wait(self, job_id: str, timeout_s: float) -> None:
         """Return when the job is over, whoever does it, or after `timeout_s`."""
         pause, longest = _WAIT_S
         deadline = time.monotonic() + timeout_s
-        while await asyncio.to_thread(self._store.status, costmap_id) in (QUEUED, RUNNING):
+        while await asyncio.to_thread(self._store.status, job_id) in (QUEUED, RUNNING):
             left = deadline - time.monotonic()
             if left <= 0:
                 return
@@ -167,5 +200,5 @@ class CostmapJobs:
             pause = min(1.3 * pause, longest)
 
     def stop(self) -> None:
-        if self._worker is not None:
-            self._worker.stop()
+        for worker in self._workers:
+            worker.stop()

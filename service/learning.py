@@ -18,18 +18,19 @@ from model.energy.examples import RESNET_SIZE, Examples, cut_examples
 from model.energy.examples import concatenate as concatenated
 from model.energy.predictor import Predictor
 from model.energy.resnet import ResNetEnergy, load_backbone
+from model.energy.tensors import Network
 from model.energy.tracks import SQUARE
-from model.energy.training import Network, TrainingOptions, averaged, train_network
+from model.energy.training import TrainingOptions, averaged, train_network
 from model.energy.uncertainty import FEWEST, LEAST_SHARE, Spread, fit_spread
 from model.errors import InputError, RunsError
-from model.loop.prediction import Prediction, predict_segments
+from model.loop.prediction import Prediction, joined, predict_segments
 from model.loop.record import RECORD_FILE
 from model.loop.runs import Run, read_run
 from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.calibrating import keep_base_runs
 from service.pretraining import MAX_TURN_RAD
+from service.residuals import keep_base_runs
 
 LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
 FINE_TUNING_RATE = 5e-4
@@ -47,7 +48,9 @@ often go to and fro in one direction, and a network that has seen no other errs 
 @dataclass(frozen=True)
 class TrainedModel:
     """What a training left. segments : learned from and held out; held_out : errors on `held_out_runs`, each predicted
-    by a network that had not seen it. turn_j_per_rad : what turning took beyond straight driving [J/rad]."""
+    by a network that had not seen it. stopped_by_held_out : whether the same runs said when to stop, which flatters
+    the errors. turn_j_per_rad : what turning took beyond straight driving [J/rad]. keeps_runs : whether its folder
+    keeps its runs, for calibrations to hold later ones against."""
 
     version: str
     segments: int
@@ -56,6 +59,8 @@ class TrainedModel:
     held_out: dict[str, Any]
     epochs: int
     turn_j_per_rad: float
+    stopped_by_held_out: bool
+    keeps_runs: bool
 
 
 def read_segments(
@@ -86,7 +91,7 @@ def train_on_runs(
     architecture: str = "compact",
     start_from: Path | None = None,
     backbone: Path | None = None,
-    patch_size: int = RESNET_SIZE,
+    patch_size: int | None = None,
     epochs: int | None = None,
     seed: int = 0,
     charge: bool = False,
@@ -103,9 +108,9 @@ def train_on_runs(
     ones.
 
     backbone : a ResNet18 file with torchvision's names (resnet18 only); patch_size : rows and columns of a resnet18
-    patch (256 in the paper); epochs : at most [12 for compact, 60 for resnet18]; charge : as `read_segments`; resume :
-    go on where a training of the same data and settings was cut off (its state is kept in `out` until it ends). Raises
-    InputError, ModelError, RunsError.
+    patch (256 in the paper) [those of the network it starts from, else 64]; epochs : at most [12 for compact, 60 for
+    resnet18]; charge : as `read_segments`; resume : go on where a training of the same data and settings was cut off
+    (its state is kept in `out` until it ends). Raises InputError, ModelError, RunsError.
     """
     if backbone is not None and (architecture != "resnet18" or start_from is not None):
         raise InputError("weights for a backbone go with the resnet18 architecture, and not with a model to start from")
@@ -115,8 +120,11 @@ def train_on_runs(
     if backbone is not None:
         start = ResNetEnergy()
         start.backbone = load_backbone(backbone)
+    size = patch_size or (parent.size if isinstance(start, ResNetEnergy) and parent is not None else RESNET_SIZE)
+    if isinstance(start, ResNetEnergy) and parent is not None and size != parent.size:
+        raise InputError(f"the network of {start_from} reads patches of {parent.size} rows, not {size}", size=size)
     work = _Training(
-        heightmap, robot, segments, architecture, patch_size, start, parent.domain if parent else None, out, seed
+        heightmap, robot, segments, architecture, size, start, parent.domain if parent else None, out, seed
     )
     if not resume:
         work.forget()
@@ -127,19 +135,17 @@ def train_on_runs(
         epochs=epochs or EPOCHS.get(architecture, 60), batch=BATCH.get(architecture, 32), learning_rate=rate
     )
     if crossed:
-        net, held, passes = work.cross_fit(replace(options, keep_last=True), seed, progress)
+        net, passes = work.cross_fit(replace(options, keep_last=True), seed, progress)
     else:
-        net, held, passes = work.fit(options, seed, progress)
-    apart = segments.take(np.concatenate([mine for mine, _ in held]))
-    predicted = np.concatenate([p.energy_j for _, p in held])
-    turn = _turning(apart, predicted)
-    predicted = predicted + turn * np.abs(apart.heading_change_rad)
+        net, passes = work.fit(options, seed, progress)
+    apart, said = work.held_out()
+    turn = _turning(apart, said.energy_j)
+    predicted = said.energy_j + turn * np.abs(apart.heading_change_rad)
     known = np.isfinite(predicted)
-    stds = np.concatenate([np.full(p.energy_j.size, np.nan) if p.std_j is None else p.std_j for _, p in held])
     held_out = errors(predicted[known], apart.energy_j[known], apart.run[known])
     spread = Spread()
-    if known.sum() >= FEWEST:
-        spread = fit_spread(apart.energy_j[known], predicted[known], stds[known], apart.run[known])
+    if known.sum() >= FEWEST and said.std_j is not None:
+        spread = fit_spread(apart.energy_j[known], predicted[known], said.std_j[known], apart.run[known])
     names = [segments.runs[int(k)] for k in np.unique(apart.run)]
     training = {
         "data": "measured runs",
@@ -149,6 +155,7 @@ def train_on_runs(
         "runs": list(segments.runs),
         "held_out_runs": names,
         "held_out": held_out,
+        "stopped_by_held_out": not crossed,
         "seed": seed,
         "epochs": passes,
         "started_from": str(start_from or backbone or ""),
@@ -156,11 +163,13 @@ def train_on_runs(
     artifact = replace(work.artifact(net), spread=spread, turn_j_per_rad=turn, training=training)
     version = save_artifact(out, artifact)
     (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
+    keeps_runs = False
     if all(run.voltage_v is not None for run in runs) and not charge:
-        traction = np.concatenate([p.traction_per_m for _, p in held])
-        keep_base_runs(out, heightmap, robot, apart, traction)
+        keeps_runs = keep_base_runs(out, heightmap, robot, apart, said.traction_per_m)
     work.forget()
-    return TrainedModel(version, work.known, list(segments.runs), names, held_out, passes, turn)
+    return TrainedModel(
+        version, work.known, list(segments.runs), names, held_out, passes, turn, not crossed, keeps_runs
+    )
 
 
 class _Training:
@@ -198,27 +207,27 @@ class _Training:
         self.domain = replace(self.examples.domain(), payload_kg=carried)
         if learned is not None:
             self.domain = learned.joined(self.domain)
+        self._said: list[tuple[NDArray[np.int64], Prediction]] = []  # of segments by networks that had not seen them
 
     def artifact(self, net: Network) -> Artifact:
         return Artifact(net, self.domain, self.patch_size if self.architecture == "resnet18" else SQUARE)
 
-    def fit(
-        self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None
-    ) -> tuple[Network, list[tuple[NDArray[np.int64], Prediction]], int]:
-        """One network, stopped by held-out parts: (network, what it says of their segments, epochs)."""
+    def fit(self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None) -> tuple[Network, int]:
+        """(one network, stopped by held-out parts, which it is then judged on; epochs)."""
         result = train_network(
             self.examples, architecture=self.architecture, seed=seed, start_from=self.start, options=options,
             checkpoint=self.out / CHECKPOINT, progress=progress,
         )  # fmt: skip
-        return result.net, [self._judged(result.net, result.held_out_runs)], result.epochs
+        self._judge(result.net, result.held_out_runs)
+        return result.net, result.epochs
 
     def cross_fit(
         self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None
-    ) -> tuple[Network, list[tuple[NDArray[np.int64], Prediction]], int]:
-        """A network without each fold of the parts: (their mean, what each says of its fold, epochs)."""
+    ) -> tuple[Network, int]:
+        """(the mean of a network without each fold of the parts, each judged on its fold; epochs)."""
         parts = np.random.default_rng(seed).permutation(np.unique(self.examples.run))
         folds = [fold.tolist() for fold in np.array_split(parts, min(FOLDS, parts.size))]
-        nets, held = [], []
+        nets = []
         for k, fold in enumerate(folds):
             result = train_network(
                 self.examples, seed=seed, start_from=self.start, held_out_runs=fold, options=options,
@@ -226,14 +235,20 @@ class _Training:
                 progress=None if progress is None else _share(progress, k, len(folds)),
             )  # fmt: skip
             nets.append(result.net)
-            held.append(self._judged(result.net, fold))
-        return averaged(nets), held, options.epochs
+            self._judge(result.net, fold)
+        return averaged(nets), options.epochs
 
-    def _judged(self, net: Network, parts: Sequence[int]) -> tuple[NDArray[np.int64], Prediction]:
-        """(indices of all segments of some parts, turns too; what a network that did not see them says)."""
+    def _judge(self, net: Network, parts: Sequence[int]) -> None:
         mine = np.flatnonzero(np.isin(self.part, parts))
         predictor = predictor_of(self.artifact(net), {}, name="")
-        return mine, predict_segments(predictor, self.heightmap, self.robot, self.segments.take(mine))
+        said = predict_segments(predictor, self.heightmap, self.robot, self.segments.take(mine))
+        self._said.append((mine, said))
+
+    def held_out(self) -> tuple[Segments, Prediction]:
+        """All segments that were held out, turns too, in driving order; what networks that had not seen them say."""
+        mine = np.concatenate([segments for segments, _ in self._said])
+        order = np.argsort(mine)
+        return self.segments.take(mine[order]), joined([said for _, said in self._said]).take(order)
 
     def forget(self) -> None:
         """Remove the state of trainings that were cut off."""

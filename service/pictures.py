@@ -25,7 +25,6 @@ from model.frames import GridFrame
 from model.terrain.heightmap import Heightmap
 from planner.edges import interpolation_matrix
 from planner.lattice import Blocked, CostLattice
-from planner.plan import Plan
 from planner.route import Route
 
 Image = NDArray[Any]
@@ -89,8 +88,15 @@ def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: floa
     return _png(figure)
 
 
-def route_picture(heightmap: Heightmap, plan: Plan, *, title: str) -> bytes:
-    """A PNG of the terrain with the energy-optimal and the shortest path, and under it how both climb and spend."""
+def route_picture(
+    heightmap: Heightmap,
+    best: Route,
+    other: Route,
+    *,
+    title: str,
+    names: tuple[str, str] = ("energy-optimal", "shortest"),
+) -> bytes:
+    """A PNG of the terrain with two paths between the same places, and under it how both climb and spend."""
     frame = heightmap.frame
     ground, extent = _thinned(heightmap.heights, frame)
     west, south, east, north = frame.bounds
@@ -101,8 +107,7 @@ def route_picture(heightmap: Heightmap, plan: Plan, *, title: str) -> bytes:
     spent.sharex(climb)
     _style_map(axes, frame)
     _draw_ground(axes, ground, extent)
-    pairs = ((plan.shortest, SHORTEST, "shortest", 2.2), (plan.route, OPTIMAL, "energy-optimal", 2.8))
-    for route, colour, name, line in pairs:
+    for route, colour, name, line in ((other, SHORTEST, names[1], 2.2), (best, OPTIMAL, names[0], 2.8)):
         halo = [Stroke(linewidth=line + 2.2, foreground="white"), Normal()]
         label = f"{name}: {_energy(route.energy_j)}, {route.length_m:.1f} m"
         axes.plot(*route.points[:, :2].T, color=colour, lw=line, label=label, path_effects=halo, solid_capstyle="round")
@@ -110,7 +115,7 @@ def route_picture(heightmap: Heightmap, plan: Plan, *, title: str) -> bytes:
         climb.plot(distance, heights, color=colour, lw=1.8)
         spent.plot(distance, energy / 1000.0, color=colour, lw=1.8)
         spent.plot(distance[-1:], energy[-1:] / 1000.0, "o", color=colour, ms=4)
-    for point, marker, name in ((plan.route.points[0], "o", "start"), (plan.route.points[-1], "*", "goal")):
+    for point, marker, name in ((best.points[0], "o", "start"), (best.points[-1], "*", "goal")):
         size = 8 if marker == "o" else 15
         axes.plot(point[0], point[1], marker, ms=size, mfc="white", mec=INK, mew=1.5, ls="none", label=name, zorder=5)
     axes.set_xlim(west, east)

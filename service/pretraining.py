@@ -26,7 +26,8 @@ from model.energy.artifact import Artifact, save_artifact
 from model.energy.evaluation import coverage, errors
 from model.energy.examples import Examples, concatenate, cut_examples
 from model.energy.physics import eq5_traction_per_m, fit_rolling_resistance
-from model.energy.training import TrainingOptions, predicted, train_network
+from model.energy.tensors import predicted
+from model.energy.training import TrainingOptions, train_network
 from model.energy.uncertainty import fit_spread
 from model.errors import InputError
 from model.field.drives import drive_along, random_waypoints

@@ -246,6 +246,7 @@ class PathRequest(Request):
     refine: bool = Field(default=True, description="any-angle improvement of the grid path")
     time_limit_s: float = Field(default=5.0, ge=0.05, le=60.0, description="for the sampling planners [s]")
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="for the sampling planners")
+    alternatives: int = Field(default=0, ge=0, le=10, description="other good ways to look for, at most")
     battery: BatteryIn | None = Field(default=None, description="asks for a verdict")
     robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")  # type: ignore[valid-type]
 
@@ -274,6 +275,10 @@ class VerdictOut(Answer):
     charge_at_start: float = Field(description="state of charge, 0..1")
     charge_at_end: float = Field(description="state of charge after the task, 0..1")
     reserve: float = Field(description="share of the capacity that must remain, 0..1")
+    energy_std_j: float | None = Field(
+        description="standard deviation of energy_j [J]; null where the model does not know how far off it may be"
+    )
+    probability: float | None = Field(description="that the battery lasts, 0..1; null likewise")
 
 
 class ShortestOut(Answer):
@@ -301,6 +306,7 @@ class PathOut(RouteOut):
 
     profile: list[PieceOut]
     shortest: ShortestOut
+    alternatives: list[RouteOut] = Field(description="other good ways, cheapest first; empty unless asked for")
     saving_j: float = Field(description="energy saved against the shortest path [J]")
     saving_percent: float = Field(description="the same, as a percentage of the shortest path's energy")
     battery: VerdictOut | None = Field(description="null unless asked for")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import unquote
 
-from pydantic import Field
+from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.workflows import DEFAULT_MODEL
@@ -15,7 +16,9 @@ class Settings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="JOULEMAP_", extra="ignore")
 
-    data_dir: Path = Field(default=Path("data"), description="folder of everything that is kept")
+    data_dir: Path = Field(
+        default=Path("data"), description="folder of everything that is kept: a path or a file:// URL"
+    )
     database_url: str | None = Field(default=None, description="SQLAlchemy URL; default: SQLite in the data directory")
     models_dir: Path | None = Field(default=None, description="folder of trained models; default: `models` in data_dir")
     host: str = Field(default="127.0.0.1", description="address to listen on")
@@ -24,10 +27,27 @@ class Settings(BaseSettings):
     max_json_mb: float = Field(default=16.0, gt=0, description="largest other request body [MB]")
     max_cells: int = Field(default=100_000_000, gt=0, description="most cells a heightmap may have")
     max_lattice_values: int = Field(default=100_000_000, gt=0, description="most rows * cols * headings of a cost map")
-    queue_size: int = Field(default=32, gt=0, description="most cost maps that wait or are computed at a time")
-    build_here: bool = Field(default=True, description="make cost maps in the service; else only in `joulemap worker`")
+    queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or are being done at a time")
+    max_run_mb: float = Field(default=64.0, gt=0, description="largest file of one measured run [MB]")
+    max_run_cells: int = Field(default=20_000_000, gt=0, description="most rows * columns of one measured run")
+    max_run_km: float = Field(default=200.0, gt=0, description="longest measured run [km]")
+    max_runs: int = Field(default=100, gt=0, description="most files of runs that are sent together")
+    max_calibration_rows: int = Field(default=1_000_000, gt=0, description="most rows of all runs of a calibration")
+    max_calibration_segments: int = Field(default=200_000, gt=0, description="most 1 m segments of all its runs")
+    build_here: bool = Field(default=True, description="do jobs in the service; else only in `joulemap worker`")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
     warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
+
+    @field_validator("data_dir", mode="before")
+    @classmethod
+    def _folder_of_url(cls, value: str | Path) -> Path:
+        """file:///srv/joulemap is /srv/joulemap; what several machines share must be a folder on each of them."""
+        scheme, colon, rest = str(value).partition(":")
+        if not colon or len(scheme) < 2:
+            return Path(value)
+        if scheme != "file":
+            raise ValueError(f"data lies in a folder, given by its path or a file:// URL, not by {scheme}:")
+        return Path(unquote(rest if not rest.startswith("//") else "/" + rest.lstrip("/")))
 
     @property
     def resolved_database_url(self) -> str:

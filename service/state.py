@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import anyio
 from fastapi import Request
@@ -16,15 +16,20 @@ from model.errors import BusyError, ConflictError, JoulemapError
 from model.terrain.readers import read_heightmap
 from planner.plan import RoutePlanner
 from service.building import Builder
-from service.jobs import SERVICE, CostmapJobs, Worker
+from service.calibration_job import Calibrator
+from service.intake import RunLimits, read_sent_runs
+from service.jobs import SERVICE, Jobs, Maker, Worker
 from service.open_maps import OpenMaps
 from service.settings import Settings
-from service.store import DONE, FAILED, CostmapRow, HeightmapRow, Store
+from service.store import Store
+from service.tables import CALIBRATION, COSTMAP, DONE, FAILED, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
 from service.workflows import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
 _WARM_WAIT_S = 120.0
 _INGEST_AT_ONCE = 2
+
+Job = TypeVar("Job", CostmapRow, CalibrationRow)
 
 
 class Service:
@@ -35,11 +40,13 @@ class Service:
         self.version = version("joulemap")
         self.store = Store(settings.data_dir, settings.resolved_database_url)
         self.maps = OpenMaps(self.store.load_lattice, size=settings.open_costmaps)
-        worker = None
-        if settings.build_here:
-            builder = make_builder(self.store, settings, on_done=self.maps.keep)
-            worker = Worker(self.store, builder, name=SERVICE, ready=self.await_kernels)
-        self.jobs = CostmapJobs(self.store, worker, queue_size=settings.queue_size)
+        self.makers = make_makers(self.store, settings, on_done=self.maps.keep)
+        workers = [  # one for each kind, so that a long calibration keeps no cost map waiting
+            Worker(self.store, {kind: maker}, name=SERVICE, ready=self.await_kernels)
+            for kind, maker in self.makers.items()
+            if settings.build_here
+        ]
+        self.jobs = Jobs(self.store, workers, queue_size=settings.queue_size)
         self.ingest_limit = anyio.CapacityLimiter(_INGEST_AT_ONCE)  # each may hold a whole heightmap
         self.warm_seconds: float | None = None
         self._warm = threading.Event()
@@ -86,17 +93,36 @@ class Service:
         }
         return self.store.add_heightmap(heightmap, name=name, stats=stats)
 
+    def keep_runs(self, files: Sequence[tuple[str, Path]], *, heightmap_id: str | None = None) -> RunsRow:
+        """Read uploaded runs, (name, file) each, check them, keep them. heightmap_id : that they were driven on, where
+        it is known. Raises RunsError, TooLargeError, InputError, NotFoundError."""
+        settings = self.settings
+        heightmap = self.store.heightmap(heightmap_id) if heightmap_id is not None else None
+        limits = RunLimits(settings.max_run_mb, settings.max_run_cells, settings.max_run_km)
+        told = read_sent_runs(files, limits=limits, ground=heightmap.stats if heightmap is not None else None)
+        return self.store.add_runs(files, told)
+
+    def delete_calibration(self, calibration_id: str) -> None:
+        """Its report and its model too; one that is being made is stopped. Raises NotFoundError, and ConflictError
+        while cost maps use the model."""
+        self.store.delete_calibration(calibration_id)
+        self.makers[CALIBRATION].discard(calibration_id)
+
+    def done_calibration(self, calibration_id: str) -> CalibrationRow:
+        """The row of a calibration whose report is there. Raises NotFoundError, ConflictError."""
+        return self._done(self.store.calibration(calibration_id), "calibration")
+
     def done_costmap(self, costmap_id: str) -> CostmapRow:
         """The row of a cost map that can be asked. Raises NotFoundError, ConflictError while there is no lattice."""
-        row = self.store.costmap(costmap_id)
+        return self._done(self.store.costmap(costmap_id), "cost map")
+
+    def _done(self, row: Job, what: str) -> Job:
         if row.status == FAILED:
             detail = (row.problem or {}).get("detail", "no reason is known")
-            raise ConflictError(
-                f"cost map {row.id} could not be made: {detail}", status=row.status, problem=row.problem
-            )
+            raise ConflictError(f"{what} {row.id} could not be made: {detail}", status=row.status, problem=row.problem)
         if row.status != DONE:
             raise ConflictError(
-                f"cost map {row.id} is {row.status} ({row.progress:.0%}): ask again when it is done",
+                f"{what} {row.id} is {row.status} ({row.progress:.0%}): ask again when it is done",
                 status=row.status, progress=row.progress, retry_after_s=2,
             )  # fmt: skip
         return row
@@ -113,13 +139,13 @@ class Service:
             self._warm.set()
 
 
-def make_builder(
+def make_makers(
     store: Store, settings: Settings, *, on_done: Callable[[str, RoutePlanner], None] | None = None
-) -> Builder:
-    """What makes cost maps with these settings."""
-    return Builder(
-        store, models_dir=settings.resolved_models_dir, max_values=settings.max_lattice_values, on_done=on_done
-    )
+) -> dict[str, Maker]:
+    """What does jobs with these settings, by kind."""
+    models_dir = settings.resolved_models_dir
+    builder = Builder(store, models_dir=models_dir, max_values=settings.max_lattice_values, on_done=on_done)
+    return {COSTMAP: builder, CALIBRATION: Calibrator(store, models_dir=models_dir)}
 
 
 def get_service(request: Request) -> Service:

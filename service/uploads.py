@@ -1,9 +1,10 @@
-"""A heightmap out of a request, as a form or as its raw body, by way of a file and never whole in memory."""
+"""Heightmaps and runs out of a request, as a form or as its raw body, by way of files and never whole in memory."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
@@ -11,12 +12,12 @@ import anyio
 from fastapi import Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ValidationError
-from starlette.datastructures import UploadFile
+from starlette.datastructures import FormData, UploadFile
 
 from model.errors import InputError
 from service.schemas import UploadOptions
 from service.state import Service
-from service.store import HeightmapRow
+from service.tables import HeightmapRow, RunsRow
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -43,9 +44,7 @@ def invalid(error: ValidationError, where: str) -> RequestValidationError:
 async def take_raw(request: Request, service: Service, options: UploadOptions) -> HeightmapRow:
     """Keep the heightmap that is the request's whole body."""
     with service.store.upload_file() as path:
-        async with await anyio.open_file(path, "wb") as out:
-            async for chunk in request.stream():
-                await out.write(chunk)
+        await _receive(request, path)
         return await _keep(service, path, options, filename="upload")
 
 
@@ -57,10 +56,54 @@ async def take_form(form: Mapping[str, Any], service: Service, options: UploadOp
     given = {key: value for key, value in form.items() if key not in ("file", "options")}
     fields = validated(UploadOptions, given, where="body")
     options = options.model_copy(update=fields.model_dump(exclude_unset=True))
-    filename = PurePosixPath((upload.filename or "upload").replace("\\", "/")).name[:200] or "upload"
+    filename = _name_of(upload)
     with service.store.upload_file() as path:
         await anyio.to_thread.run_sync(_spill, upload, path)
         return await _keep(service, path, options, filename=filename)
+
+
+async def take_raw_run(request: Request, service: Service, *, name: str, heightmap_id: str | None) -> RunsRow:
+    """Keep the run that is the request's whole body."""
+    with service.store.upload_file() as path:
+        await _receive(request, path)
+        return await _keep_runs(service, [(name, path)], heightmap_id)
+
+
+async def take_runs(form: FormData, service: Service, *, heightmap_id: str | None) -> RunsRow:
+    """Keep the runs in the form fields `file`, all or none."""
+    uploads = form.getlist("file")
+    other = sorted({key for key in form if key != "file"})
+    if other:
+        raise InputError(
+            f"the form has a field {other[0][:80]!r}: every run is sent as the field `file`", field=other[0]
+        )
+    if not uploads or not all(isinstance(upload, UploadFile) for upload in uploads):
+        raise InputError("the form has no file: send every run as the field `file`", field="file")
+    with ExitStack() as stack:
+        files = []
+        for upload in uploads:
+            assert isinstance(upload, UploadFile)
+            path = stack.enter_context(service.store.upload_file())
+            await anyio.to_thread.run_sync(_spill, upload, path)
+            files.append((_name_of(upload), path))
+        return await _keep_runs(service, files, heightmap_id)
+
+
+async def _keep_runs(service: Service, files: list[tuple[str, Path]], heightmap_id: str | None) -> RunsRow:
+    def keep() -> RunsRow:
+        return service.keep_runs(files, heightmap_id=heightmap_id)
+
+    return await anyio.to_thread.run_sync(keep, limiter=service.ingest_limit)
+
+
+async def _receive(request: Request, path: Path) -> None:
+    async with await anyio.open_file(path, "wb") as out:
+        async for chunk in request.stream():
+            await out.write(chunk)
+
+
+def _name_of(upload: UploadFile) -> str:
+    return PurePosixPath((upload.filename or "upload").replace("\\", "/")).name[:200] or "upload"
 
 
 def _spill(upload: UploadFile, path: Path) -> None:

@@ -13,26 +13,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.energy.domain import Learned
 from model.energy.predictor import MODEL_NAMES, Predictor
 from model.errors import InputError, ModelError, NoRouteError, TooLargeError
 from model.frames import GridFrame, heading_bins
-from model.loop.calibrated import CalibratedPredictor
+from model.loop.runs import run_of
+from model.loop.segments import cut_segments
 from model.robot import Battery, Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.windows import Ground
 from planner.budget import Verdict, judge_along
 from planner.edges import energy_per_m_at
+from planner.figures import figures_of, joined_figures
 from planner.lattice import Blocked, CostLattice
 from planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
 from planner.plan import PLANNERS, RoutePlanner
 from planner.route import Route, price_route
 from planner.tiles import Tiling
 from service.calibrating import load_model
+from service.rerouting import planning_robot
+from service.spreads import std_along
 
 DEFAULT_MODEL = "default"
 _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-_STRIP_ROWS = 256
 
 
 def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Predictor:
@@ -84,9 +86,7 @@ def prepare_build(
     """
     tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
-    if isinstance(predictor, CalibratedPredictor | Learned):
-        robot = predictor.robot_with_turning(robot)
-    return robot, predictor, tiling
+    return planning_robot(predictor, robot), predictor, tiling
 
 
 def make_cost_lattice(
@@ -139,44 +139,9 @@ def write_cost_lattice(
     return Written(tiling.frame, robot, provenance, joined_figures(parts))
 
 
-def figures_of(lattice: CostLattice) -> dict[str, Any]:
-    """What `joined_figures` needs of a part of a lattice, JSON-able. min, max, total of the prices [J/m] of all (cell,
-    heading) pairs that may be driven, None where there is none; counts : pairs under each `Blocked` code."""
-    codes = lattice.blocked_by_heading()
-    prices = lattice.energy_per_m[codes == Blocked.FREE]
-    return {
-        "min": float(prices.min()) if prices.size else None,
-        "max": float(prices.max()) if prices.size else None,
-        "total": float(prices.sum(dtype=np.float64)),
-        "counts": np.bincount(codes.ravel(), minlength=len(Blocked)).tolist(),
-    }
-
-
-def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """JSON-able figures of a lattice out of those of its parts.
-
-    energy_per_m : min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None where there is none;
-    blocked : share of all pairs under each reason, `free` included.
-    """
-    counts = np.sum([part["counts"] for part in parts], axis=0)
-    driven = [part for part in parts if part["counts"][Blocked.FREE]]
-    energy = {
-        "min": min(part["min"] for part in driven),
-        "mean": sum(part["total"] for part in driven) / int(counts[Blocked.FREE]),
-        "max": max(part["max"] for part in driven),
-    } if driven else None  # fmt: skip
-    return {
-        "energy_per_m": energy,
-        "blocked": {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked},
-    }
-
-
 def summarise(lattice: CostLattice) -> dict[str, Any]:
-    """`joined_figures` of a lattice in memory, strip by strip so that a big one is not copied."""
-    rows = lattice.frame.rows
-    return joined_figures(
-        [figures_of(lattice.window(row, min(row + _STRIP_ROWS, rows))) for row in range(0, rows, _STRIP_ROWS)]
-    )
+    """`joined_figures` of a lattice in memory."""
+    return joined_figures([figures_of(lattice)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,8 +208,8 @@ def assess(
     if (path is None) == (start is None and goal is None) or (start is None) != (goal is None):
         raise InputError("give either `path`, or `start` and `goal`")
     back = None
+    lattice = planner.lattice if isinstance(planner, RoutePlanner) else planner
     if path is not None:
-        lattice = planner.lattice if isinstance(planner, RoutePlanner) else planner
         points = np.asarray(path, dtype=np.float64)
         out = price_route(lattice, points)
         if round_trip:
@@ -257,14 +222,21 @@ def assess(
         out = router.plan(there, home).route
         if round_trip:
             back = router.plan(home, there).route
-    pieces = [route.profile.energy_j for route in (out, back) if route is not None]
-    return Assessment(judge_along(np.concatenate(pieces), battery), out, back)
+    routes = [route for route in (out, back) if route is not None]
+    return Assessment(judge_routes(lattice, routes, battery), out, back)
+
+
+def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:
+    """The verdict for routes of one lattice driven one after another, with a probability where its model knows how far
+    off it may be."""
+    pieces = np.concatenate([route.profile.energy_j for route in routes])
+    return judge_along(pieces, battery, std_j=std_along(lattice, routes))
 
 
 def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:
     """Seconds spent on loading every compiled kernel (compiling it where no cache has it) and the named models.
 
-    Runs the whole way once on a tiny map: lattice, every planner with and without turning, verdicts.
+    Runs the whole way once on a tiny map: lattice, every planner with and without turning, verdicts, a measured run.
     """
     began = time.perf_counter()
     rows = np.arange(12.0)
@@ -279,8 +251,11 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
         router = RoutePlanner(lattice)
         for planner in PLANNERS:
             with suppress(NoRouteError):  # a sampling planner on a busy machine may find none in so short a time
-                router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05)
+                router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05, alternatives=1)
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
+    seconds = np.arange(0.0, 20.0, 0.1)
+    columns = {"t": seconds, "x": 0.5 * seconds, "y": np.sin(seconds), "current": np.ones(seconds.size)}
+    cut_segments(run_of(columns, {}, name="warm-up"), charge=True)
     for model in models:
         for spacing_m in (1.0, 3.0):  # a network answers these by dense passes and by single squares
             make_cost_lattice(heightmap, Robot(), model=model, spacing_m=spacing_m, models_dir=models_dir)

@@ -17,6 +17,7 @@ from model.energy.compact import CompactConfig, CompactNet
 from model.energy.dense import CompactPredictor
 from model.energy.domain import Domain
 from model.energy.resnet import ResNetEnergy, ResNetPredictor
+from model.energy.tensors import Network
 from model.energy.tracks import PIXEL_M, SQUARE
 from model.energy.uncertainty import Spread
 from model.errors import ModelError
@@ -24,8 +25,6 @@ from model.errors import ModelError
 WEIGHTS_FILE = "weights.safetensors"
 CONFIG_FILE = "config.json"
 FORMAT = 2
-
-Network = CompactNet | ResNetEnergy
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,9 @@ FEATURES = (
     "log2_resolution_m",
 )
 
+HEAD_BLOCK = 8
+"""Inputs of the head's layers that the compiled loop adds up at a time."""
+
 _SLOPE_SCALE = 4.0  # brings slopes of rough ground to about one
 _REST_SCALE = 0.1  # and what is left to learn to a tenth of the weight
 SPREAD_RANGE = (math.log(0.01), math.log(2.0))
@@ -112,6 +115,27 @@ class RobotCode:
     ground: Tensor
     tracks: Tensor
     gains: Tensor
+
+
+@dataclass(frozen=True)
+class GroundPass:
+    """`CompactNet.read_ground` for one robot, its scales folded into the weights: fewer passes over memory.
+
+    convolutions, hidden, series : (weight, bias) of the layers.
+    """
+
+    convolutions: tuple[tuple[Tensor, Tensor], ...]
+    hidden: tuple[Tensor, Tensor]
+    series: tuple[Tensor, Tensor]
+
+    def __call__(self, slopes: Tensor) -> Tensor:
+        """(units * (2 order + 1), places) of (B, 3, 8 r + 8, 8 c + 8), channels last; places : B r c of them."""
+        z = slopes
+        for weight, bias in self.convolutions:
+            z = nn.functional.conv2d(z, weight, bias, stride=2).relu_()
+        z = z.permute(0, 2, 3, 1).flatten(0, 2)  # (places, third)
+        z = nn.functional.linear(z, *self.hidden).relu_()
+        return torch.addmm(self.series[1], self.series[0], z.T)
 
 
 class CompactNet(nn.Module):
@@ -202,12 +226,36 @@ class CompactNet(nn.Module):
         rest, spread = self.ask(series, basis, tracks, robot)
         return robot.gains[:, 0] * resistance + robot.gains[:, 1] * tan_grade + rest, spread
 
+    def folded_ground(self, robot: RobotCode) -> GroundPass:
+        """`read_ground` for one robot."""
+        third, hidden = self.config.channels[2], self.config.hidden
+        known = {name: parameter.detach() for name, parameter in self.named_parameters()}
+        parts = [p.detach().flatten() for p in robot.ground.split([third, third, hidden, hidden], dim=1)]
+        scale2, shift2, scale, shift = 1.0 + parts[0], parts[1], 1.0 + parts[2], parts[3]
+        convolutions = (
+            (known["conv0.weight"] * _SLOPE_SCALE, known["conv0.bias"]),
+            (known["conv1.weight"], known["conv1.bias"]),
+            (known["conv2.weight"] * scale2[:, None, None, None], known["conv2.bias"] * scale2 + shift2),
+        )
+        return GroundPass(
+            tuple((weight.contiguous(memory_format=torch.channels_last), bias) for weight, bias in convolutions),
+            (known["hidden.weight"].flatten(1) * scale[:, None], known["hidden.bias"] * scale + shift),
+            (known["series.weight"].flatten(1), known["series.bias"][:, None]),
+        )
+
     def folded_head(self, robot: RobotCode) -> tuple[NDArray[np.float32], ...]:
         """The head's weights for one robot: tracks (units, 9) and shift (units,), head (last, units) and bias, rest and
-        spread (2, last) and their biases (2,), scaled as `ask` answers. What the compiled loop over a lattice takes."""
+        spread (2, last) and their biases (2,), scaled as `ask` answers. What the compiled loop over a lattice takes;
+        units and last are filled up with silent ones to multiples of `HEAD_BLOCK`."""
         with torch.no_grad():
             scale, shift = robot.tracks[0].chunk(2)
-            final = torch.cat([_REST_SCALE * self.rest.weight, self.spread.weight])
-            bias = torch.cat([_REST_SCALE * self.rest.bias, self.spread.bias])
-            parts = (self.tracks.weight * (1.0 + scale)[:, None], shift, self.head.weight, self.head.bias, final, bias)
+            units, last = (-size % HEAD_BLOCK for size in self.config.head)
+            parts = (
+                nn.functional.pad(self.tracks.weight * (1.0 + scale)[:, None], (0, 0, 0, units)),
+                nn.functional.pad(shift, (0, units)),
+                nn.functional.pad(self.head.weight, (0, units, 0, last)),
+                nn.functional.pad(self.head.bias, (0, last)),
+                nn.functional.pad(torch.cat([_REST_SCALE * self.rest.weight, self.spread.weight]), (0, last)),
+                torch.cat([_REST_SCALE * self.rest.bias, self.spread.bias]),
+            )
             return tuple(np.ascontiguousarray(p.numpy(), dtype=np.float32) for p in parts)

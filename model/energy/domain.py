@@ -108,7 +108,7 @@ class Learned(ABC):
 
     def provenance(self) -> dict[str, Any]:
         """What the predictor is, JSON-able."""
-        return {"name": self.name, **self._provenance}
+        return {"name": self.name, "spread": self.spread.as_dict(), **self._provenance}
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """In words, every way in which this map or robot lies outside what the network learned."""

@@ -1,125 +1,201 @@
-"""The compact network's head over a tile of a lattice, compiled: `CompactNet.ask` for all cells and headings."""
+"""The compact network's head over a tile of a lattice, compiled: `CompactNet.ask` for all cells and headings.
+
+Scratch arrays are flat, (whatever, LANES), and inner loops run over at most LANES cells at constant offsets: only so
+do they become vector instructions.
+"""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.energy.compact import SPREAD_RANGE, STRIDE
+from model.energy.compact import HEAD_BLOCK, SPREAD_RANGE
 from model.energy.physics import antipodes
-from model.energy.tracks import SQUARE, WIDEST_M, corner, describe, track_stencil
+from model.energy.tracks import LANES, SAMPLES, SQUARE, TRACKS, WIDEST_M, corner, describe, track_stencil
 from model.energy.uncertainty import LEAST_SHARE
 
 _MIDDLE = (SQUARE - 1) // 2
+_FEATURES = len(TRACKS)
 _LOWEST, _HIGHEST = (np.float32(limit) for limit in SPREAD_RANGE)
+_INVERSE = tuple(np.float32(1.0 / max(n, 1)) for n in range(10))
 
 
 @dataclass(frozen=True)
 class Headings:
-    """The headings of a lattice and where their tracks lie. headings_rad : (K,). basis : (C, K) float32. stencil :
-    (2, samples, K, 2). own, sign : the earlier heading whose tracks, driven back, are those of a heading, and -1; else
-    itself, and 1. per_width : one over the distance of the tracks [1/m]."""
+    """The headings of a lattice and where their tracks lie. basis : (terms, K) float32. stencil : (2, samples, K, 2).
+    back : (K,) the later heading that drives a heading's tracks back, -1 where there is none. own : whether a heading
+    is not such another's. per_width : one over the distance of the tracks [1/m]."""
 
     basis: NDArray[np.float32]
     stencil: NDArray[np.float64]
-    own: NDArray[np.int64]
-    sign: NDArray[np.float64]
+    back: NDArray[np.int64]
+    own: NDArray[np.bool_]
     per_width: float
 
     @classmethod
     def of(cls, headings_rad: NDArray[np.float64], basis: NDArray[np.float32], width_m: float) -> Headings:
-        """basis : (K, C), the series' functions at those headings."""
-        own, sign = antipodes(headings_rad)
+        """basis : (K, terms), the series' functions at those headings [rad]."""
+        ahead, sign = antipodes(headings_rad)
+        own = sign > 0.0
+        back = np.full(headings_rad.size, -1)
+        back[ahead[~own]] = np.flatnonzero(~own)
         stencil = track_stencil(headings_rad, np.full(headings_rad.size, width_m))
-        return cls(np.ascontiguousarray(basis.T), stencil, own, sign, 1.0 / min(width_m, WIDEST_M))
+        return cls(np.ascontiguousarray(basis.T), stencil, back, own, 1.0 / min(width_m, WIDEST_M))
 
 
 @njit(cache=True, nogil=True)
-def answer_tile(heights, series, basis, stencil, own, sign, per_width, weights, known, price, at, traction, std):
+def answer_tile(ground, series, basis, stencil, back, own, per_width, weights, known, price, at, traction, std):
     """Fill a tile: traction [J/m] (holding the grade before) and the standard deviation of a segment's energy [J].
 
-    Its cells are every `step`-th of the lattice from (top, left) on, at = (top, left, step): the whole lattice is
-    handed over, because a part of it is contiguous or not by chance, and the loop would be compiled for both.
-    heights : (8 rows + 9, 8 cols + 9) [m], the working pixels around the cells. series : (rows, cols, units * C).
-    basis, stencil, own, sign, per_width : as in `Headings`. weights : as from `CompactNet.folded_head`. known : a mu, c
-    and the weight [N]. price : the robot's hotel_per_m and regeneration, the energy of level ground [J], and the factor
-    of the spread (as `segment_std`). traction, std : of the lattice, (_, _, K) float32.
+    Its cells are every `step`-th of the lattice from (top, left) on, at = (top, left, step, rows, cols): the whole
+    lattice is handed over, because a part of it is contiguous or not by chance, and that would be compiled twice.
+    ground : heights as from `raster.read_cells`. series : (units * terms, rows * cols). basis, stencil, back, own,
+    per_width : as in `Headings`. weights : as from `CompactNet.folded_head`. known : a mu, c and the weight [N].
+    price : the robot's hotel_per_m and regeneration, the energy of level ground [J], and the factor of the spread (as
+    `segment_std`). traction, std : of the lattice, (_, _, K) float32.
     """
-    tracks_w, shift, head_w, head_b, final_w, final_b = weights
+    top, left, step, rows, cols = at
+    count, terms = traction.shape[2], series.shape[0]
+    units, last = weights[0].shape[0], weights[2].shape[0]
+    lines = np.zeros(2 * SAMPLES * LANES, dtype=np.float32)
+    widths = np.full(LANES, np.float32(per_width))
+    met, fall = np.zeros(_FEATURES * LANES, dtype=np.float32), np.zeros(LANES, dtype=np.float32)
+    coefficients = np.zeros(terms * LANES, dtype=np.float32)
+    ahead, behind = np.zeros(units * LANES, dtype=np.float32), np.zeros(units * LANES, dtype=np.float32)
+    second, out = np.zeros(last * LANES, dtype=np.float32), np.zeros(2 * LANES, dtype=np.float32)
+    demand, spread = np.zeros(count * LANES, dtype=np.float32), np.zeros(count * LANES, dtype=np.float32)
+    for i in range(rows):
+        for j in range(0, cols, LANES):
+            lanes = min(LANES, cols - j)
+            for c in range(terms):
+                for b in range(lanes):
+                    coefficients[c * LANES + b] = series[c, i * cols + j + b]
+            for b in range(lanes):
+                for k in range(count):
+                    demand[k * LANES + b] = traction[top + step * i, left + step * (j + b), k]
+            for k in range(count):
+                if own[k]:
+                    _sample(ground, i, j, lanes, stencil, k, lines)
+                    describe(lines, lanes, widths, met, fall)
+                    _unchanged(coefficients, basis, k, lanes, met, weights[0], weights[1], ahead)
+                    behind[:] = 0.0
+                    _harmonics(coefficients, basis, k, lanes, 1, behind)
+                    _harmonics(coefficients, basis, k, lanes, 2, ahead)
+                    _either_way(lanes, met, fall, weights[0], ahead, behind)
+                    _rest(lanes, ahead, weights, second, out)
+                    _price(lanes, out, known, price, k * LANES, demand, spread)
+                    if back[k] >= 0:
+                        _rest(lanes, behind, weights, second, out)
+                        _price(lanes, out, known, price, back[k] * LANES, demand, spread)
+            for b in range(lanes):
+                unknown = np.isnan(coefficients[b])
+                for k in range(count):
+                    r, c = top + step * i, left + step * (j + b)
+                    traction[r, c, k] = np.nan if unknown else demand[k * LANES + b]
+                    std[r, c, k] = np.nan if unknown else spread[k * LANES + b]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _sample(ground, i, j, lanes, stencil, k, lines):  # fmt: skip
+    """Heights [m] above their middle of the tracks of LANES cells from (i, j) on, driven in heading k."""
+    planes = ground.shape[1]
+    row = planes * i + _MIDDLE
+    middle = ground[row, _MIDDLE % planes, j + _MIDDLE // planes :]
+    for line in range(2):
+        for s in range(SAMPLES):
+            down, south = corner(stencil[line, s, k, 0])
+            right, east = corner(stencil[line, s, k, 1])
+            r, west = row + down, _MIDDLE + right
+            p0, s0, p1, s1 = west % planes, j + west // planes, (west + 1) % planes, j + (west + 1) // planes
+            nw, ne, sw, se = ground[r, p0, s0:], ground[r, p1, s1:], ground[r + 1, p0, s0:], ground[r + 1, p1, s1:]
+            at = (line * SAMPLES + s) * LANES
+            for b in range(min(lanes, LANES)):
+                upper, lower = nw[b] + east * (ne[b] - nw[b]), sw[b] + east * (se[b] - sw[b])
+                lines[at + b] = upper + south * (lower - upper) - middle[b]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _unchanged(coefficients, basis, k, lanes, met, tracks_w, shift, out):  # fmt: skip
+    """What the head's first layer says of heading k and of the one back alike, (units, LANES): the series' mean and
+    what the tracks are either way."""
+    for u in range(tracks_w.shape[0]):
+        mean, row = coefficients[u * basis.shape[0] * LANES :], out[u * LANES :]
+        for b in range(min(lanes, LANES)):
+            total = shift[u] + basis[0, k] * mean[b] + tracks_w[u, 1] * met[LANES + b]
+            for f in range(3, _FEATURES):
+                total += tracks_w[u, f] * met[f * LANES + b]
+            row[b] = total
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _harmonics(coefficients, basis, k, lanes, first, out):  # fmt: skip
+    """Add every second harmonic to `out` (units, LANES), from the `first` on."""
+    terms = basis.shape[0]
+    for u in range(out.size // LANES):
+        for n in range((terms // 2 - first + 2) // 2):
+            c = 4 * n + 2 * first - 1
+            sine, cosine = basis[c, k], basis[c + 1, k]
+            both, row = coefficients[(u * terms + c) * LANES :], out[u * LANES :]
+            for b in range(min(lanes, LANES)):
+                row[b] += sine * both[b] + cosine * both[LANES + b]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _either_way(lanes, met, fall, tracks_w, ahead, back):  # fmt: skip
+    """From what stays (`ahead`) and what changes its sign (`back`) to the first layer's answer for both headings: the
+    grade changes its sign, the rise becomes the fall."""
+    zero = np.float32(0.0)
+    for u in range(tracks_w.shape[0]):
+        grade, rise, one, other = tracks_w[u, 0], tracks_w[u, 2], ahead[u * LANES :], back[u * LANES :]
+        for b in range(min(lanes, LANES)):
+            same, turned = one[b], other[b] + grade * met[b]
+            one[b] = max(same + turned + rise * met[2 * LANES + b], zero)
+            other[b] = max(same - turned + rise * fall[b], zero)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _layer(weight, bias, lanes, below, above):  # fmt: skip
+    """weight @ below + bias, (n, LANES) from (blocks of HEAD_BLOCK, LANES)."""
+    for v in range(weight.shape[0]):
+        row = above[v * LANES :]
+        for b in range(min(lanes, LANES)):
+            row[b] = bias[v]
+        for block in range(weight.shape[1] // HEAD_BLOCK):
+            of, part = weight[v, block * HEAD_BLOCK :], below[block * HEAD_BLOCK * LANES :]
+            for b in range(min(lanes, LANES)):
+                total = row[b]
+                for n in range(HEAD_BLOCK):
+                    total += of[n] * part[n * LANES + b]
+                row[b] = total
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _rest(lanes, first, weights, second, out):  # fmt: skip
+    """The head's other layers: (units, LANES) -> (2, LANES), the rest over the weight and the spread's logarithm."""
+    _layer(weights[2], weights[3], lanes, first, second)
+    for n in range(second.size):
+        second[n] = max(second[n], np.float32(0.0))
+    _layer(weights[4], weights[5], lanes, second, out)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _price(lanes, out, known, price, at, demand, spread):  # fmt: skip
+    """Traction [J/m] and standard deviation [J] of LANES cells at one heading; `demand` holds their grade before."""
     resistance, climb, weight_n = known
     hotel, regeneration, level, factor = price
-    top, left, step = at
-    rows, cols = series.shape[:2]
-    count = traction.shape[2]
-    units, features = tracks_w.shape
-    last, terms = head_w.shape[0], basis.shape[0]
-    zero = np.float32(0.0)
-    lines = np.empty((2, stencil.shape[1], cols), dtype=np.float32)
-    ahead, back = np.empty((features, cols), dtype=np.float32), np.empty((features, cols), dtype=np.float32)
-    kept = np.empty((count, features, cols), dtype=np.float32)
-    widths = np.full(cols, np.float32(per_width), dtype=np.float32)
-    coefficients = np.empty((units * terms, cols), dtype=np.float32)
-    first, second = np.empty((units, cols), dtype=np.float32), np.empty((last, cols), dtype=np.float32)
-    out = np.empty((2, cols), dtype=np.float32)
-    for i in range(rows):
-        for j in range(cols):
-            for c in range(units * terms):
-                coefficients[c, j] = series[i, j, c]
-        for k in range(count):
-            if sign[k] > 0.0:
-                for line in range(2):
-                    for s in range(lines.shape[1]):
-                        down, south = corner(stencil[line, s, k, 0])
-                        right, east = corner(stencil[line, s, k, 1])
-                        r, c = STRIDE * i + _MIDDLE + down, _MIDDLE + right
-                        for j in range(cols):
-                            middle = heights[STRIDE * i + _MIDDLE, STRIDE * j + _MIDDLE]
-                            nw, ne = heights[r, c + STRIDE * j], heights[r, c + STRIDE * j + 1]
-                            sw, se = heights[r + 1, c + STRIDE * j], heights[r + 1, c + STRIDE * j + 1]
-                            upper, lower = nw + east * (ne - nw), sw + east * (se - sw)
-                            lines[line, s, j] = upper + south * (lower - upper) - middle
-                describe(lines, widths, ahead, back)
-                kept[k] = back
-                met = ahead
-            else:
-                met = kept[own[k]]
-            for u in range(units):
-                for j in range(cols):
-                    first[u, j] = shift[u]
-                for c in range(terms):
-                    for j in range(cols):
-                        first[u, j] += basis[c, k] * coefficients[u * terms + c, j]
-                for f in range(features):
-                    for j in range(cols):
-                        first[u, j] += tracks_w[u, f] * met[f, j]
-                for j in range(cols):
-                    first[u, j] = max(first[u, j], zero)
-            for v in range(last):
-                for j in range(cols):
-                    second[v, j] = head_b[v]
-                for u in range(units):
-                    for j in range(cols):
-                        second[v, j] += head_w[v, u] * first[u, j]
-                for j in range(cols):
-                    second[v, j] = max(second[v, j], zero)
-            for o in range(2):
-                for j in range(cols):
-                    out[o, j] = final_b[o]
-                for v in range(last):
-                    for j in range(cols):
-                        out[o, j] += final_w[o, v] * second[v, j]
-            for j in range(cols):
-                r, c = top + step * i, left + step * j
-                if np.isnan(series[i, j, 0]):
-                    traction[r, c, k] = np.nan
-                    std[r, c, k] = np.nan
-                else:
-                    demand = weight_n * (resistance + climb * traction[r, c, k] + out[0, j])
-                    energy = hotel + max(demand, 0.0) + regeneration * min(demand, 0.0)
-                    relative = math.exp(min(max(out[1, j], _LOWEST), _HIGHEST))
-                    traction[r, c, k] = demand
-                    std[r, c, k] = factor * relative * max(energy, LEAST_SHARE * level)
+    zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(LEAST_SHARE * level)
+    grade, deviation = demand[at:], spread[at:]
+    for b in range(min(lanes, LANES)):
+        wanted = weight_n * (resistance + climb * grade[b] + out[b])
+        energy = hotel + max(wanted, zero) + regeneration * min(wanted, zero)
+        eighth = np.float32(0.125) * min(max(out[LANES + b], _LOWEST), _HIGHEST)
+        relative = one  # exp(8 x) = exp(x)^8, and Taylor's tenth power of less than 0.6 is nothing
+        for n in range(9, 0, -1):
+            relative = one + relative * eighth * _INVERSE[n]
+        for _ in range(3):
+            relative *= relative
+        grade[b] = wanted
+        deviation[b] = factor * relative * max(energy, least)

@@ -6,19 +6,23 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from model.energy.uncertainty import Spread
 from model.errors import InputError
 from model.frames import GridFrame, heading_vector, wrap_angle
 from model.robot import Robot
-from model.terrain.heightmap import Heightmap, bilinear
+from model.terrain.heightmap import Heightmap
+from model.terrain.rows import columns_between, sample_row
+from model.threads import pieces, share_out
 
 FloatArray = NDArray[np.float64]
 
 SEGMENT_M = 1.0
 """Horizontal length of a segment [m]: the paper's d. Source: Wei & Isler 2022, section V-D."""
+
+_ROWS_AT_ONCE = 32
 
 
 def eq5_traction_per_m(weight_n: ArrayLike, rolling_resistance: ArrayLike, tan_grade: ArrayLike) -> FloatArray:
@@ -108,7 +112,11 @@ def tan_grade_lattice(heightmap: Heightmap, frame: GridFrame, headings_rad: Floa
     dx, dy = heading_vector(headings)
     half_pixels = 0.5 * SEGMENT_M / heightmap.resolution_m
     out = np.empty((frame.rows, frame.cols, headings.size), dtype=np.float32)
-    _grades(heightmap.heights, row, col, -dy * half_pixels, dx * half_pixels, own, sign, SEGMENT_M, out)
+    down, right = -dy * half_pixels, dx * half_pixels
+    share_out(
+        lambda rows: _grades(heightmap.heights, row[rows], col, down, right, own, sign, SEGMENT_M, out[rows]),
+        pieces(frame.rows, _ROWS_AT_ONCE),
+    )
     return out
 
 
@@ -123,17 +131,23 @@ def antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     return own, sign
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _grades(heights, row, col, drow, dcol, own, sign, length_m, out):  # fmt: skip
-    for i in prange(row.size):
+    ahead = [columns_between(col + right, heights.shape[1]) for right in dcol]
+    behind = [columns_between(col - right, heights.shape[1]) for right in dcol]
+    line, high, low = np.empty(heights.shape[1]), np.empty(col.size), np.empty(col.size)
+    grades = np.empty((drow.size, col.size), dtype=np.float32)
+    for i in range(row.size):
+        for k in range(drow.size):
+            if sign[k] < 0.0:
+                grades[k] = -grades[own[k]]
+            else:
+                sample_row(heights, row[i] + drow[k], ahead[k], line, high)
+                sample_row(heights, row[i] - drow[k], behind[k], line, low)
+                grades[k] = (high - low) / length_m
         for j in range(col.size):
             for k in range(drow.size):
-                if sign[k] < 0.0:
-                    out[i, j, k] = -out[i, j, own[k]]
-                else:
-                    ahead = bilinear(heights, row[i] + drow[k], col[j] + dcol[k])
-                    behind = bilinear(heights, row[i] - drow[k], col[j] - dcol[k])
-                    out[i, j, k] = (ahead - behind) / length_m
+                out[i, j, k] = grades[k, j]
 
 
 class PhysicsPredictor:

@@ -100,6 +100,11 @@ class ResNetEnergy(nn.Module):
         return self.target_mean + self.target_scale * self.head(self.backbone(image))[:, 0]
 
 
+def fastest_device() -> torch.device:
+    """A GPU where torch has one. Its sums run in another order than a processor's: weights then differ in last bits."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
 def load_backbone(path: str | Path) -> ResNet18Backbone:
     """A backbone from a file with torchvision's names (.pth, .pt or .safetensors), ImageNet's for instance.
 
@@ -138,7 +143,8 @@ class ResNetPredictor(Learned):
         spread: Spread | None = None, turn_j_per_rad: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__(name, domain, provenance, spread=spread, turn_j_per_rad=turn_j_per_rad)
-        self.net = net.eval()
+        self.device = fastest_device()
+        self.net = net.to(self.device).eval()
         self.size = size
 
     def traction_and_std(
@@ -170,7 +176,7 @@ class ResNetPredictor(Learned):
                 )  # fmt: skip
                 known = np.isfinite(patches[:, 0, 0])
                 if known.any():
-                    scaled = self.net(torch.from_numpy(patches[known])).numpy().astype(np.float64)
+                    scaled = self.net(torch.from_numpy(patches[known]).to(self.device)).cpu().numpy().astype(np.float64)
                     out[part][known] = scaled * robot.nominal_voltage_v / SEGMENT_M - robot.hotel_per_m
         price, level = robot.price_per_m(out), robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
         return out, segment_std(price, USUAL_SPREAD, level, factor=self.spread.factor)

@@ -33,6 +33,10 @@ steps up [m]. bend_mmm : sum of |second differences| over that many millimetres 
 tracks' climbs [m]. Each is divided by its entry of `TRACK_SCALES`."""
 TRACK_SCALES = np.array([0.1, 0.1, 0.2, 0.2, 0.4, 0.5, 0.05, 0.02, 0.05], dtype=np.float32)
 """What brings each of `TRACKS` to about one on rough ground."""
+_PER_SCALE = tuple(np.float32(1.0 / scale) for scale in TRACK_SCALES)
+
+LANES = 64
+"""Places that the compiled loops describe at a time: many and always as many, whatever there is to do."""
 
 _MIDDLE = (SAMPLES - 1) // 2
 
@@ -59,57 +63,68 @@ def track_features(
     return out
 
 
-@njit(cache=True, nogil=True)
-def describe(lines, per_width, ahead, back):  # fmt: skip
-    """Fill the nine numbers (9, n) of n places from their tracks (2, SAMPLES, n) [m], as driven ahead and as back."""
-    samples, n = lines.shape[1:]
-    middle = (samples - 1) // 2
-    square = np.float32(middle * (middle + 1) * samples / 3.0)  # sum of (s - middle)^2
-    mean, slope = np.zeros((2, n), dtype=np.float32), np.zeros((2, n), dtype=np.float32)
-    rise, fall = np.zeros(n, dtype=np.float32), np.zeros(n, dtype=np.float32)
-    bend, spread = np.zeros((3, n), dtype=np.float32), np.zeros(n, dtype=np.float32)
-    for line in range(2):
-        z = lines[line]
-        for s in range(samples):
-            along = np.float32(s - middle)
-            for b in range(n):
-                mean[line, b] += z[s, b]
-                slope[line, b] += along * z[s, b]
-        for b in range(n):
-            mean[line, b] /= np.float32(samples)
-            slope[line, b] /= square
-        for s in range(samples):
-            along = np.float32(s - middle)
-            for b in range(n):
-                out = z[s, b] - mean[line, b] - along * slope[line, b]
-                spread[b] += out * out
-        for s in range(samples - 1):
-            for b in range(n):
-                step = z[s + 1, b] - z[s, b]
-                rise[b] += max(step, np.float32(0.0))
-                fall[b] += max(-step, np.float32(0.0))
-        for reach in range(1, 4):
-            for s in range(reach, samples - reach):
-                for b in range(n):
-                    bend[reach - 1, b] += abs(z[s + reach, b] - np.float32(2.0) * z[s, b] + z[s - reach, b])
-    left, right, half = lines[0], lines[1], np.float32(0.5)
-    for b in range(n):
-        ahead[0, b] = half * (slope[0, b] + slope[1, b]) / np.float32(PIXEL_M)
-        ahead[1, b] = abs(mean[1, b] - mean[0, b]) * per_width[b]
-        ahead[2, b] = rise[b]
-        for reach in range(3):
-            ahead[3 + reach, b] = bend[reach, b]
-        ends = left[0, b] + left[-1, b] + right[0, b] + right[-1, b]
-        ahead[6, b] = half * ends - left[middle, b] - right[middle, b]
-        ahead[7, b] = math.sqrt(spread[b] / np.float32(2 * samples))
-        ahead[8, b] = abs((right[-1, b] - right[0, b]) - (left[-1, b] - left[0, b]))
-    for c in range(ahead.shape[0]):
-        for b in range(n):
-            ahead[c, b] /= TRACK_SCALES[c]
-            back[c, b] = ahead[c, b]
-    for b in range(n):
-        back[0, b] = -ahead[0, b]
-        back[2, b] = fall[b] / TRACK_SCALES[2]
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _line(z, lanes, found):  # fmt: skip
+    """Mean, slope, squares about the line, steps up, steps down and the three bends of one track, (8, LANES), from
+    its samples z (SAMPLES, LANES). Offsets are constants and nothing branches, so that it becomes vector code."""
+    squares = np.float32(_MIDDLE * (_MIDDLE + 1) * SAMPLES / 3.0)  # sum of (s - middle)^2
+    two, half = np.float32(2.0), np.float32(0.5)
+    for b in range(min(lanes, LANES)):
+        mean = slope = about = steps = bend_1 = bend_2 = bend_3 = np.float32(0.0)
+        for s in range(SAMPLES):
+            mean += z[s * LANES + b]
+            slope += np.float32(s - _MIDDLE) * z[s * LANES + b]
+        mean /= np.float32(SAMPLES)
+        slope /= squares
+        for s in range(SAMPLES):
+            off = z[s * LANES + b] - mean - np.float32(s - _MIDDLE) * slope
+            about += off * off
+        for s in range(SAMPLES - 1):
+            steps += abs(z[(s + 1) * LANES + b] - z[s * LANES + b])
+        for s in range(1, SAMPLES - 1):
+            pair = z[(s - 1) * LANES + b] + z[(s + 1) * LANES + b]
+            bend_1 += abs(pair - two * z[s * LANES + b])
+        for s in range(2, SAMPLES - 2):
+            pair = z[(s - 2) * LANES + b] + z[(s + 2) * LANES + b]
+            bend_2 += abs(pair - two * z[s * LANES + b])
+        for s in range(3, SAMPLES - 3):
+            pair = z[(s - 3) * LANES + b] + z[(s + 3) * LANES + b]
+            bend_3 += abs(pair - two * z[s * LANES + b])
+        climb = z[(SAMPLES - 1) * LANES + b] - z[b]
+        found[b], found[LANES + b], found[2 * LANES + b] = mean, slope, about
+        found[3 * LANES + b], found[4 * LANES + b] = half * (steps + climb), half * (steps - climb)
+        found[5 * LANES + b], found[6 * LANES + b], found[7 * LANES + b] = bend_1, bend_2, bend_3
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _both(lines, lanes, left, right, per_width, met, fall):  # fmt: skip
+    """What the two tracks, each as from `_line`, say together."""
+    half, per_pixel, per_sample = np.float32(0.5), np.float32(0.5 / PIXEL_M), np.float32(0.5 / SAMPLES)
+    end, middle, other = (SAMPLES - 1) * LANES, _MIDDLE * LANES, SAMPLES * LANES
+    for b in range(min(lanes, LANES)):
+        left_0, left_1, right_0, right_1 = lines[b], lines[end + b], lines[other + b], lines[other + end + b]
+        middles = lines[middle + b] + lines[other + middle + b]
+        met[b] = _PER_SCALE[0] * per_pixel * (left[LANES + b] + right[LANES + b])
+        met[LANES + b] = _PER_SCALE[1] * abs(right[b] - left[b]) * per_width[b]
+        met[2 * LANES + b] = _PER_SCALE[2] * (left[3 * LANES + b] + right[3 * LANES + b])
+        met[3 * LANES + b] = _PER_SCALE[3] * (left[5 * LANES + b] + right[5 * LANES + b])
+        met[4 * LANES + b] = _PER_SCALE[4] * (left[6 * LANES + b] + right[6 * LANES + b])
+        met[5 * LANES + b] = _PER_SCALE[5] * (left[7 * LANES + b] + right[7 * LANES + b])
+        met[6 * LANES + b] = _PER_SCALE[6] * (half * (left_0 + left_1 + right_0 + right_1) - middles)
+        met[7 * LANES + b] = _PER_SCALE[7] * np.sqrt(per_sample * (left[2 * LANES + b] + right[2 * LANES + b]))
+        met[8 * LANES + b] = _PER_SCALE[8] * abs((right_1 - right_0) - (left_1 - left_0))
+        fall[b] = _PER_SCALE[2] * (left[4 * LANES + b] + right[4 * LANES + b])
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def describe(lines, lanes, per_width, met, fall):  # fmt: skip
+    """The nine numbers `met` (9, LANES) of as many places from their tracks `lines` (2, SAMPLES, LANES) [m], and what
+    becomes of the rise where they are driven back, `fall` (LANES,): then the grade changes its sign, and nothing else
+    changes. per_width : (LANES,). All flat."""
+    left, right = np.empty(8 * LANES, dtype=np.float32), np.empty(8 * LANES, dtype=np.float32)
+    _line(lines, lanes, left)
+    _line(lines[SAMPLES * LANES :], lanes, right)
+    _both(lines, lanes, left, right, per_width, met, fall)
 
 
 @njit(cache=True, nogil=True)
@@ -122,16 +137,23 @@ def corner(offset):  # fmt: skip
 @njit(cache=True, nogil=True)
 def _of_squares(squares, stencil, per_width, out):  # fmt: skip
     middle = (SQUARE - 1) // 2
-    lines = np.empty((2, SAMPLES, 1), dtype=np.float32)
-    found, unused = np.empty((out.shape[1], 1), dtype=np.float32), np.empty((out.shape[1], 1), dtype=np.float32)
-    for k in range(squares.shape[0]):
-        for line in range(2):
-            for s in range(SAMPLES):
-                row, down = corner(stencil[line, s, k, 0])
-                col, right = corner(stencil[line, s, k, 1])
-                i, j = middle + row, middle + col
-                upper = squares[k, i, j] + right * (squares[k, i, j + 1] - squares[k, i, j])
-                lower = squares[k, i + 1, j] + right * (squares[k, i + 1, j + 1] - squares[k, i + 1, j])
-                lines[line, s, 0] = upper + down * (lower - upper)
-        describe(lines, per_width[k : k + 1], found, unused)
-        out[k] = found[:, 0]
+    lines = np.zeros(2 * SAMPLES * LANES, dtype=np.float32)
+    widths = np.zeros(LANES, dtype=np.float32)
+    met, fall = np.empty(out.shape[1] * LANES, dtype=np.float32), np.empty(LANES, dtype=np.float32)
+    for start in range(0, squares.shape[0], LANES):
+        lanes = min(LANES, squares.shape[0] - start)
+        for b in range(lanes):
+            k = start + b
+            widths[b] = per_width[k]
+            for line in range(2):
+                for s in range(SAMPLES):
+                    row, down = corner(stencil[line, s, k, 0])
+                    col, right = corner(stencil[line, s, k, 1])
+                    i, j = middle + row, middle + col
+                    upper = squares[k, i, j] + right * (squares[k, i, j + 1] - squares[k, i, j])
+                    lower = squares[k, i + 1, j] + right * (squares[k, i + 1, j + 1] - squares[k, i + 1, j])
+                    lines[(line * SAMPLES + s) * LANES + b] = upper + down * (lower - upper)
+        describe(lines, lanes, widths, met, fall)
+        for b in range(lanes):
+            for f in range(out.shape[1]):
+                out[start + b, f] = met[f * LANES + b]

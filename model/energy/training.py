@@ -9,20 +9,18 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
+from zipfile import is_zipfile
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from model.energy.compact import CompactNet, heading_basis
+from model.energy.compact import CompactNet
 from model.energy.examples import ARCHITECTURES, Examples
-from model.energy.resnet import ResNetEnergy
-from model.energy.tracks import SQUARE, track_features
-from model.energy.uncertainty import LEAST_SHARE, USUAL_SPREAD, segment_std
+from model.energy.resnet import ResNetEnergy, fastest_device
+from model.energy.tensors import CPU, Answer, ExampleTensors, Network, at_once
 from model.errors import InputError, ModelError
-
-Network = CompactNet | ResNetEnergy
 
 _LEAK = 0.02
 """Slope of the price below zero traction in training, so that a segment wrongly held for braking can be corrected."""
@@ -107,10 +105,11 @@ def train_network(
             f"{'train on' if aside.all() else 'judge by'}: at least two runs are needed",
             runs=len(np.unique(examples.run)),
         )
+    device = CPU if architecture == "compact" else fastest_device()
     with torch.random.fork_rng(devices=[]), _threads(1 if architecture == "compact" else None):
         torch.manual_seed(seed)
-        net = _prepared(examples, architecture, start_from)
-        trainer = _Trainer(net, examples, np.flatnonzero(~aside), np.flatnonzero(aside), options, seed)
+        net = _prepared(examples, architecture, start_from).to(device)
+        trainer = _Trainer(net, examples, np.flatnonzero(~aside), np.flatnonzero(aside), options, seed, device)
         trainer.run(Path(checkpoint) if checkpoint is not None else None, progress)
     return TrainingResult(net, trainer.best_error, held, seed, trainer.history)
 
@@ -132,24 +131,6 @@ def averaged(nets: Sequence[Network]) -> Network:
         for key, value in states[0].items()
     })  # fmt: skip
     return mean.eval()
-
-
-def predicted(
-    net: Network, examples: Examples, *, batch: int = 2048
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(energy, its standard deviation as the network believes it) [J] of every example, (n,) each."""
-    net.eval()
-    data = _Tensors(examples)
-    energy, relative = np.empty(len(examples)), np.full(len(examples), USUAL_SPREAD)
-    with torch.inference_mode():
-        for k in range(0, len(examples), batch):
-            part = torch.arange(k, min(k + batch, len(examples)))
-            answer = data.answer(net, part, leak=0.0)
-            energy[part.numpy()] = answer.energy.numpy()
-            if answer.spread is not None:
-                relative[part.numpy()] = torch.exp(answer.spread).numpy()
-    level = examples.hotel_per_m + examples.weight_n * examples.rolling_resistance
-    return energy, segment_std(energy, relative, level, factor=1.0)
 
 
 @contextmanager
@@ -191,89 +172,19 @@ def _prepared(examples: Examples, architecture: str, start_from: Network | None)
     return fresh
 
 
-@dataclass(frozen=True)
-class _Answer:
-    """What a network says of B segments. energy [J]. scale [J] : what errors are relative to. spread : logarithm of the
-    standard deviation over the energy, None where the network has none."""
-
-    energy: Tensor
-    scale: Tensor
-    spread: Tensor | None
-
-
-class _Tensors:
-    """Examples as tensors, and the energy a network gives them."""
-
-    def __init__(self, examples: Examples) -> None:
-        self.inputs = torch.from_numpy(examples.inputs)
-        self.features = torch.from_numpy(examples.features)
-        self.heading = torch.from_numpy(examples.heading_rad)
-        self.grade = torch.from_numpy(examples.tan_grade)
-        self.weight = torch.from_numpy(examples.weight_n)
-        self.rolling = torch.from_numpy(examples.rolling_resistance)
-        self.hotel = torch.from_numpy(examples.hotel_per_m)
-        self.regeneration = torch.from_numpy(examples.regeneration)
-        self.voltage = torch.from_numpy(examples.voltage_v)
-        self.measured = torch.from_numpy(examples.energy_j)
-        self.tracks = torch.empty(0)
-        if examples.inputs.shape[1] == SQUARE:  # turning and mirroring the ground leaves them as they are
-            self.tracks = torch.from_numpy(
-                track_features(
-                    examples.inputs, examples.heading_rad.astype(np.float64), examples.features[:, 1].astype(np.float64)
-                )
-            )
-
-    def answer(
-        self,
-        net: Network,
-        part: Tensor,
-        *,
-        leak: float,
-        quarter_turns: int = 0,
-        mirror: bool = False,
-        jitter: float = 0.0,
-    ) -> _Answer:
-        """What the network says of the segments `part`.
-
-        The ground is turned clockwise by quarter turns after being mirrored east to west; headings go with it.
-        """
-        inputs = self.inputs[part]
-        measured = self.measured[part]
-        if mirror:
-            inputs = inputs.flip(2)
-        if isinstance(net, ResNetEnergy):
-            return _Answer(net(inputs) * self.voltage[part], measured.abs().clamp_min(1e-6), None)
-        heading = -self.heading[part] if mirror else self.heading[part]
-        if quarter_turns:
-            inputs = torch.rot90(inputs, -quarter_turns, (1, 2))
-            heading = heading + quarter_turns * (math.pi / 2)
-        features = self.features[part]
-        if jitter:
-            noise = jitter * (net.feature_high - net.feature_low) * torch.randn_like(features)
-            noise[:, -1] = 0.0  # the map's resolution is no trait of a robot
-            features = features + noise
-        basis = torch.from_numpy(heading_basis(heading.numpy(), net.config.order))
-        over_weight, spread = net(inputs, features, basis, self.tracks[part], self.grade[part], self.rolling[part])
-        traction = self.weight[part] * over_weight
-        hotel = self.hotel[part]
-        down = torch.clamp_max(traction, 0.0) * torch.clamp_min(self.regeneration[part], leak)
-        least = LEAST_SHARE * (hotel + self.weight[part] * self.rolling[part])
-        return _Answer(hotel + torch.relu(traction) + down, torch.maximum(measured.abs(), least), spread)
-
-
 class _Trainer:
     """One training: the state that a checkpoint keeps, epoch by epoch."""
 
     def __init__(
         self, net: Network, examples: Examples, train: NDArray[np.int64], held: NDArray[np.int64],
-        options: TrainingOptions, seed: int,
+        options: TrainingOptions, seed: int, device: torch.device,
     ) -> None:  # fmt: skip
-        self.net, self.options, self.seed = net, options, seed
-        start = hashlib.sha256(b"".join(v.contiguous().numpy().tobytes() for v in net.state_dict().values()))
+        self.net, self.options, self.seed, self.device = net, options, seed, device
+        start = hashlib.sha256(b"".join(v.contiguous().cpu().numpy().tobytes() for v in net.state_dict().values()))
         aside = np.unique(examples.run[held]).tolist()
         self.identity = f"{examples.data_hash} seed {seed} {options} without {aside} from {start.hexdigest()[:16]}"
-        self.data = _Tensors(examples)
-        self.train, self.held = torch.from_numpy(train), torch.from_numpy(held)
+        self.data = ExampleTensors(examples, device)
+        self.train, self.held = (torch.from_numpy(part).to(device) for part in (train, held))
         if isinstance(net, ResNetEnergy) and options.freeze_backbone:
             net.backbone.requires_grad_(False)
         trained = [p for p in net.parameters() if p.requires_grad]
@@ -300,7 +211,7 @@ class _Trainer:
                 progress(len(self.history) / self.options.epochs)
         self.net.load_state_dict(self.best)
         self.net.requires_grad_(True)
-        self.net.eval()
+        self.net.to(CPU).eval()
         if progress is not None:
             progress(1.0)
 
@@ -309,7 +220,7 @@ class _Trainer:
         options = self.options
         rng = np.random.default_rng([self.seed, epoch])
         torch.manual_seed(int(rng.integers(2**31)))
-        order = self.train[torch.from_numpy(rng.permutation(len(self.train)))]
+        order = self.train[torch.from_numpy(rng.permutation(len(self.train))).to(self.device)]
         batches = order.split(options.batch)
         if isinstance(self.net, ResNetEnergy) and len(batches) > 1 and len(batches[-1]) == 1:
             batches = batches[:-1]  # one patch alone has no batch to be normalised over
@@ -335,7 +246,7 @@ class _Trainer:
             total += float(loss.detach()) * len(part)
         return total / len(self.train)
 
-    def _loss(self, answer: _Answer, part: Tensor) -> Tensor:
+    def _loss(self, answer: Answer, part: Tensor) -> Tensor:
         measured = self.data.measured[part]
         if self.options.loss == "mse":
             return torch.mean(((answer.energy - measured) / self.data.voltage[part]) ** 2)
@@ -354,7 +265,7 @@ class _Trainer:
         self.net.eval()
         total = 0.0
         with torch.inference_mode():
-            for part in self.held.split(2048):
+            for part in self.held.split(at_once(self.net)):
                 answer = self.data.answer(self.net, part, leak=0.0)
                 total += float(((answer.energy - self.data.measured[part]).abs() / answer.scale).sum())
         return total / len(self.held)
@@ -369,7 +280,9 @@ class _Trainer:
         partial.replace(checkpoint)
 
     def _resume(self, checkpoint: Path) -> None:
-        state = torch.load(checkpoint, weights_only=True)
+        if not is_zipfile(checkpoint):  # its list of contents is written last
+            raise ModelError(f"{checkpoint} is damaged: train again without going on from it")
+        state = torch.load(checkpoint, map_location=self.device, weights_only=True)
         if state["identity"] != self.identity:
             raise ModelError(
                 f"{checkpoint} belongs to another training (other data, held-out runs, start, seed or options)"

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
 
 from model.errors import InputError, ModelError
 
@@ -69,10 +70,15 @@ class Spread:
         energy = np.asarray(energy_j, dtype=np.float64)
         return energy - half, energy + half
 
-    def route_std(self, energy_j: ArrayLike, std_j: ArrayLike) -> float:
-        """Standard deviation [J] of the sum over a route's 1 m segments (n,): the run's own factor, and the rest."""
+    def route_std(self, energy_j: ArrayLike, std_j: ArrayLike) -> FloatArray:
+        """Standard deviation [J] of the energy up to the end of each of a route's 1 m segments, (n,): the run's own
+        factor, and the rest, of which neighbours go together as in a first-order autoregression whose correlations add
+        up to `correlation_m`."""
         energy, std = np.asarray(energy_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
-        return math.hypot(self.run_share * float(energy.sum()), math.sqrt(self.correlation_m * float((std**2).sum())))
+        neighbour = (self.correlation_m - 1.0) / (self.correlation_m + 1.0)
+        carried = lfilter([1.0], [1.0, -neighbour], std)  # (n,) sum over i <= k of neighbour^(k - i) std_i
+        rest = np.cumsum(std * (2.0 * carried - std))
+        return np.hypot(self.run_share * np.cumsum(energy), np.sqrt(np.maximum(rest, 0.0)))
 
 
 def segment_std(price_j: ArrayLike, relative: ArrayLike, level_j: ArrayLike, *, factor: float) -> FloatArray:

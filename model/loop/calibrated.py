@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from model.energy.predictor import Predictor
+from model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from model.errors import ConflictError, ModelError
 from model.frames import GridFrame
 from model.loop.drive import Drive, describe_segments, planned_drive
@@ -35,7 +36,9 @@ class Correction:
     terms : everything on top of it. planner : per term, whether a planner knows what it depends on. charge : the base
     prediction's scale is unknown, so that the terms replace it. turn_j_per_rad : of the turns that were driven on
     average. conditions : logged columns at which plans are made unless told otherwise (their means on the runs).
-    evidence : the report's effects, JSON-able.
+    evidence : the report's effects, JSON-able. spread : how far off the calibrated model was on held-out runs, whose
+    fits did not know them: what is not explained and what the coefficients are in doubt. Its factor is that on
+    `assumed_std`; None of a charge.
     """
 
     terms: tuple[Term, ...]
@@ -44,6 +47,7 @@ class Correction:
     turn_j_per_rad: float = 0.0
     conditions: Mapping[str, float] = field(default_factory=dict)
     evidence: Sequence[Mapping[str, Any]] = ()
+    spread: Spread | None = None
 
     def predict(self, drive: Drive, *, planner_only: bool = False) -> FloatArray:
         """(n,) energy of every row [J, or A s]; without its log where only what a planner knows may be used."""
@@ -58,19 +62,29 @@ class Correction:
             "terms": [t.as_dict() for t in self.terms], "planner": list(self.planner), "charge": self.charge,
             "turn_j_per_rad": self.turn_j_per_rad, "conditions": dict(self.conditions),
             "evidence": [dict(e) for e in self.evidence],
+            "spread": None if self.spread is None else self.spread.as_dict(),
         }  # fmt: skip
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Correction:
         """Raises ModelError where something is missing."""
         try:
+            spread = values.get("spread")
             return cls(
                 tuple(Term.from_dict(t) for t in values["terms"]), tuple(bool(p) for p in values["planner"]),
                 bool(values["charge"]), float(values["turn_j_per_rad"]), dict(values["conditions"]),
-                list(values["evidence"]),
+                list(values["evidence"]), None if spread is None else Spread.from_dict(spread),
             )  # fmt: skip
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"a calibration is not complete: {error!r}") from error
+
+
+def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
+    """Standard deviation [J] of 1 m segments before a calibration: the base model's, or a usual share of its price."""
+    if std_j is not None:
+        return std_j
+    level = robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
+    return segment_std(robot.price_per_m(traction_per_m), USUAL_SPREAD, level, factor=1.0).astype(traction_per_m.dtype)
 
 
 class CalibratedPredictor:
@@ -78,14 +92,14 @@ class CalibratedPredictor:
 
     def __init__(self, base: Predictor, correction: Correction, *, name: str, version: str) -> None:
         self.base, self.correction, self.name, self.version = base, correction, name, version
-        self.spread = base.spread
+        self.spread = correction.spread or base.spread
 
     def provenance(self) -> dict[str, Any]:
         """What the model is, JSON-able."""
         effects = [t.as_dict() for t in self.correction.terms]
         return {
             "name": self.name, "kind": "calibrated", "version": self.version, "base": self.base.provenance(),
-            "effects": effects,
+            "effects": effects, "spread": self.spread.as_dict(),
         }  # fmt: skip
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
@@ -121,10 +135,19 @@ class CalibratedPredictor:
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, FloatArray | None]:
-        """`segment_traction`, and the base model's standard deviation of each segment's energy [J]."""
+        """`segment_traction`, and the standard deviation of each segment's energy [J]."""
         xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
         traction, std = self.base.segment_traction_and_std(heightmap, robot, xs, ys, headings)
+        std = self.std_of(std, traction, robot)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction), std
+
+    def std_of(
+        self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot
+    ) -> NDArray[Any] | None:  # fmt: skip
+        """Standard deviation of 1 m segments [J]; std_j, traction_per_m : as the base model says."""
+        if self.correction.spread is None:
+            return std_j
+        return assumed_std(std_j, traction_per_m, robot) * traction_per_m.dtype.type(self.correction.spread.factor)
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
@@ -135,8 +158,9 @@ class CalibratedPredictor:
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """`traction_per_m`, and the base model's standard deviation of a 1 m segment's energy [J]."""
+        """`traction_per_m`, and the standard deviation of a 1 m segment's energy [J]."""
         traction, std = self.base.traction_and_std(heightmap, robot, frame, headings_rad)
+        std = self.std_of(std, traction, robot)
         x, y = frame.centres()
         rows = max(1, _CHUNK // (x.size * len(headings_rad)))
         for start in range(0, y.size, rows):
@@ -160,7 +184,10 @@ class CalibratedPredictor:
                 f"the model {self.name} was calibrated on charge without voltage: it predicts ampere seconds, and "
                 "joules of a plan would need the battery's voltage"
             )
-        drive = planned_drive(heightmap, robot, x, y, heading_rad, traction, self.correction.conditions)
+        drive = planned_drive(
+            heightmap, robot, x, y, heading_rad, traction, self.correction.conditions,
+            with_ground=any(term.reads_ground for term in self.correction.terms),
+        )  # fmt: skip
         motion = self.correction.predict(drive, planner_only=True) - drive.hotel_part
         down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)
         return np.where(motion >= 0, motion, down)

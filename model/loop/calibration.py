@@ -43,7 +43,7 @@ class Calibration:
     """effects : found, the most telling first. silent : what was refitted without being an effect (the level).
     shared : corrections known from the base model's own runs. before, after, after_planner : errors on held-out runs
     (mean_relative, rmse, bias). residuals : as traced. held_out : (n,) prediction of each row by a fit without its
-    run."""
+    run; held_out_planner : the same from what a planner knows."""
 
     effects: tuple[Effect, ...]
     silent: tuple[Term, ...]
@@ -57,6 +57,7 @@ class Calibration:
     residuals: Residuals = field(repr=False)
     first: FloatArray = field(repr=False)
     held_out: FloatArray = field(repr=False)
+    held_out_planner: FloatArray = field(repr=False)
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -118,6 +119,7 @@ def calibrate(
         residuals,
         before_energy,
         held,
+        held_planner,
     )
 
 

@@ -163,10 +163,14 @@ def planned_drive(
     heading_rad: FloatArray,
     traction_per_m: ArrayLike,
     conditions: Mapping[str, float],
+    *,
+    with_ground: bool = True,
 ) -> Drive:
-    """Straight 1 m segments at cruising speed that nobody has driven yet. conditions : logged columns as expected."""
+    """Straight 1 m segments at cruising speed that nobody has driven yet. conditions : logged columns as expected.
+    with_ground : read slopes, roughness and heights, which takes most of the time; else they are NaN."""
     n = x.size
     zero = np.zeros(n)
+    ground = _ground(heightmap, robot, x, y, heading_rad) if with_ground else dict.fromkeys(_GROUND, np.full(n, np.nan))
     return Drive(
         robot=robot,
         run=np.zeros(n, dtype=np.int64),
@@ -180,7 +184,7 @@ def planned_drive(
         turned_abs_rad=zero,
         gentle_turn_rad=np.zeros((n, len(TURN_LIMITS_RADPS))),
         gained_m2ps2=zero,
-        **_ground(heightmap, robot, x, y, heading_rad),
+        **ground,
         since_s=zero,
         driven_m=zero,
         clock_s=zero,
@@ -217,6 +221,9 @@ def concatenate_drives(parts: Sequence[Drive]) -> Drive:
     changed["columns"] = {k: np.concatenate([p.columns.get(k, np.full(len(p), np.nan)) for p in parts]) for k in names}
     changed["words"] = {k: np.concatenate([p.words.get(k, np.full(len(p), "")) for p in parts]) for k in words}
     return replace(parts[0], **changed)
+
+
+_GROUND = ("grade", "cross", "cross_abs", "cross_sq", "roughness_m", "elevation_m")
 
 
 def _ground(

@@ -289,6 +289,10 @@ def inside(drive: Drive, where: Mapping[str, Any]) -> NDArray[np.bool_]:
     return values > where["above"] if "above" in where else values < where["below"]
 
 
+GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "braking", "climbing"})
+"""Formulas and quantities that read the ground under a drive."""
+
+
 @dataclass(frozen=True)
 class Term:
     """A formula with its settings: one way in which an effect may act.
@@ -309,6 +313,12 @@ class Term:
             raise ModelError(f"a model has an effect {self.formula!r}, which this version does not know")
         found = np.nan_to_num(FORMULAS[self.formula](drive, **self.settings))
         return found * inside(drive, self.where)[:, None] if self.where else found
+
+    @property
+    def reads_ground(self) -> bool:
+        """Whether slopes, roughness or height of the ground change it; all else it takes from the base and the path."""
+        named = (self.formula, *self.settings.values(), *self.where.values())
+        return not GROUND.isdisjoint(name for name in named if isinstance(name, str))
 
     def energy(self, drive: Drive) -> FloatArray:
         """(n,) [J, or A s] that the effect adds."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,12 +30,29 @@ class Prediction:
     traction_per_m: FloatArray
     turning_j: FloatArray
 
+    def take(self, index: NDArray[np.int64]) -> Prediction:
+        """Some of the segments, in that order."""
+        std = None if self.std_j is None else self.std_j[index]
+        return Prediction(self.energy_j[index], std, self.traction_per_m[index], self.turning_j[index])
+
+
+def joined(parts: Sequence[Prediction]) -> Prediction:
+    """Predictions of one kind of model one after the other: without a deviation where one has none."""
+    stds = [part.std_j for part in parts if part.std_j is not None]
+    return Prediction(
+        np.concatenate([part.energy_j for part in parts]),
+        np.concatenate(stds) if len(stds) == len(parts) else None,
+        np.concatenate([part.traction_per_m for part in parts]),
+        np.concatenate([part.turning_j for part in parts]),
+    )
+
 
 def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
     """What the model says of every segment, driven at the robot's declared speed along the track's length."""
     base = predictor.base if isinstance(predictor, CalibratedPredictor) else predictor
     traction, std = base.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     factor = payload_factor(base, robot, segments)
+    std = predictor.std_of(std, traction, robot) if isinstance(predictor, CalibratedPredictor) else std
     std = None if std is None else std * factor * segments.driven_m
     if isinstance(predictor, CalibratedPredictor):  # its effects know more of a log than a plan could
         energy = predictor.segment_energy(segments, heightmap, robot)

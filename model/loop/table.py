@@ -50,7 +50,10 @@ def read_table(
     if isinstance(content, bytes) and content.startswith(PARQUET_MAGIC):
         header, rows, columns = _parquet_columns(content, name)
     else:
-        header, rows, columns = _csv_columns(_decoded(content, name), name, repairs)
+        try:
+            header, rows, columns = _csv_columns(_decoded(content, name), name, repairs)
+        except csv.Error as error:
+            raise RunsError(f"run {name}: not a readable CSV file: {error}", run=name) from error
     twice = sorted({c for c in header if header.count(c) > 1})
     if twice:
         raise RunsError(f"run {name}: column {twice[0]!r} appears twice", run=name, column=twice[0])

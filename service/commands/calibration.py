@@ -1,36 +1,31 @@
-"""`joulemap calibrate`: from measured runs to what the model lacks, and to a model that has it."""
+"""`joulemap calibrate` and `suggest-drive`: what measured runs show that a model lacks, and what to drive next."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from service.commands.console import Answer, JsonFile, progress_bar, write_file
-from service.commands.models import find_runs
+from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from service.commands.options import BaseRuns, HeightmapFile, ModelName, RobotFile, Runs, find_runs, robot_of
+from service.commands.words import energy_words
 
 
 def calibrate(
-    heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")],
-    runs: Annotated[
-        list[str],
-        typer.Option("--runs", metavar="GLOB", help="Runs (CSV): a file, a folder or a quoted pattern; repeatable."),
-    ],
+    heightmap: HeightmapFile,
+    runs: Runs,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report.json, report.html and model/.")],
-    model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
-    robot: Annotated[
-        Path | None, typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in rover]")
+    model: ModelName = "default",
+    robot: RobotFile = None,
+    base_runs: BaseRuns = None,
+    start: Annotated[
+        Any, typer.Option(metavar="X,Y", parser=parse_point, help="Task whose route is compared before and after [m].")
     ] = None,
-    base_runs: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--base-runs",
-            metavar="GLOB",
-            help="Runs in which nothing new is at work, to hold the others against. [default: those the model was "
-            "trained on, where its folder keeps them]",
-        ),
+    goal: Annotated[
+        Any, typer.Option(metavar="X,Y", parser=parse_point, help="[default: a few between places the runs visited]")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the permutations: the same seed gives the same report.")] = 0,
     json_file: JsonFile = None,
@@ -39,28 +34,24 @@ def calibrate(
 
     Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv' --out found`
     """
-    from model.robot import Robot
     from model.terrain.readers import read_heightmap
     from service.calibrating import calibrate_on_runs
     from service.calibration_page import report_page
 
+    if (start is None) != (goal is None):
+        raise typer.BadParameter("--start and --goal go together")
     answer = Answer(json_file)
+    ground = read_heightmap(heightmap)
     with progress_bar("Calibrating") as report:
-        document, found = calibrate_on_runs(
-            model,
-            read_heightmap(heightmap),
-            Robot.from_toml(robot) if robot is not None else Robot(),
-            find_runs(runs),
-            out=out,
-            base_files=find_runs(base_runs) if base_runs else (),
-            seed=seed,
-            progress=report,
-        )
-    write_file(out / "report.json", (json.dumps(document, indent=2, allow_nan=False) + "\n").encode())
-    write_file(out / "report.html", report_page(document, found).encode())
-    _say(answer, document, out)
-    answer.warn(document["warnings"])
-    answer.document(document)
+        made = calibrate_on_runs(
+            model, ground, robot_of(robot), find_runs(runs), base_files=find_runs(base_runs or []), out=out,
+            task=None if start is None else (start, goal), seed=seed, progress=report,
+        )  # fmt: skip
+    write_file(out / "report.json", (json.dumps(made.document, indent=2, allow_nan=False) + "\n").encode())
+    write_file(out / "report.html", report_page(made, ground).encode())
+    _say(answer, made.document, out)
+    answer.warn(made.document["warnings"])
+    answer.document(made.document)
 
 
 def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
@@ -84,47 +75,48 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
         )
     for group in document["confounded"]:
         rows[f"like {group[0]}"] = f"these runs cannot tell it from {', '.join(group[1:])}"
+    rows["a route"] = _route_words(document["route"])
     answer.table(rows)
     answer.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
 
 
+def _route_words(route: Mapping[str, Any]) -> str:
+    if "why_not" in route:
+        return f"not compared: {route['why_not']}"
+    (x0, y0), (x1, y1) = route["task"]["start"], route["task"]["goal"]
+    old, new = (energy_words(route[key]["energy_j"]) for key in ("before", "after"))
+    return (
+        f"{x0:.1f},{y0:.1f} to {x1:.1f},{y1:.1f} ({route['task']['chosen']}): {old} the old way, {new} the new one, "
+        f"{route['saving_percent']:.1f} % saved"
+    )
+
+
 def suggest_drive(
-    heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap to drive on.")],
-    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs so far (CSV), as for `calibrate`.")],
-    model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
-    robot: Annotated[
-        Path | None, typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in rover]")
-    ] = None,
+    heightmap: HeightmapFile,
+    runs: Runs,
+    model: ModelName = "default",
+    robot: RobotFile = None,
     effect: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="What to find out about. [default: what these runs leave most in doubt]"),
     ] = None,
     length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About as far as there is time for.")] = 200.0,
-    base_runs: Annotated[
-        list[str] | None, typer.Option("--base-runs", metavar="GLOB", help="As for `calibrate`.")
-    ] = None,
+    base_runs: BaseRuns = None,
     json_file: JsonFile = None,
 ) -> None:
     """Suggest **what to drive next**: the route that tells confounded effects apart or pins a coefficient best.
 
     Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv'`
     """
-    from model.robot import Robot
     from model.terrain.readers import read_heightmap
     from service.calibrating import suggest_next_drive
 
     answer = Answer(json_file)
     with progress_bar("Tracing") as report:
         found, rivals = suggest_next_drive(
-            model,
-            read_heightmap(heightmap),
-            Robot.from_toml(robot) if robot is not None else Robot(),
-            find_runs(runs),
-            effect=effect,
-            base_files=find_runs(base_runs) if base_runs else (),
-            length_m=length,
-            progress=report,
-        )
+            model, read_heightmap(heightmap), robot_of(robot), find_runs(runs), base_files=find_runs(base_runs or []),
+            effect=effect, length_m=length, progress=report,
+        )  # fmt: skip
     corners = [[round(float(x), 2), round(float(y), 2)] for x, y in found.points]
     answer.say(f"[bold]Drive {found.kind}[/] to learn about {found.effect}")
     shown = corners if len(corners) <= 9 else corners[:: len(corners) // 8]

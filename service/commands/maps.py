@@ -9,21 +9,20 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from service.commands.options import ModelName, RobotFile, robot_of, there
 from service.commands.words import route_words, saving_words
 
-MapFolder = Annotated[Path, typer.Argument(metavar="MAP.zarr", help="A cost map made by `joulemap costmap`.")]
-RobotFile = Annotated[
-    Path | None,
-    typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in 35 kg 4WD rover]"),
-]
-ModelName = Annotated[
-    str, typer.Option("--model", metavar="M", help="`default` (the shipped network), `physics`, or a model's folder.")
+MapFolder = Annotated[
+    Path, typer.Argument(metavar="MAP.zarr", callback=there, help="A cost map made by `joulemap costmap`.")
 ]
 
 
 def costmap(
     heightmap: Annotated[
-        Path, typer.Argument(metavar="HEIGHTMAP", help="GeoTIFF, ESRI ASCII (.asc), .npy, .npz or 16-bit PNG.")
+        Path,
+        typer.Argument(
+            metavar="HEIGHTMAP", callback=there, help="GeoTIFF, ESRI ASCII (.asc), .npy, .npz or 16-bit PNG."
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="MAP.zarr", help="Folder to write the cost map to.")],
     robot: RobotFile = None,
@@ -59,7 +58,6 @@ def costmap(
 
     `joulemap costmap heights.png --resolution 0.5 --scale 0.01 --model physics --out heights.zarr`
     """
-    from model.robot import Robot
     from model.terrain.readers import open_ground
     from service.workflows import write_cost_lattice
 
@@ -68,7 +66,7 @@ def costmap(
         heightmap, resolution_m=resolution, west_m=west, north_m=north, crs=crs,
         scale_m=scale, offset_m=offset, nodata=nodata, band=band,
     )  # fmt: skip
-    rover = Robot.from_toml(robot) if robot is not None else Robot()
+    rover = robot_of(robot)
     with progress_bar("Cost map") as report:
         made = write_cost_lattice(
             out, ground, rover, model=model, spacing_m=spacing, headings=headings, progress=report
@@ -130,7 +128,8 @@ def path(
     refine: Annotated[bool, typer.Option(help="Improve the grid path to any angle.")] = True,
     time_limit: Annotated[float, typer.Option(min=0.01, help="Seconds for the sampling planners.")] = 5.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the sampling planners.")] = 0,
-    geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write both paths as GeoJSON.")] = None,
+    alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Other good ways to look for, at most.")] = 0,
+    geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw both paths and profiles (PNG).")] = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -150,14 +149,16 @@ def path(
     answer = Answer(json_file)
     lattice = load_lattice(costmap)
     plan = RoutePlanner(lattice).plan(
-        start, goal, planner=planner, neighbours=neighbours, refine=refine, time_limit_s=time_limit, seed=seed
-    )
+        start, goal, planner=planner, neighbours=neighbours, refine=refine, time_limit_s=time_limit, seed=seed,
+        alternatives=alternatives,
+    )  # fmt: skip
     known = lattice.provenance.get("warnings", [])
     found = path_out(plan, None, known).model_dump(mode="json")
     answer.say(f"[bold]Path[/] for {lattice.robot.name}, planner {plan.planner}")
     answer.table(
         {
             "energy-optimal": route_words(found),
+            **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
             "shortest": route_words(found["shortest"]),
             "saved": saving_words(found, found["shortest"]),
         }
@@ -169,7 +170,8 @@ def path(
         from service.pictures import route_picture
 
         ground = Heightmap(lattice.elevation_m, lattice.frame, source=str(costmap))
-        write_file(picture, route_picture(ground, plan, title=f"{lattice.robot.name} on {costmap.stem}"))
+        title = f"{lattice.robot.name} on {costmap.stem}"
+        write_file(picture, route_picture(ground, plan.route, plan.shortest, title=title))
     answer.document(found)
 
 
@@ -180,7 +182,9 @@ def feasibility(
     path: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="A path instead: GeoJSON, the JSON of `joulemap path`, or CSV with x,y lines."
+            metavar="FILE",
+            callback=there,
+            help="A path instead: GeoJSON, the JSON of `joulemap path`, or CSV with x,y lines.",
         ),
     ] = None,
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,

@@ -10,6 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.commands.console import Answer, JsonFile, progress_bar, write_file
+from service.commands.options import (
+    HeightmapFile,
+    MaybeHeightmap,
+    MaybeRuns,
+    ModelName,
+    RobotFile,
+    Runs,
+    find_runs,
+    known_model,
+    robot_of,
+    there,
+)
 
 if TYPE_CHECKING:
     from model.robot import Robot
@@ -40,10 +52,7 @@ def simulate(
         DriveName, typer.Option(help="Parallel lines, or from one random point to the next.")
     ] = DriveName.LAWNMOWER,
     runs: Annotated[int, typer.Option(min=1, max=99, help="Number of runs.")] = 4,
-    robot: Annotated[
-        Path | None,
-        typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in 4WD rover]"),
-    ] = None,
+    robot: RobotFile = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 0,
     json_file: JsonFile = None,
 ) -> None:
@@ -62,14 +71,13 @@ def simulate(
     from model.field.logger import simulate_run
     from model.field.robot_dynamics import FieldRobot
     from model.field.sites import named_site, random_site
-    from model.robot import Robot
     from model.terrain.writers import write_geotiff
     from service.pretraining import level_ground, rolling_resistance_on
 
     answer = Answer(json_file)
     rng = np.random.default_rng([seed, 1])
     place = random_site(np.random.default_rng(seed)) if site is SiteName.RANDOM else named_site(site.value, seed=seed)
-    declared = Robot.from_toml(robot) if robot is not None else Robot()
+    declared = robot_of(robot)
     truth = FieldRobot.drawn(declared, rng)
     if robot is None:
         measured = rolling_resistance_on(level_ground(place.ground, rng), place.ground, truth)
@@ -108,18 +116,6 @@ def _toml(robot: Robot) -> str:
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in robot.as_dict().items())
 
 
-Heightmap = Annotated[Path | None, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")]
-Runs = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--runs", metavar="GLOB", help="Runs (CSV, Parquet): file, folder or quoted pattern; may be repeated."
-    ),
-]
-RobotFile = Annotated[
-    Path | None, typer.Option("--robot", metavar="FILE", help="Robot file (TOML). [default: the built-in rover]")
-]
-
-
 Charge = Annotated[
     bool,
     typer.Option(
@@ -139,8 +135,8 @@ class Architecture(StrEnum):
 
 def train(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
-    heightmap: Heightmap = None,
-    runs: Runs = None,
+    heightmap: MaybeHeightmap = None,
+    runs: MaybeRuns = None,
     robot: RobotFile = None,
     architecture: Annotated[
         Architecture,
@@ -154,14 +150,23 @@ def train(
             "--from",
             "--start-from",
             metavar="M",
+            callback=known_model,
             help="Model to fine-tune: `default`, a folder, or `none` to train afresh. "
             "[default: `default` for compact, `none` for resnet18]",
         ),
     ] = None,
     weights: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="ResNet18 backbone with torchvision's names (ImageNet's file).")
+        Path | None,
+        typer.Option(
+            metavar="FILE", callback=there, help="ResNet18 backbone with torchvision's names (ImageNet's file)."
+        ),
     ] = None,
-    patch_size: Annotated[int, typer.Option(min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper.")] = 64,
+    patch_size: Annotated[
+        int | None,
+        typer.Option(
+            min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper. [default: those of `--from`, else 64]"
+        ),
+    ] = None,
     epochs: Annotated[
         int | None,
         typer.Option(min=1, help="Passes over the data, at most. [default: 12 for compact, 60 for resnet18]"),
@@ -186,6 +191,12 @@ def train(
     """
     answer = Answer(json_file)
     if heightmap is None and not runs:
+        told = {
+            "--robot": robot, "--from": start_from, "--weights": weights, "--patch-size": patch_size,
+            "--epochs": epochs, "--charge": charge, "--resume": resume, "--arch": architecture is Architecture.RESNET18,
+        }  # fmt: skip
+        if idle := [name for name, value in told.items() if value]:
+            raise typer.BadParameter(f"{', '.join(idle)}: only with --heightmap and --runs")
         from service.pretraining import DEFAULT_SEED, train_default
 
         with progress_bar("Training the shipped network") as report:
@@ -197,18 +208,17 @@ def train(
         raise typer.BadParameter("--heightmap and --runs go together")
     from dataclasses import asdict
 
-    from model.robot import Robot
     from model.terrain.readers import read_heightmap
     from service.learning import train_on_runs
 
     with progress_bar("Training") as report:
         model = train_on_runs(
             read_heightmap(heightmap),
-            Robot.from_toml(robot) if robot is not None else Robot(),
+            robot_of(robot),
             find_runs(runs),
             out=out,
             architecture=architecture.value,
-            start_from=_folder_of(start_from or ("default" if architecture is Architecture.COMPACT else "none")),
+            start_from=folder_of(start_from or ("default" if architecture is Architecture.COMPACT else "none")),
             backbone=weights,
             patch_size=patch_size,
             epochs=epochs,
@@ -221,17 +231,21 @@ def train(
     answer.table(
         {
             "learned from": f"{model.segments} segments of {len(model.runs)} runs",
-            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}",
+            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
+            + (", flattered a little: they said when to stop" if model.stopped_by_held_out else ""),
             "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",
         }
     )
+    if not model.keeps_runs:
+        why = "they are too few, or lack a voltage"
+        answer.warn([f"the runs are not kept beside the model ({why}): give them to `calibrate` as --base-runs"])
     answer.document({"out": str(out), **asdict(model)})
 
 
 def evaluate(
-    heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")],
-    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs, as for `train`.")],
-    model: Annotated[str, typer.Option(metavar="M", help="`default`, `physics`, or a model's folder.")] = "default",
+    heightmap: HeightmapFile,
+    runs: Runs,
+    model: ModelName = "default",
     robot: RobotFile = None,
     charge: Charge = False,
     json_file: JsonFile = None,
@@ -240,13 +254,12 @@ def evaluate(
 
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv'`
     """
-    from model.robot import Robot
     from model.terrain.readers import read_heightmap
     from service.learning import evaluate_on_runs
     from service.workflows import find_predictor
 
     answer = Answer(json_file)
-    rover = Robot.from_toml(robot) if robot is not None else Robot()
+    rover = robot_of(robot)
     found = evaluate_on_runs(find_predictor(model), read_heightmap(heightmap), rover, find_runs(runs), charge=charge)
     answer.say(f"[bold]Model {found['model']}[/] on {len(found['route_relative_errors'])} runs: {_errors_words(found)}")
     answer.table(
@@ -262,26 +275,7 @@ def evaluate(
     answer.document(found)
 
 
-def find_runs(patterns: list[str]) -> list[Path]:
-    """The files that patterns name, sorted within each; a folder means every CSV and Parquet file in it.
-
-    Raises RunsError for none.
-    """
-    from glob import glob
-
-    from model.errors import RunsError
-
-    files = []
-    for pattern in patterns:
-        inside = [f"{pattern}/*.csv", f"{pattern}/*.parquet"] if Path(pattern).is_dir() else [pattern]
-        found = sorted(Path(name) for each in inside for name in glob(each))
-        if not found:
-            raise RunsError(f"no run is called {pattern}", pattern=pattern)
-        files += found
-    return list(dict.fromkeys(files))
-
-
-def _folder_of(name: str) -> Path | None:
+def folder_of(name: str) -> Path | None:
     """A model's folder; the shipped one's for "default", None for "none"."""
     import model
 

@@ -12,7 +12,7 @@ import typer
 
 from model.errors import InputError
 from service.commands.console import Answer, JsonFile, progress_bar
-from service.commands.models import RobotFile, find_runs
+from service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, robot_of, there
 
 
 class ProfileName(StrEnum):
@@ -46,6 +46,7 @@ def reproduce(
         Path | None,
         typer.Option(
             metavar="FILE",
+            callback=there,
             help="ImageNet's ResNet18 with torchvision's names. [default: one pre-trained on simulated terrain]",
         ),
     ] = None,
@@ -86,11 +87,12 @@ def reproduce(
 
 
 def baselines(
-    heightmap: Annotated[Path, typer.Option(metavar="FILE", help="Heightmap that the runs were driven on.")],
-    runs: Annotated[list[str], typer.Option("--runs", metavar="GLOB", help="Runs to fit to, as for `train`.")],
+    heightmap: HeightmapFile,
+    runs: Runs,
     test: Annotated[list[str], typer.Option("--test", metavar="GLOB", help="Runs to judge by, not fitted to.")],
     test_heightmap: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Heightmap of the tested runs. [default: the same]")
+        Path | None,
+        typer.Option(metavar="FILE", callback=there, help="Heightmap of the tested runs. [default: the same]"),
     ] = None,
     model: Annotated[
         list[str] | None, typer.Option("--model", metavar="M", help="A model to judge beside them; may be repeated.")
@@ -105,13 +107,12 @@ def baselines(
     Example: `joulemap baselines --heightmap dem.tif --runs 'logs/*.csv' --test logs/run_06.csv --model mine`
     """
     _need_scikit_learn()
-    from model.robot import Robot
     from model.terrain.readers import read_heightmap
     from service.reproduction.comparison import compare
     from service.workflows import find_predictor
 
     answer = Answer(json_file)
-    rover = Robot.from_toml(robot) if robot is not None else Robot()
+    rover = robot_of(robot)
     tested = find_runs(test)
     learned = [file for file in find_runs(runs) if file not in tested]
     elsewhere = read_heightmap(test_heightmap) if test_heightmap is not None else None

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from service.commands.options import there
 
 
 def serve(
@@ -40,7 +41,7 @@ def worker(
         Path | None, typer.Option(metavar="DIR", help="The service's data folder, shared with it. [default: data]")
     ] = None,
 ) -> None:
-    """**Make cost maps for a service**, tile by tile beside it and beside other workers (Ctrl-C stops it).
+    """**Do a service's jobs**, cost maps (tile by tile) and calibrations, beside other workers (Ctrl-C stops it).
 
     It shares the service's data folder and database: `JOULEMAP_DATABASE_URL` names a PostgreSQL that all machines
     reach. A worker that is killed loses at most the tile at hand, which another one makes after a few seconds.
@@ -51,19 +52,19 @@ def worker(
 
     from service.jobs import Worker
     from service.settings import Settings
-    from service.state import make_builder
+    from service.state import make_makers
     from service.store import Store
     from service.workflows import warm_up
 
     settings = Settings() if data_dir is None else Settings(data_dir=data_dir)
     store = Store(settings.data_dir, settings.resolved_database_url)
     store.open(as_service=False)
-    builder = make_builder(store, settings)
+    makers = make_makers(store, settings)
     warm_up(models=settings.warm_models, models_dir=settings.resolved_models_dir)
-    at_work = Worker(store, builder, name="worker:", ready=lambda: None)
+    at_work = Worker(store, makers, name="worker:", ready=lambda: None)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: at_work.stop())
-    typer.echo(f"making cost maps of {settings.data_dir.resolve()}")
+    typer.echo(f"doing jobs of {settings.data_dir.resolve()}")
     at_work.work()
     store.close()
 
@@ -72,7 +73,11 @@ def demo(
     exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service and end by itself.")] = False,
     heightmap: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Another heightmap than the sample (any format that says its cell size)."),
+        typer.Option(
+            metavar="FILE",
+            callback=there,
+            help="Another heightmap than the sample (any format that says its cell size).",
+        ),
     ] = None,
     start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m].")] = None,
     goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m].")] = None,

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated
 
 import anyio
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
-from fastapi.responses import JSONResponse
+from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData
 from starlette.exceptions import HTTPException
 
 from model.frames import GridFrame
 from model.robot import Robot
-from service import problems as problem_bodies
 from service.answers import costmap_out
 from service.documents import costmap_body, problems
 from service.routes.heightmaps import Limit, Offset
+from service.routes.waiting import Prefer, job_answer
 from service.schemas import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions, robot_values
 from service.state import Service, get_service
-from service.store import DONE, FAILED, CostmapRow, HeightmapRow
+from service.tables import CostmapRow, HeightmapRow
 from service.uploads import invalid, media_type, take_form
 from service.workflows import check_lattice, find_predictor
 
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])
 ServiceDep = Annotated[Service, Depends(get_service)]
-MAX_WAIT_S = 300.0
-_WAIT = re.compile(r"(?:^|[,;])\s*wait\s*=\s*\"?(\d{1,18})\"?\s*(?:$|[,;])", re.IGNORECASE)
 
 
 class CostmapList(BaseModel):
@@ -51,7 +47,7 @@ async def make_costmap(
     request: Request,
     service: ServiceDep,
     options: Annotated[UploadOptions, Query()],
-    prefer: Annotated[str | None, Header(description="`wait=SECONDS` (at most 300) answers when done")] = None,
+    prefer: Prefer = None,
 ) -> Response:
     """Ask for a cost map of a heightmap that is kept, or of one sent along in a form; it is made in the background."""
     service.jobs.check_room()
@@ -68,18 +64,7 @@ async def make_costmap(
     else:
         raise HTTPException(415, "send application/json, or multipart/form-data with the heightmap as `file`")
     row = await anyio.to_thread.run_sync(_enqueue, service, heightmap, wanted)
-    headers = {"Location": f"/v1/costmaps/{row.id}"}
-    match = _WAIT.search(prefer or "")
-    if match:
-        seconds = min(float(match.group(1)), MAX_WAIT_S)
-        headers["Preference-Applied"] = f"wait={seconds:.0f}"
-        await service.jobs.wait(row.id, seconds)
-        row = await anyio.to_thread.run_sync(service.store.costmap, row.id)
-    if row.status == FAILED and row.problem is not None:
-        body = {**row.problem, "context": {**row.problem["context"], "costmap_id": row.id}}
-        return problem_bodies.response(body, headers)
-    answer = costmap_out(row).model_dump(mode="json")
-    return JSONResponse(answer, status_code=201 if row.status == DONE else 202, headers=headers)
+    return await job_answer(service, row.id, "/v1/costmaps", prefer, load=service.store.costmap, answer=costmap_out)
 
 
 @router.get("", responses=problems())

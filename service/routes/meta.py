@@ -53,6 +53,8 @@ async def index(service: ServiceDep) -> Index:
     links = {
         "heightmaps": "/v1/heightmaps",
         "costmaps": "/v1/costmaps",
+        "runs": "/v1/runs",
+        "calibrations": "/v1/calibrations",
         "openapi": "/openapi.json",
         "live": "/healthz",
         "ready": "/readyz",

@@ -11,14 +11,14 @@ from pydantic import BaseModel
 
 from model.errors import ConflictError
 from model.robot import Robot
-from planner.budget import judge_along
 from service.answers import battery_of, feasibility_out, path_geojson, path_out
 from service.documents import problems
 from service.problems import jsonable
 from service.schemas import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest, robot_values
 from service.state import Service, with_kernels
-from service.store import CostmapRow
-from service.workflows import assess
+from service.tables import CostmapRow
+from service.tours import TourOut, TourRequest, tour_out
+from service.workflows import assess, judge_routes
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"])
 KernelsDep = Annotated[Service, Depends(with_kernels)]
@@ -55,11 +55,28 @@ def find_path(
             refine=wanted.refine,
             time_limit_s=wanted.time_limit_s,
             seed=wanted.seed,
+            alternatives=wanted.alternatives,
         )
-    verdict = judge_along(plan.route.profile.energy_j, battery) if wanted.battery is not None else None
+        verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
     if format == "geojson" or (format is None and GEOJSON in (accept or "")):
         return JSONResponse(path_geojson(plan, verdict, _warnings(row)), media_type=GEOJSON)
     return _answer(path_out(plan, verdict, _warnings(row)))
+
+
+@router.post("/tours", response_model=TourOut, responses=problems(404, 409, 503))
+def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep) -> Any:
+    """The round trip of least energy that visits all stops and comes home to the first one."""
+    row = service.done_costmap(costmap_id)
+    battery = battery_of(wanted.battery, _same_robot(row, wanted.robot))
+    with service.maps.use(costmap_id) as planner:
+        trip = planner.tour(
+            [(stop[0], stop[1]) for stop in wanted.stops],
+            neighbours=wanted.neighbours,
+            refine=wanted.refine,
+            time_limit_s=wanted.time_limit_s,
+        )
+        verdict = judge_routes(planner.lattice, trip.legs, battery) if wanted.battery is not None else None
+    return _answer(tour_out(trip, verdict, _warnings(row)))
 
 
 @router.post("/feasibility", response_model=FeasibilityOut, responses=problems(404, 409, 503))

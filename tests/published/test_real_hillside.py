@@ -5,6 +5,7 @@ from dataclasses import replace
 import networkx as nx
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
 from model.energy.physics import PhysicsPredictor
 from model.errors import NoRouteError
@@ -16,6 +17,7 @@ from planner.graph import lattice_graph
 from planner.lattice_build import build_lattice
 from planner.moves import move_table
 from planner.plan import RoutePlanner
+from planner.sampling import corridor
 from planner.search import grid_search
 from tests.reference.quadrature import leg_energy_by_midpoints
 
@@ -118,3 +120,22 @@ def test_sampling_planners_never_beat_the_improved_grid_path_by_a_hundredth(hill
     assert hasty.saving_j >= 0.0  # the shortest path is an answer too
     np.testing.assert_allclose(world_points(lattice, sampled.points)[[0, -1]], world_points(lattice, [start, goal]))
     assert 0.99 * best.energy_j <= sampled.energy_j <= 1.5 * best.energy_j
+
+
+def test_bitstar_in_corridors_round_the_grids_path_beats_the_grid_or_answers_with_it(hillside):
+    lattice, crossings = hillside
+    planner = RoutePlanner(lattice)
+    start, goal = crossings[2]
+    plan = planner.plan(start, goal, planner="bitstar", time_limit_s=3.0, refine=False, from_grid=True)
+    assert plan.route.energy_j == pytest.approx(price_world_path(lattice, plan.route.points), rel=1e-9)
+    assert plan.route.energy_j <= plan.details["grid_energy_j"] * (1 + 1e-6)
+    energies = [energy for _, energy in plan.details["history"]]
+    assert energies == sorted(energies, reverse=True)
+    table = move_table(lattice, neighbours=16)
+    grid = grid_search(lattice, table, *world_points(lattice, [start, goal]))
+    mask = corridor(lattice, grid.points, 1.0)
+    row, col = np.floor((grid.points + 0.5) * 4).astype(int).T
+    assert mask[row, col].all()
+    away = distance_transform_edt(~mask)
+    wider = corridor(lattice, grid.points, 2.0)
+    assert away[wider].max() == pytest.approx(4.0, abs=1.0)  # a cell wider on either side

@@ -146,10 +146,10 @@ def test_a_battery_that_does_not_last_is_an_answer(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (("costmap", "{}/nothing.tif", "--out", "{}/x.zarr"), 3, "no file"),
+        (("costmap", "{}/nothing.tif", "--out", "{}/x.zarr"), 5, "no file"),
         (("costmap", "{}/robot.toml", "--out", "{}/x.zarr"), 3, "not a heightmap"),
         (("costmap", "{}/dem.tif", "--robot", "{}/dem.json", "--out", "{}/x.zarr"), 3, "robot file"),
-        (("costmap", "{}/dem.tif", "--model", "nonsense", "--out", "{}/x.zarr"), 3, "nonsense"),
+        (("costmap", "{}/dem.tif", "--model", "nonsense", "--out", "{}/x.zarr"), 5, "nonsense"),
         (("costmap", "{}/dem.tif", "--spacing", "1000", "--out", "{}/x.zarr"), 3, "too small"),
         (("costmap", "{}/dem.tif", "--model", "physics", "--out", "{}/robot.toml"), 3, "not be overwritten"),
         (("path", "{}", "--start", "1,1", "--goal", "2,2"), 3, "not a cost lattice"),
@@ -159,10 +159,11 @@ def test_a_battery_that_does_not_last_is_an_answer(folder: Path) -> None:
         (("path", "{}/dem.zarr", "--start", "3.5,14.5", "--goal", "9.5,15.5", "--planner", "ant"), 3, "ant"),
         (("path", "{}/dem.zarr", "--start", "3.5;14.5", "--goal", "4,4"), 2, "X,Y"),
         (("feasibility", "{}/dem.zarr", "--path", "{}/robot.toml"), 3, "no path"),
-        (("feasibility", "{}/dem.zarr", "--path", "{}/nothing.csv"), 1, "nothing.csv"),
+        (("feasibility", "{}/dem.zarr", "--path", "{}/nothing.csv"), 5, "nothing.csv"),
         (("feasibility", "{}/dem.zarr", "--start", "3.5,14.5"), 3, "start"),
-        (("evaluate", "--model", "physics", "--heightmap", "{}/dem.tif", "--runs", "{}/*.log"), 3, "no run"),
+        (("evaluate", "--model", "physics", "--heightmap", "{}/dem.tif", "--runs", "{}/*.log"), 5, "no run"),
         (("train", "--out", "{}/m", "--heightmap", "{}/dem.tif"), 2, "go together"),
+        (("train", "--out", "{}/m", "--charge", "--epochs", "3"), 2, "--epochs, --charge: only with"),
     ],
 )
 def test_an_error_is_one_line_and_a_code(folder: Path, arguments: tuple[str, ...], code: int, words: str) -> None:

@@ -32,6 +32,7 @@ from planner.plan import SAMPLING_PLANNERS
 from service.app import create_app, openapi_document
 from service.schemas import RobotIn, RobotOut
 from tests.service.conftest import GOAL, START, settings_for
+from tests.service.test_calibrations import run_csv
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "openapi" / "openapi.json"
 CHECKS = [
@@ -87,7 +88,10 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
         heightmap = httpx.post(f"{url}/v1/heightmaps", content=hill_tif).json()["id"]
         asked = {"heightmap_id": heightmap, "model": "physics"}
         made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}, timeout=70)
-        known = {"costmap_id": made.json()["id"], "heightmap_id": heightmap}
+        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0)).json()["id"]
+        calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}).json()["id"]
+        known = {"costmap_id": made.json()["id"], "heightmap_id": heightmap, "runs_id": runs}
+        known["calibration_id"] = calibration
         for found in schemathesis.openapi.from_url(f"{url}/openapi.json").get_all_operations():
             operation = found.ok()
             if operation.method == "delete":
@@ -98,6 +102,9 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
     assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/feasibility"]
     assert {202, 422} <= seen["post /v1/costmaps"]
     assert {200, 422} <= seen["get /v1/costmaps/{costmap_id}/at"]
+    assert {422} <= seen["post /v1/runs"]
+    assert {202, 422} <= seen["post /v1/calibrations"]
+    assert {409} <= seen["get /v1/calibrations/{calibration_id}/report.html"]
 
 
 def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen: set[int]) -> None:
@@ -113,12 +120,12 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
         if all(isinstance(query.get(key), float | int) for key in "xy"):
             query.update(x=START[0], y=START[1])
         if isinstance(case.body, dict):
-            point_towards_the_map(case.body, known["heightmap_id"])
+            point_towards_the_map(case.body, known)
             if mode.is_positive and operation.path.endswith(("/paths", "/feasibility")):
                 case.body.update(start=START, goal=GOAL)
                 case.body.pop("path", None)
                 case.body.pop("robot", None)
-        answer = case.call()
+        answer = case.call(timeout=60)
         case.validate_response(answer, checks=CHECKS)
         seen.add(answer.status_code)
 
@@ -126,10 +133,13 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
         ask()
 
 
-def point_towards_the_map(body: dict[str, Any], heightmap_id: str) -> None:
+def point_towards_the_map(body: dict[str, Any], known: dict[str, str]) -> None:
     """Random places are nearly always outside: put the well-formed ones on the map. Time limits stay short."""
+    for key in ("runs", "base_runs"):
+        if isinstance(body.get(key), list) and body[key] and all(isinstance(v, str) for v in body[key]):
+            body[key] = [known["runs_id"]]
     if isinstance(body.get("heightmap_id"), str):
-        body["heightmap_id"] = heightmap_id
+        body["heightmap_id"] = known["heightmap_id"]
         if isinstance(body.get("model", ""), str):
             body["model"] = "physics"
         if isinstance(body.get("spacing_m"), float | int):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from model.energy.artifact import read_artifact
 from model.energy.domain import Domain
 from model.energy.physics import tan_grade
 from model.energy.predictor import load_predictor
@@ -49,11 +50,14 @@ def train(files, out, **options):
     return train_on_runs(waves(), ROBOT, files, out=out, epochs=1, start_from=SHIPPED, **options)
 
 
-def test_a_single_run_is_held_out_stretch_by_stretch(tmp_path):
+def test_a_single_run_is_held_out_stretch_by_stretch(tmp_path, monkeypatch):
+    kept = []
+    monkeypatch.setattr("service.learning.keep_base_runs", lambda *given: kept.append(given[3]))
     run = drive(tmp_path, "run.csv", y=4.0)
     model = train([run], tmp_path / "model")
     assert model.held_out_runs == ["run.csv"]
     assert model.held_out["segments"] == model.segments > 25
+    assert (np.diff(kept[0].x) > 0.0).all()  # as driven, though the stretches were dealt out at random
 
 
 def test_segments_at_the_maps_edge_are_counted_though_their_turned_squares_leave_the_map(tmp_path):
@@ -87,6 +91,25 @@ def test_a_training_cut_off_goes_on_to_the_same_weights_and_never_from_another_s
         train_on_runs(waves(), ROBOT, files, out=out, epochs=1, start_from=tmp_path / "whole", resume=True)
     assert train(files, out, resume=True).version == whole.version
     assert not list(out.glob("*.pt"))
+
+
+def test_a_damaged_state_of_a_training_is_named(tmp_path):
+    files = [drive(tmp_path, f"{k}.csv", y=2.0 + 2.0 * k) for k in range(2)]
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "0.training.pt").write_bytes(b"half a file")
+    with pytest.raises(ModelError, match=r"0\.training\.pt is damaged"):
+        train(files, tmp_path / "model", resume=True)
+
+
+def test_a_resnet_goes_on_with_the_patches_it_was_trained_on(tmp_path):
+    files = [drive(tmp_path, f"{k}.csv", y=2.0 + 2.0 * k) for k in range(2)]
+    first = {"architecture": "resnet18", "patch_size": 32, "epochs": 1}
+    train_on_runs(waves(), ROBOT, files, out=tmp_path / "first", **first)
+    tuned = {"architecture": "resnet18", "start_from": tmp_path / "first", "epochs": 1}
+    with pytest.raises(InputError, match="reads patches of 32 rows, not 64"):
+        train_on_runs(waves(), ROBOT, files, out=tmp_path / "tuned", patch_size=64, **tuned)
+    train_on_runs(waves(), ROBOT, files, out=tmp_path / "tuned", **tuned)
+    assert read_artifact(tmp_path / "tuned").size == 32
 
 
 def test_the_runs_of_an_earlier_model_do_not_stay_beside_a_new_one(tmp_path):

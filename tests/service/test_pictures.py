@@ -85,7 +85,7 @@ def test_both_paths_are_in_the_picture() -> None:
         (366_005.0, 4_064_485.0), (366_036.0, 4_064_484.0)
     )
     assert plan.saving_j > 0.0
-    png = route_picture(heightmap, plan, title="knoll")
+    png = route_picture(heightmap, plan.route, plan.shortest, title="knoll")
     assert share_of(png, OPTIMAL) > 1e-3
     assert share_of(png, SHORTEST) > 1e-3
 

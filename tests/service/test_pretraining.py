@@ -11,7 +11,8 @@ from model.energy.compact import FEATURES
 from model.energy.evaluation import errors
 from model.energy.physics import PhysicsPredictor
 from model.energy.predictor import load_predictor
-from model.energy.training import TrainingOptions, predicted
+from model.energy.tensors import predicted
+from model.energy.training import TrainingOptions
 from model.frames import GridFrame, heading_bins
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
@@ -19,9 +19,10 @@ from sqlalchemy import delete
 from model.errors import BusyError, ConflictError
 from service.app import create_app
 from service.building import Builder
-from service.jobs import SERVICE, CostmapJobs, Worker
+from service.jobs import SERVICE, Jobs, Worker
 from service.steps import LEASE_S, Step, Steps
-from service.store import LAY_OUT, StepRow, Store
+from service.store import Store
+from service.tables import COSTMAP, LAY_OUT, StepRow
 from tests.service.conftest import GOAL, START, hill, settings_for
 
 
@@ -125,18 +126,18 @@ class Small(Builder):
         self.gone: list[str] = []
         self.fail_at, self.hold, self.began = fail_at, hold, threading.Event()
 
-    def do(self, step: Step, steps: Steps) -> None:
+    def do(self, step: Step, steps: Steps, report: Callable[[float], None] | None = None) -> None:
         self.began.set()
         if self.hold is not None:
             assert self.hold.wait(10)
         if step.number == self.fail_at:
             raise ZeroDivisionError("a detail for the log only")
-        self.did.append((step.costmap_id, step.number))
+        self.did.append((step.job_id, step.number))
         if step.last:
-            self.results = steps.results(step.costmap_id)
-            self.store.finish_costmap(step.costmap_id, {})
+            self.results = steps.results(step.job_id)
+            self.store.finish(step.job_id, {})
         elif not steps.complete(step, step.number, tiles=4 if step.number == LAY_OUT else 0):
-            self.discard(step.costmap_id)
+            self.discard(step.job_id)
 
     def rest(self) -> None: ...
 
@@ -159,7 +160,7 @@ def entered(store: Store) -> str:
 
 def worker_of(store: Store, builder: Small, name: str = SERVICE) -> Worker:
     builder.store = store
-    return Worker(store, builder, name=name, ready=lambda: None)
+    return Worker(store, {COSTMAP: builder}, name=name, ready=lambda: None)
 
 
 def test_a_job_is_done_step_by_step_and_a_failed_one_keeps_its_problem(store: Store) -> None:
@@ -187,7 +188,7 @@ def test_a_stop_keeps_the_job_for_the_next_start(store: Store) -> None:
     cut = entered(store)
     go_on = threading.Event()
     held = Small(hold=go_on)
-    jobs = CostmapJobs(store, worker_of(store, held), queue_size=1)
+    jobs = Jobs(store, [worker_of(store, held)], queue_size=1)
     jobs.resume()
     assert held.began.wait(10)
     with pytest.raises(BusyError):
@@ -197,7 +198,7 @@ def test_a_stop_keeps_the_job_for_the_next_start(store: Store) -> None:
     assert store.unfinished() == [cut]
     assert held.did == [(cut, LAY_OUT)]
     after = Small()
-    again = CostmapJobs(store, worker_of(store, after), queue_size=1)
+    again = Jobs(store, [worker_of(store, after)], queue_size=1)
     again.resume()
     wait_until(lambda: store.status(cut) == "done")
     again.stop()

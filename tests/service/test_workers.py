@@ -14,7 +14,8 @@ from sqlalchemy import select
 
 from service.jobs import SERVICE
 from service.steps import Steps
-from service.store import StepRow, Store
+from service.store import Store
+from service.tables import StepRow
 from tests.service.test_restart import free_port
 from tests.service.workers import asked, fingerprint, postgres, postgres_programs, rolling, until, worker
 
@@ -81,7 +82,8 @@ def test_two_workers_share_a_job_and_one_goes_on_when_the_other_is_killed(tmp_pa
         expected = undisturbed(store, tmp_path, url, heightmap_id)
         costmap_id = asked(store, heightmap_id)
         with ExitStack() as stack:
-            two = [stack.enter_context(worker(tmp_path, url, name=name, pause_s=0.3)) for name in ("one:", "two:")]
+            shared = tmp_path.as_uri()
+            two = [stack.enter_context(worker(shared, url, name=name, pause_s=0.3)) for name in ("one:", "two:")]
 
             def both_have_worked() -> bool:
                 with store.sessions() as session:

@@ -26,23 +26,22 @@ ROOT = Path(__file__).resolve().parents[2]
 
 WORK = """
 import sys, time
-from pathlib import Path
 import planner.tiles
 planner.tiles.TILE_CELLS = 32  # many tiles on a small map
 import service.building as building
 from service.jobs import Worker
 from service.store import Store
-from service.state import make_builder
+from service.state import make_makers
 from service.settings import Settings
 build, pause = building.build_tile, float(sys.argv[3])
 def slowly(*args):
     time.sleep(pause)
     return build(*args)
 building.build_tile = slowly
-settings = Settings(data_dir=Path(sys.argv[1]), database_url=sys.argv[2])
+settings = Settings(data_dir=sys.argv[1], database_url=sys.argv[2])
 store = Store(settings.data_dir, settings.resolved_database_url)
 store.open(as_service=False)
-worker = Worker(store, make_builder(store, settings), name=sys.argv[4], ready=lambda: None)
+worker = Worker(store, make_makers(store, settings), name=sys.argv[4], ready=lambda: None)
 print("ready", flush=True)
 worker.work()
 """
@@ -63,8 +62,8 @@ def asked(store: Store, heightmap_id: str) -> str:
 
 
 @contextmanager
-def worker(folder: Path, url: str, *, name: str, pause_s: float = 0.0) -> Iterator[subprocess.Popen[str]]:
-    """A process that makes cost maps, killed in the end. pause_s : before every tile."""
+def worker(folder: Path | str, url: str, *, name: str, pause_s: float = 0.0) -> Iterator[subprocess.Popen[str]]:
+    """A process that makes cost maps, killed in the end. folder : its path or URL; pause_s : before every tile."""
     command = [sys.executable, "-c", WORK, str(folder), url, str(pause_s), name]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True)

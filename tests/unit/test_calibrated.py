@@ -1,15 +1,18 @@
 """A calibrated model plans with its effects: prices of lattices and segments are those its formulas state."""
 
+import inspect
 import math
+import re
 
 import numpy as np
 import pytest
 
 from model.energy.physics import PhysicsPredictor
+from model.energy.uncertainty import USUAL_SPREAD, Spread
 from model.errors import ConflictError
 from model.frames import GridFrame, heading_bins
 from model.loop.calibrated import CalibratedPredictor, Correction
-from model.loop.effects import Term
+from model.loop.effects import FORMULAS, GROUND, Term, quantity
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -73,3 +76,34 @@ def test_turns_go_into_the_robot():
 def test_charge_without_voltage_makes_no_plan():
     with pytest.raises(ConflictError, match="ampere seconds"):
         calibrated(charge=True).segment_traction(hill(), ROBOT, [20.0], [15.0], [0.0])
+
+
+def test_the_deviation_is_that_of_what_remained():
+    """Of a model without a word of its own: a tenth of the price, times the factor of the held-out runs."""
+    source = calibrated(spread=Spread(factor=1.5, run_share=0.02))
+    east = math.pi / 2
+    _, std = source.segment_traction_and_std(hill(), ROBOT, [20.0], [15.0], [east])
+    assert std[0] == pytest.approx(1.5 * USUAL_SPREAD * (20.0 + 0.15 * WEIGHT), rel=1e-5)
+    frame = hill().frame.respaced(1.0)
+    lattice = source.traction_and_std(hill(), ROBOT, frame, heading_bins(4))[1]
+    assert lattice[15, 20, 1] == pytest.approx(std[0], rel=1e-5)
+    assert source.provenance()["spread"]["run_share"] == source.spread.run_share == 0.02
+    assert Correction.from_dict(source.correction.as_dict()).spread == source.spread
+    assert calibrated().traction_and_std(hill(), ROBOT, frame, heading_bins(4))[1] is None
+
+
+def test_who_reads_the_ground_says_so():
+    """Of every formula and quantity: those whose code reads the ground of a drive are listed, and no others."""
+    fields = ("grade", "cross_abs", "cross_sq", "cross", "roughness_m", "elevation_m")
+    for name, formula in FORMULAS.items():
+        reads = any(f"drive.{field}" in inspect.getsource(formula) for field in fields)
+        assert reads == (name in GROUND), name
+    known = re.findall(r'"(\w+)": lambda: drive\.(\w+)', inspect.getsource(quantity))
+    assert {name for name, field in known if field in fields} == GROUND - {"braking", "climbing"}
+    for name, field in known:
+        assert Term("x", "smooth", ("",), {"over": name, "knots": [0.0], "of_all": False}).reads_ground == (
+            field in fields
+        )
+    assert Term("x", "by_run", ("",), {"of": "climbing", "runs": []}).reads_ground
+    assert Term("x", "friction", ("",), {}, {"over": "roughness", "above": 0.01}).reads_ground
+    assert not Term("x", "friction", ("",), {}, {"word": "terrain", "is": "mud"}).reads_ground

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from model.energy.compact import CompactNet, robot_features, slopes_of_squares
-from model.energy.dense import CompactPredictor, height_raster, slopes_of
+from model.energy.dense import CompactPredictor
 from model.energy.domain import Domain
 from model.energy.physics import PhysicsPredictor
+from model.energy.raster import Buffers, read_cells
 from model.energy.tracks import PIXEL_M, REACH_M, SQUARE, TRACK_SCALES, TRACKS, track_features
 from model.energy.uncertainty import Spread
 from model.frames import GridFrame, heading_bins
@@ -86,16 +87,23 @@ def test_a_window_is_a_part_of_the_whole():
     np.testing.assert_allclose(part, whole[2:9, 5:6], rtol=1e-5, atol=1e-4)
 
 
-def test_the_raster_is_made_of_the_squares_slopes():
+@pytest.mark.parametrize("joined", [True, False])
+def test_what_passes_read_is_made_of_the_squares(joined):
     heightmap = rough(0.1, height_m=0.0)
-    frame = heightmap.frame.respaced(1.0)
-    x, y = frame.centres()
-    raster = slopes_of(height_raster(heightmap, x, y))
-    assert raster.shape == (8 * y.size + 8, 8 * x.size + 8, 3)
+    x, y = heightmap.frame.respaced(1.0).centres()
+    buffers = Buffers.of(y.size, x.size, joined=joined)
+    heights, slopes = read_cells(heightmap, x, y, buffers, joined=joined)
+    planes = heights.shape[1]
+    assert planes == (8 if joined else 17)
     for i, j in ((0, 0), (3, 5), (y.size - 1, 0)):
         square = cut_squares(heightmap, x[j], y[i], size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M)
-        slopes = slopes_of_squares(torch.from_numpy(square))[0].permute(1, 2, 0).numpy()
-        np.testing.assert_allclose(raster[8 * i : 8 * i + 16, 8 * j : 8 * j + 16], slopes, atol=2e-5)
+        expected = slopes_of_squares(torch.from_numpy(square))[0].permute(1, 2, 0).numpy()
+        found = slopes[0, 8 * i : 8 * i + 16, 8 * j : 8 * j + 16] if joined else slopes[i * x.size + j]
+        np.testing.assert_allclose(found, expected, atol=2e-5)
+        r, c = 5, 13  # of the square
+        middle = heights[planes * i + 8, 8 % planes, j + 8 // planes]
+        height = heights[planes * i + r, c % planes, j + c // planes] - middle
+        assert height == pytest.approx(float(square[0, r, c]), abs=1e-6)
 
 
 def test_slopes_of_a_plane():
@@ -147,8 +155,7 @@ def test_the_answer_does_not_depend_on_how_the_passes_are_cut(monkeypatch):
     heightmap = rough(0.2)
     frame = heightmap.frame.respaced(1.0)
     whole = predictor().traction_and_std(heightmap, ROBOT, frame, heading_bins(16))
-    monkeypatch.setattr("model.energy.dense._TILE_ROWS", 5)
-    monkeypatch.setattr("model.energy.dense._TILE_COLS", 16)
+    monkeypatch.setattr("model.energy.dense._JOINED_TILE", (5, 9))
     for cut, uncut in zip(predictor().traction_and_std(heightmap, ROBOT, frame, heading_bins(16)), whole, strict=True):
         np.testing.assert_allclose(cut, uncut, rtol=2e-5, atol=1e-4)
 

@@ -10,7 +10,7 @@ import pytest
 
 from model.errors import RunsError
 from model.loop.runs import parse_run, read_run
-from service.commands.models import find_runs
+from service.commands.options import find_runs
 
 
 def columns(n=60):

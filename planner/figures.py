@@ -1,0 +1,71 @@
+"""What is told of a lattice in numbers: the range of its prices, and how much of it is blocked and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from model.frames import heading_bins, heading_vector
+from planner.edges import price_terms
+from planner.lattice import Blocked, CostLattice
+
+
+def figures_of(lattice: CostLattice) -> dict[str, Any]:
+    """What `joined_figures` needs of a part of a lattice, JSON-able. min, max, total of the prices [J/m] of all (cell,
+    heading) pairs that may be driven, None where there is none; counts : pairs under each `Blocked` code."""
+    counts = np.zeros(len(Blocked), dtype=np.int64)
+    least, most, total = _tally(
+        lattice.traction_per_m, lattice.gradient, lattice.blocked, price_terms(lattice),
+        *heading_vector(heading_bins(lattice.headings)), int(Blocked.GRADE), int(Blocked.CROSS_SLOPE), counts,
+    )  # fmt: skip
+    free = counts[Blocked.FREE] > 0
+    return {
+        "min": least if free else None, "max": most if free else None, "total": total, "counts": counts.tolist()
+    }  # fmt: skip
+
+
+def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """JSON-able figures of a lattice out of those of its parts.
+
+    energy_per_m : min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None where there is none;
+    blocked : share of all pairs under each reason, `free` included.
+    """
+    counts = np.sum([part["counts"] for part in parts], axis=0)
+    driven = [part for part in parts if part["counts"][Blocked.FREE]]
+    energy = {
+        "min": min(part["min"] for part in driven),
+        "mean": sum(part["total"] for part in driven) / int(counts[Blocked.FREE]),
+        "max": max(part["max"] for part in driven),
+    } if driven else None  # fmt: skip
+    return {
+        "energy_per_m": energy,
+        "blocked": {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked},
+    }
+
+
+@njit(cache=True, nogil=True)
+def _tally(traction, gradient, blocked, terms, east, north, grade, cross_slope, counts):
+    """(least, most, sum) of the prices of free pairs; counts : filled by code, as `CostLattice.blocked_at`."""
+    _, hotel, regeneration, max_grade, max_cross = terms
+    least, most, total = math.inf, -math.inf, 0.0
+    for i in range(traction.shape[0]):
+        for j in range(traction.shape[1]):
+            if blocked[i, j] != 0:
+                counts[blocked[i, j]] += east.size
+                continue
+            to_east, to_north = gradient[i, j, 0], gradient[i, j, 1]
+            for k in range(east.size):
+                if abs(to_east * east[k] + to_north * north[k]) > max_grade:
+                    counts[grade] += 1
+                elif abs(to_east * north[k] - to_north * east[k]) > max_cross:
+                    counts[cross_slope] += 1
+                else:
+                    counts[0] += 1
+                    demand = np.float64(traction[i, j, k])
+                    price = hotel + max(demand, 0.0) + regeneration * min(demand, 0.0)
+                    least, most, total = min(least, price), max(most, price), total + price
+    return least, most, total

@@ -1,0 +1,172 @@
+"""A surface whose rise explains as much of the prices as one surface can: heuristics and negative prices rest on it.
+
+Robot weight times elevation explains the climbs but for noise: a price comes from the slope of a square metre, a rise
+from two heights. Taken as it is, the noisiest move of the map would set the bound for all. A surface may be anything,
+so it is first averaged towards what the prices there and back say, then lowered here and there until every move costs
+at least its rise and some `a` per metre beside it. How large `a` may grow is set by the cheapest loop of the map,
+around which every rise cancels (Bellman-Ford; Johnson 1977).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from model.errors import NegativeCycleError
+
+SWEEPS = 3
+"""Averages over neighbours: they take out noise, which is all that has to go."""
+HALVINGS = 6
+"""How closely the largest `a` is found: this often the span it may lie in, which is a few J/m, is halved."""
+EFFORT = 0.5
+"""Looks at cells that one try may take, as a share of all cells; where a loop forbids it they never end."""
+ROUNDING_J = 1e-9
+"""What a move may cost less than its rise: it would be rounding."""
+
+
+def even_surface(
+    energy: NDArray[np.float32], offsets: NDArray[np.int64], length_m: NDArray[np.float64], surface: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(rows, cols) float64 [J]: `surface` evened out, so that every move costs as much beside its rise as can be had.
+
+    energy : (rows, cols, N) float32 [J], NaN where there is no such move; offsets : (N, 2) clockwise all the way
+    round; length_m : (N,); surface : (rows, cols) float64 [J]. Where some prices are negative no move costs less than
+    its rise afterwards; NegativeCycleError, with a place on the loop, where no surface can do that.
+    """
+    for _ in range(SWEEPS):
+        surface = _levelled(energy, offsets, surface)
+    least = spare_per_m(energy, offsets, length_m, surface)
+    if least.min() < 0.0:
+        lower = surface.copy()
+        endless = np.nanmin(energy) < 0.0
+        place = _lower(energy, offsets, length_m, lower, least, 0.0, math.inf if endless else EFFORT * least.size)
+        if place >= 0 and endless:
+            row, col = divmod(place, energy.shape[1])
+            raise NegativeCycleError(
+                f"regeneration returns more than driving costs: a loop through row {row}, column {col} would fill the "
+                "battery, so the energy to get anywhere has no least; lower the robot's `regeneration`",
+                row=row, col=col,
+            )  # fmt: skip
+        if place >= 0:
+            return surface
+        surface, least = lower, spare_per_m(energy, offsets, length_m, lower)
+    if not np.isfinite(least).any():
+        return surface
+    base, low, high = surface, float(least.min()), float(np.median(least[np.isfinite(least)]))
+    for _ in range(HALVINGS):
+        aim = 0.5 * (low + high)
+        lower = base.copy()
+        if _lower(energy, offsets, length_m, lower, least, aim, EFFORT * least.size) < 0:
+            low, surface = aim, lower
+        else:
+            high = aim
+    return surface
+
+
+@njit(cache=True, parallel=True)
+def _levelled(energy, offsets, surface):
+    """(rows, cols) float64 [J]: each cell where its neighbours and the prices there and back put it, on average.
+
+    A sweep towards the surface of least squares: half of what a move costs more than its way back is its rise.
+    """
+    rows, cols, moves = energy.shape
+    out = surface.copy()
+    for i in prange(rows):
+        for j in range(cols):
+            total, count = 0.0, 0
+            for n in range(moves):
+                there = energy[i, j, n]
+                if not math.isnan(there):
+                    r, c = i + offsets[n, 0], j + offsets[n, 1]
+                    back = energy[r, c, (n + moves // 2) % moves]
+                    if not math.isnan(back):
+                        total += surface[r, c] - 0.5 * (there - back)
+                        count += 1
+            if count > 0:
+                out[i, j] = total / count
+    return out
+
+
+@njit(cache=True, parallel=True)
+def spare_per_m(energy, offsets, length_m, surface):
+    """(rows, cols) float64 [J/m]: the least over a cell's moves of (energy - rise) / length; inf where it has none."""
+    rows, cols, moves = energy.shape
+    least = np.full((rows, cols), np.inf)
+    for i in prange(rows):
+        for j in range(cols):
+            for n in range(moves):
+                step = energy[i, j, n]
+                if not math.isnan(step):
+                    rise = surface[i + offsets[n, 0], j + offsets[n, 1]] - surface[i, j]
+                    least[i, j] = min(least[i, j], (step - rise) / length_m[n])
+    return least
+
+
+@njit(cache=True, nogil=True)
+def _lower(energy, offsets, length_m, surface, least, floor, effort):
+    """Lower `surface` until each move costs at least its rise and `floor` per metre: -1, or a cell where that failed.
+
+    least : `spare_per_m` of the surface, which says where to begin; effort : looks at cells before it counts as failed.
+    With boundless effort it fails only for good: the cell lies on a loop that costs less (`_loop`).
+    """
+    rows, cols, moves = energy.shape
+    cells = rows * cols
+    flat, first = surface.reshape(-1), least.reshape(-1)
+    came_by = np.full(cells, -1, dtype=np.int8)
+    queue = np.empty(cells, dtype=np.int64)  # a ring; no cell is in it twice
+    queued = np.zeros(cells, dtype=np.bool_)
+    head, size, looks = 0, 0, 0
+    for cell in range(cells):
+        if first[cell] < floor:
+            queue[size] = cell
+            queued[cell] = True
+            size += 1
+    while size > 0:
+        cell = queue[head]
+        head = head + 1 if head + 1 < cells else 0
+        size -= 1
+        queued[cell] = False
+        looks += 1
+        if looks > effort:
+            return cell
+        if looks % cells == 0:
+            place = _loop(came_by, offsets, cols)
+            if place >= 0:
+                return place
+        i, j = cell // cols, cell % cols
+        for n in range(moves):
+            step = energy[i, j, n]
+            if math.isnan(step):
+                continue
+            other = (i + offsets[n, 0]) * cols + j + offsets[n, 1]
+            top = flat[cell] + step - floor * length_m[n]
+            if top < flat[other] - ROUNDING_J:
+                flat[other] = top
+                came_by[other] = n
+                if not queued[other]:
+                    queued[other] = True
+                    at = head + size
+                    queue[at if at < cells else at - cells] = other
+                    size += 1
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _loop(came_by, offsets, cols):
+    """A cell on a loop of the moves by which cells were lowered last, -1 where there is none.
+
+    Such a loop is one of negative spare energy, and while there is one in the map it turns up here in the end
+    (Cherkassky & Goldberg 1999).
+    """
+    seen = np.zeros(came_by.size, dtype=np.int64)
+    for begin in range(came_by.size):
+        at = begin
+        while seen[at] == 0 and came_by[at] >= 0:
+            seen[at] = begin + 1
+            at -= offsets[came_by[at], 0] * cols + offsets[came_by[at], 1]
+        if came_by[at] >= 0 and seen[at] == begin + 1:
+            return at
+    return -1

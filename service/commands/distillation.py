@@ -1,0 +1,64 @@
+"""`joulemap distill`: the fast network taught by the paper's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.commands.console import Answer, JsonFile, progress_bar
+from service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, known_model, robot_of, there
+
+
+def distill(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
+    teacher: Annotated[
+        Path, typer.Option(metavar="DIR", callback=there, help="Model of `joulemap train --arch resnet18`.")
+    ],
+    heightmap: HeightmapFile,
+    runs: Runs,
+    robot: RobotFile = None,
+    start_from: Annotated[
+        str,
+        typer.Option(
+            "--from", "--start-from", metavar="M", callback=known_model,
+            help="Compact model that the student starts from: `default` or a folder.",
+        ),
+    ] = "default",
+    answers: Annotated[int, typer.Option(min=100, help="Places and headings that the teacher is asked for.")] = 20_000,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Passes over the data. [default: 30]")] = None,
+    charge: Annotated[bool, typer.Option("--charge", help="Count charge, as for `train`.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
+    json_file: JsonFile = None,
+) -> None:  # fmt: skip
+    """Distil a slow **ResNet18 into the fast network**: taught by its answers everywhere on the map, fitted to the
+    measured segments at the same time. Tells how far the two differ, and how both predict the runs that neither saw.
+
+    Example: `joulemap distill --teacher paper --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --out fast`
+    """
+    from dataclasses import asdict
+
+    from model.terrain.readers import read_heightmap
+    from service.commands.models import folder_of
+    from service.distilling import distil_on_runs
+
+    answer = Answer(json_file)
+    start = folder_of(start_from)
+    if start is None:
+        raise typer.BadParameter("a student starts from a compact model, not from none")
+    with progress_bar("Distilling") as report:
+        model = distil_on_runs(
+            read_heightmap(heightmap), robot_of(robot), find_runs(runs), teacher=teacher, start_from=start, out=out,
+            answers=answers, epochs=epochs, charge=charge, seed=seed, progress=report,
+        )  # fmt: skip
+    student, taught = (e["mean_relative_error"] for e in (model.student_held_out, model.teacher_held_out))
+    answer.say(f"[bold]Distilled[/] {teacher} into {out}, version {model.version}")
+    answer.table(
+        {
+            "learned from": f"{model.answers} answers of the teacher and {model.segments} measured segments",
+            "differs by": f"{model.difference:.1%} of the energy, where nobody drove",
+            "held out": f"{', '.join(model.held_out_runs)}: student {student:.1%}, teacher {taught:.1%} per segment",
+        }
+    )
+    answer.document({"out": str(out), **asdict(model)})

@@ -1,0 +1,281 @@
+"""The closed loop through HTTP: runs in, what the model lacked out, and a cost map with the model that has it."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from model.frames import GridFrame, heading_of
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from model.terrain.writers import write_geotiff
+from service.app import create_app
+from service.calibrating import load_model
+from tests.service.conftest import settings_for
+from tests.service.test_bad_input import check_problem
+from tests.service.test_restart import SERVE, answers, free_port, wait_until
+
+ROBOT = {"mass_kg": 40.0, "rolling_resistance": 0.05, "idle_power_w": 10.0}
+TURN_J = 150.0  # J/rad, which equation 5 does not know
+FRAME = GridFrame(500_000.0, 4_000_040.0, 0.5, 80, 100, "EPSG:32630")
+
+
+def hills() -> Heightmap:
+    y, x = np.mgrid[0:80, 0:100] * 0.5
+    heights = 0.8 * np.sin(0.25 * x + 1.0) * np.sin(0.2 * y) + 0.3 * np.sin(0.5 * x)
+    return Heightmap(heights.astype(np.float32), FRAME)
+
+
+def run_csv(seed: int, *, turn_j: float = TURN_J, metres: float = 110.0) -> bytes:
+    """A run at 0.5 m/s and 10 Hz on a winding track over `hills`, drawn by equation 5, turning, and 6 % of noise."""
+    rng = np.random.default_rng(seed)
+    robot, ground = Robot.from_mapping(ROBOT), hills()
+    steps = np.arange(0.0, metres, 0.05)
+    phase = rng.uniform(0.0, 6.28, 4)
+    x = 25.0 + 20.0 * np.sin(0.037 * steps + phase[0]) + 1.0 * np.sin(0.31 * steps + phase[1])
+    y = 20.0 + 15.0 * np.sin(0.049 * steps + phase[2]) + 1.0 * np.sin(0.27 * steps + phase[3])
+    along = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    places = np.arange(0.0, along[-1], 0.05)
+    x, y = FRAME.bounds[0] + np.interp(places, along, x), FRAME.bounds[1] + np.interp(places, along, y)
+    heading = np.unwrap(heading_of(np.gradient(x), np.gradient(y)))
+    grade = np.gradient(ground.sample(x, y)) / 0.05
+    traction = robot.weight_n * (robot.rolling_resistance + grade)
+    marks = np.arange(0.0, along[-1] + 1.0)
+    factor = 1.0 + 0.06 * np.interp(places, marks, rng.standard_normal(marks.size))
+    power = robot.price_per_m(traction) * 0.5 * factor + turn_j * np.abs(np.gradient(heading)) / 0.1
+    rows = np.column_stack([0.1 * np.arange(x.size), x, y, np.full(x.size, 28.8), power / 28.8])
+    out = io.StringIO()
+    np.savetxt(out, rows, fmt="%.4f", delimiter=",", header="t,x,y,voltage,current", comments="")
+    return out.getvalue().encode()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    limits: dict[str, Any] = {"max_run_mb": 0.5, "max_run_cells": 60_000, "max_runs": 6, "max_calibration_rows": 15_000}
+    settings = settings_for(tmp_path_factory.mktemp("loop"), **limits)
+    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def ground_id(service: TestClient) -> str:
+    data = write_geotiff(None, hills())
+    assert data is not None
+    return service.post("/v1/heightmaps", content=data).json()["id"]
+
+
+def send(client: TestClient | httpx.Client, *runs: bytes, **params: str) -> Any:
+    files = [("file", (f"run_{k}.csv", run)) for k, run in enumerate(runs)]
+    return client.post("/v1/runs", files=files, params=params)
+
+
+@pytest.fixture(scope="module")
+def runs_id(service: TestClient, ground_id: str) -> str:
+    answer = send(service, *(run_csv(seed) for seed in range(4)), heightmap_id=ground_id)
+    assert answer.status_code == 201, answer.text
+    return answer.json()["id"]
+
+
+@pytest.fixture(scope="module")
+def calibration(service: TestClient, ground_id: str, runs_id: str) -> dict[str, Any]:
+    asked = {"heightmap_id": ground_id, "runs": [runs_id], "model": "physics", "robot": ROBOT}
+    answer = service.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=200"})
+    assert answer.status_code == 201, answer.text
+    assert answer.headers["location"] == f"/v1/calibrations/{answer.json()['id']}"
+    return answer.json()
+
+
+def test_sent_runs_are_told_about(service: TestClient, ground_id: str, runs_id: str) -> None:
+    told = service.get(f"/v1/runs/{runs_id}").json()
+    assert [run["name"] for run in told["runs"]] == [f"run_{k}.csv" for k in range(4)]
+    first = told["runs"][0]
+    assert first["rows"] == run_csv(0).count(b"\n") - 1
+    assert first["target"] == "energy_j"
+    assert 60 < first["segments"] < 250
+    assert service.get("/v1/runs").json()["items"][0]["id"] == runs_id
+    broken = run_csv(7).splitlines(keepends=True)
+    broken[100:103] = [broken[100], broken[100], b",".join([b"", *broken[102].split(b",")[1:]])]
+    again = service.post("/v1/runs?name=seven.csv", content=b"".join(broken)).json()
+    assert again["runs"][0]["repairs"].items() >= {"rows_without_time": 1, "duplicate_stamps": 1}.items()
+    assert again["runs"][0]["name"] == "seven.csv"
+    assert service.delete(f"/v1/runs/{again['id']}").status_code == 204
+    check_problem(service.get(f"/v1/runs/{again['id']}"), 404, "not_found", again["id"])
+
+
+def test_the_hidden_effect_is_found_and_planned_with(
+    service: TestClient, ground_id: str, runs_id: str, calibration: dict[str, Any]
+) -> None:
+    report = calibration["report"]
+    assert [effect["name"] for effect in report["effects"]] == ["turning"]
+    assert report["effects"][0]["coefficients"][0]["value"] == pytest.approx(TURN_J, rel=0.1)
+    assert report["error"]["after"]["rmse"] < 0.6 * report["error"]["before"]["rmse"]
+    assert report["route"]["saving_j"] >= 0.0
+    page = service.get(calibration["links"]["page"])
+    assert page.headers["content-type"].startswith("text/html")
+    assert "data:image/png;base64," in page.text
+    asked = {"heightmap_id": ground_id, "model": calibration["calibrated_model"], "robot": ROBOT}
+    made = service.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"})
+    assert made.status_code == 201, made.text
+    costmap = made.json()
+    assert costmap["provenance"]["model"]["version"] == report["model"]["after"]
+    task = {"start": [500_005.0, 4_000_005.0], "goal": [500_044.0, 4_000_035.0], "battery": {"capacity_wh": 2.0}}
+    verdict = service.post(f"/v1/costmaps/{costmap['id']}/feasibility", json=task).json()
+    assert 0.0 < verdict["energy_std_j"] < 0.2 * verdict["energy_j"]
+    assert 0.0 <= verdict["probability"] <= 1.0
+    plain = service.post("/v1/costmaps", json=asked | {"model": "physics"}, headers={"Prefer": "wait=60"}).json()
+    told = service.post(f"/v1/costmaps/{plain['id']}/feasibility", json=task).json()
+    assert (told["energy_std_j"], told["probability"]) == (None, None)
+    # what is used is not deleted, what is not is gone with all its files
+    check_problem(service.delete(f"/v1/runs/{runs_id}"), 409, "conflict", calibration["id"])
+    check_problem(service.delete(f"/v1/calibrations/{calibration['id']}"), 409, "conflict", costmap["id"])
+    users = check_problem(service.delete(f"/v1/heightmaps/{ground_id}"), 409, "conflict", "2 cost map(s) and 1")
+    assert users["context"]["calibration_ids"] == [calibration["id"]]
+    again = asked | {"runs": [runs_id]}
+    del again["model"]
+    check_problem(
+        service.post("/v1/calibrations", json=again | {"model": calibration["id"]}), 422, "invalid_input", "its base"
+    )
+
+
+def test_the_list_has_no_reports(service: TestClient, calibration: dict[str, Any]) -> None:
+    listed = service.get("/v1/calibrations").json()
+    assert (listed["total"], listed["items"][0]["report"]) == (1, None)
+    assert service.get(f"/v1/calibrations/{calibration['id']}").json() == calibration
+
+
+def test_a_running_calibration_is_stopped_by_deleting_it(service: TestClient, ground_id: str, runs_id: str) -> None:
+    asked = {"heightmap_id": ground_id, "runs": [runs_id], "model": "physics", "robot": ROBOT}
+    place = service.post("/v1/calibrations", json=asked).headers["location"]
+    wait_until(lambda: service.get(place).json()["progress"] > 0.0)
+    check_problem(service.get(f"{place}/report.html"), 409, "conflict", "running")
+    assert service.delete(place).status_code == 204
+    check_problem(service.get(place), 404, "not_found")
+    job = place.rsplit("/", 1)[-1]
+    folder = service.app.state.service.settings.data_dir  # type: ignore[attr-defined]
+    wait_until(lambda: not [*folder.glob(f"calibrations/{job}*"), *folder.glob(f"models/{job}")])
+
+
+def test_what_cannot_be_calibrated_is_a_failed_job(service: TestClient, ground_id: str) -> None:
+    """A run of 30 m is too short, and so says the calibration."""
+    short = send(service, run_csv(3, metres=25.0)).json()
+    assert short["runs"][0]["segments"] > 0
+    asked = {"heightmap_id": ground_id, "runs": [short["id"]], "model": "physics", "robot": ROBOT}
+    answer = service.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=100"})
+    problem = check_problem_of_job(answer, 422, "invalid_runs")
+    place = f"/v1/calibrations/{problem['context']['job_id']}"
+    assert service.get(place).json()["status"] == "failed"
+    check_problem(service.get(f"{place}/report.html"), 409, "conflict", "could not be made")
+    assert service.delete(place).status_code == 204
+    assert service.delete(f"/v1/runs/{short['id']}").status_code == 204
+
+
+def check_problem_of_job(answer: Any, status: int, code: str) -> dict[str, Any]:
+    assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
+    assert answer.json()["code"] == code
+    return answer.json()
+
+
+GOOD = run_csv(0, metres=40.0)
+BAD_RUNS = [
+    (b"", 422, "invalid_runs", "empty"),
+    (b"t,x,y\n" + b"1,2,3\n" * 10, 422, "invalid_runs", "current"),
+    (b"no table at all", 422, "invalid_runs", "rows are too few"),
+    (b"\xff\xfe\x00\x01" * 50, 422, "invalid_runs", "run_0.csv"),
+    (b"PAR1" + b"\0" * 100, 422, "invalid_runs", "Parquet"),
+    (GOOD.replace(b"\n5.0000,", b"\nfive,", 1), 422, "invalid_runs", "'five' is not a number"),
+    (GOOD.replace(b"t,x,y", b"t,lat,lon"), 422, "invalid_runs", "CRS"),
+    (b't,x,y,current\n1,2,"' + b"x" * 200_000 + b'",4\n' * 3, 422, "invalid_runs", "run_0.csv"),
+    (b"t,x,y,current\n" + b"".join(b"%d,1,1,2\n" % k for k in range(200)), 422, "invalid_runs", "no segment"),
+    (b"t,x,y,current\n" + b"".join(b"%d,%d,1,2\n" % (k, 1000 * k) for k in range(300)), 413, "too_large", "in metres"),
+    (b"x" * 600_000, 413, "too_large", "limit is 0.5 MB"),
+    (b"," * 70_000, 413, "too_large", "limit is 60,000"),
+]
+
+
+@pytest.mark.parametrize(("data", "status", "code", "words"), BAD_RUNS)
+@pytest.mark.parametrize("how", ["raw", "form"])
+def test_bad_runs(service: TestClient, data: bytes, status: int, code: str, words: str, how: str) -> None:
+    before = service.get("/v1/runs").json()["total"]
+    answer = service.post("/v1/runs?name=run_0.csv", content=data) if how == "raw" else send(service, data, GOOD)
+    check_problem(answer, status, code, words)
+    assert service.get("/v1/runs").json()["total"] == before  # all are kept or none
+
+
+def test_bad_forms_of_runs(service: TestClient, ground_id: str) -> None:
+    check_problem(service.post("/v1/runs", files={"other": b"x"}), 422, "invalid_input", "'other'")
+    twice = [("file", ("a.csv", GOOD)), ("file", ("b/a.csv", GOOD))]
+    check_problem(service.post("/v1/runs", files=twice), 422, "invalid_input", "two runs are called a.csv")
+    check_problem(send(service, *[GOOD] * 7), 400, "bad_request", "6")
+    check_problem(send(service, GOOD, heightmap_id="hm-none"), 404, "not_found", "hm-none")
+    moved = GOOD.replace(b"500", b"100")
+    check_problem(send(service, moved, heightmap_id=ground_id), 422, "invalid_runs", "do not belong together")
+
+
+def test_bad_questions(service: TestClient, ground_id: str, runs_id: str) -> None:
+    asked: dict[str, Any] = {"heightmap_id": ground_id, "runs": [runs_id], "model": "physics", "robot": ROBOT}
+    for changed, status, code, words in (
+        ({"heightmap_id": "hm-none"}, 404, "not_found", "hm-none"),
+        ({"runs": ["runs-none"]}, 404, "not_found", "runs-none"),
+        ({"base_runs": ["runs-none"]}, 404, "not_found", "runs-none"),
+        ({"runs": []}, 422, "invalid_request", "runs"),
+        ({"model": "../physics"}, 422, "invalid_model", "known are physics"),
+        ({"robot": {"mass_kg": -1.0}}, 422, "invalid_robot", "mass_kg"),
+        ({"start": [1.0, 2.0]}, 422, "invalid_request", "goal"),
+        ({"speed": 1.0}, 422, "invalid_request", "speed"),
+    ):
+        check_problem(service.post("/v1/calibrations", json=asked | changed), status, code, words)
+    more = [send(service, *(run_csv(seed) for seed in (20, 21, 22, 23))).json()["id"] for _ in range(2)]
+    answer = service.post("/v1/calibrations", json=asked | {"runs": [runs_id, *more]})
+    check_problem(answer, 413, "too_large", "limit of a calibration is 15,000")
+    for runs in more:
+        assert service.delete(f"/v1/runs/{runs}").status_code == 204
+
+
+def test_a_full_queue_is_told(tmp_path: Path) -> None:
+    settings = settings_for(tmp_path, queue_size=1, build_here=False)
+    with TestClient(create_app(settings)) as client:
+        ground = client.post("/v1/heightmaps", content=write_geotiff(None, hills())).json()["id"]
+        asked = {"heightmap_id": ground, "runs": [send(client, GOOD).json()["id"]], "model": "physics"}
+        assert client.post("/v1/calibrations", json=asked).status_code == 202
+        refused = client.post("/v1/calibrations", json=asked)
+        check_problem(refused, 503, "busy", "1 calibrations wait already, the limit is 1")
+        assert refused.headers["retry-after"] == "10"
+
+
+def test_a_killed_calibration_is_done_again(tmp_path: Path) -> None:
+    """A real process, killed without warning while it calibrates."""
+    port = free_port()
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    process = subprocess.Popen([sys.executable, "-c", SERVE, str(tmp_path), "", str(port)], env=env)
+    try:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as http:
+            wait_until(lambda: answers(http, "/readyz"))
+            ground = http.post("/v1/heightmaps", content=write_geotiff(None, hills())).json()["id"]
+            runs = send(http, *(run_csv(seed) for seed in range(3))).json()["id"]
+            asked = {"heightmap_id": ground, "runs": [runs], "model": "physics", "robot": ROBOT}
+            place = http.post("/v1/calibrations", json=asked).headers["location"]
+            wait_until(lambda: http.get(place).json()["progress"] > 0.0)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    with TestClient(create_app(settings_for(tmp_path))) as client:
+        wait_until(lambda: client.get(place).json()["status"] == "done", timeout_s=200.0)
+        done = client.get(place).json()
+        assert [effect["name"] for effect in done["report"]["effects"]] == ["turning"]
+        time.sleep(0.1)
+        assert [p.name for p in (tmp_path / "calibrations").iterdir()] == [done["id"]]
+        assert json.loads((tmp_path / "calibrations" / done["id"] / "report.json").read_text()) == done["report"]
+        assert load_model(tmp_path / "models" / done["calibrated_model"]).name == done["id"]

@@ -1,0 +1,70 @@
+"""A task before and after a calibration: judged at the new prices, and never worse for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model.energy.physics import PhysicsPredictor
+from model.energy.uncertainty import Spread
+from model.errors import BlockedError, NoRouteError
+from model.frames import GridFrame
+from model.loop.calibrated import CalibratedPredictor, Correction
+from model.loop.effects import Term
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from service.rerouting import compare_routes, drawn_tasks
+
+ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, rolling_resistance=0.05)
+PLACES = np.stack(np.meshgrid(np.arange(3.5, 38.0, 4.0), np.arange(3.5, 28.0, 4.0)), axis=-1).reshape(-1, 2)
+
+
+def hills() -> Heightmap:
+    y, x = np.mgrid[0:30, 0:40].astype(float)
+    heights = 1.2 * np.exp(-((y - 15) ** 2 + (x - 20) ** 2) / 40) + 0.4 * np.sin(0.7 * x) * np.sin(0.5 * y)
+    heights[20:24, 30:34] = np.nan
+    return Heightmap(heights.astype(np.float32), GridFrame(0.0, 30.0, 1.0, 30, 40))
+
+
+def calibrated(*terms: Term, **options: object) -> CalibratedPredictor:
+    correction = Correction(tuple(terms), (True,) * len(terms), spread=Spread(factor=2.0), **options)  # type: ignore[arg-type]
+    return CalibratedPredictor(PhysicsPredictor(), correction, name="mine", version="1")
+
+
+def test_turning_straightens_the_route() -> None:
+    turning = Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {}, (200.0,))
+    told = compare_routes(hills(), ROBOT, PhysicsPredictor(), calibrated(turning, turn_j_per_rad=200.0), PLACES)
+    assert told.turn_j_per_rad == (0.0, 200.0)
+    assert len(told.tried) == 6
+    assert all(r.saving_j >= 0.0 for r in told.tried)
+    assert told.shown.saving_share == max(r.saving_share for r in told.tried) > 0.02
+    document = told.as_dict()
+    assert document["saving_j"] == pytest.approx(document["before"]["energy_j"] - document["after"]["energy_j"])
+    assert document["before"]["energy_at_old_prices_j"] < document["before"]["energy_j"]
+    assert document["after"]["energy_std_j"] > 0.0
+
+
+def test_where_everything_got_dearer_alike_the_way_stays() -> None:
+    hotel = Term("hotel_load", "hotel_load", ("W",), coefficients=(5.0,))
+    task = ((3.5, 14.5), (36.5, 15.5))
+    told = compare_routes(hills(), Robot(idle_power_w=500.0), PhysicsPredictor(), calibrated(hotel), PLACES, task=task)
+    assert told.chosen == "given"
+    assert told.shown.task == task
+    assert told.shown.saving_share == pytest.approx(0.0, abs=2e-3)
+
+
+def test_a_task_that_cannot_be_driven_says_why() -> None:
+    hotel = Term("hotel_load", "hotel_load", ("W",), coefficients=(5.0,))
+    models = PhysicsPredictor(), calibrated(hotel)
+    with pytest.raises(BlockedError, match="goal"):
+        compare_routes(hills(), ROBOT, *models, PLACES, task=((3.5, 14.5), (32.0, 8.0)))
+    with pytest.raises(NoRouteError, match="visited"):
+        compare_routes(hills(), ROBOT, *models, np.full((4, 2), 31.9) - [0.0, 24.0])
+
+
+def test_the_farthest_places_are_a_task() -> None:
+    tasks = drawn_tasks(PLACES, seed=1)
+    assert {tasks[0][0], tasks[0][1]} in ({(3.5, 3.5), (35.5, 27.5)}, {(35.5, 3.5), (3.5, 27.5)})
+    assert tasks == drawn_tasks(PLACES, seed=1)
+    least = 0.4 * np.hypot(32.0, 24.0)
+    assert all(np.hypot(a[0] - b[0], a[1] - b[1]) >= least for a, b in tasks)

@@ -1,0 +1,71 @@
+"""A cost map of a calibrated model beside one of its base: the same to the bit, and the base is not asked again."""
+
+from pathlib import Path
+
+import pytest
+
+from model.energy.dense import CompactPredictor
+from model.energy.predictor import load_predictor
+from model.loop.calibrated import Correction, save_calibrated
+from model.loop.effects import Term
+from model.robot import Robot
+from service.jobs import Worker
+from service.settings import Settings
+from service.state import make_makers
+from service.store import Store
+from tests.service.workers import fingerprint, rolling, until
+
+WIND = Term("wind", "wind_constant", ("J/m", "J/m"), coefficients=(7.0, 3.0))
+
+
+@pytest.fixture
+def service(tmp_path: Path, monkeypatch):
+    """(its store, a function that makes a cost map, what the network was asked: a count per tile)."""
+    settings = Settings(data_dir=tmp_path)
+    version = load_predictor("default").provenance()["version"]
+    save_calibrated(
+        settings.resolved_models_dir / "windy", Correction((WIND,), (True,)), {"name": "default", "version": version}
+    )
+    asked: list[int] = []
+    answer = CompactPredictor.traction_and_std
+
+    def counted(self, heightmap, robot, frame, headings):
+        asked.append(frame.rows * frame.cols)
+        return answer(self, heightmap, robot, frame, headings)
+
+    monkeypatch.setattr(CompactPredictor, "traction_and_std", counted)
+    monkeypatch.setattr("planner.tiles.TILE_CELLS", 64)
+    store = Store(tmp_path, settings.resolved_database_url)
+    store.open()
+    heightmap_id = store.add_heightmap(rolling(80), name="rolling", stats={}).id
+    worker = Worker(store, make_makers(store, settings), name="here:", ready=lambda: None)
+    worker.start()
+
+    def make(model: str, **robot: float) -> str:
+        asked.clear()
+        request = {"robot": Robot(**robot).as_dict(), "model": model, "spacing_m": 1.0, "headings": 8}
+        costmap_id = store.add_costmap(heightmap_id, request).id
+        worker.wake()
+        until(lambda: store.status(costmap_id) in ("done", "failed"))
+        assert store.costmap(costmap_id).problem is None
+        return costmap_id
+
+    yield store, make, asked
+    worker.stop()
+    store.close()
+
+
+def test_a_calibrated_map_leans_on_the_stored_map_of_its_base(service) -> None:
+    store, make, asked = service
+    afresh = fingerprint(store.lattice_path(make("windy")))
+    assert sum(asked) > 80 * 80
+    base = make("default")
+    leaning = make("windy")
+    assert sum(asked) < 64  # but for the question whether the network knows its spread
+    assert fingerprint(store.lattice_path(leaning)) == afresh
+    assert store.costmap(leaning).summary["provenance"]["model"]["kind"] == "calibrated"
+    make("windy", mass_kg=50.0)
+    assert sum(asked) > 80 * 80  # another robot
+    store.delete_costmap(base)
+    make("windy")
+    assert sum(asked) > 80 * 80

@@ -1,0 +1,114 @@
+"""How far off the energy of a route may be, and what that makes of a verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from model.energy.physics import PhysicsPredictor
+from model.energy.uncertainty import Spread
+from model.frames import GridFrame
+from model.robot import Battery, Robot
+from model.terrain.heightmap import Heightmap
+from planner.budget import judge, judge_along
+from planner.lattice import CostLattice
+from planner.lattice_build import build_lattice
+from planner.route import price_route
+from service.spreads import std_along
+from service.workflows import assess
+
+INDEPENDENT = Spread(run_share=0.0, correlation_m=1.0)
+
+
+def level(spread: Spread | None, std_j: float = 3.0) -> CostLattice:
+    """40 x 40 m of level ground on which a metre costs 20 J, 3 J up or down."""
+    flat = Heightmap(np.zeros((40, 40), dtype=np.float32), GridFrame(0.0, 40.0, 1.0, 40, 40))
+    robot = Robot(mass_kg=20.0 / 9.80665, idle_power_w=0.0, rolling_resistance=1.0)
+    lattice = build_lattice(flat, robot, PhysicsPredictor())
+    provenance = {"model": {"spread": spread.as_dict()}} if spread is not None else {"model": {}}
+    return replace(lattice, provenance=provenance, std_j=np.full(lattice.traction_per_m.shape, std_j, np.float32))
+
+
+def test_independent_segments_grow_with_the_root_and_those_that_go_together_in_line() -> None:
+    energy, std = np.full(16, 50.0), np.full(16, 3.0)
+    np.testing.assert_allclose(INDEPENDENT.route_std(energy, std), 3.0 * np.sqrt(np.arange(1, 17)))
+    together = Spread(run_share=0.0, correlation_m=1e12)
+    np.testing.assert_allclose(together.route_std(energy, std), 3.0 * np.arange(1, 17), rtol=1e-9)
+
+
+def test_two_segments_by_hand() -> None:
+    """A correlation length of 3 m is one half between neighbours, (1 + 1/2) / (1 - 1/2): 1 + 4 + 2 x 1 x 2 / 2 = 7."""
+    spread = Spread(run_share=0.1, correlation_m=3.0)
+    assert spread.route_std([10.0, 10.0], [1.0, 2.0])[-1] == pytest.approx(math.sqrt(2.0**2 + 7.0))
+
+
+@given(
+    std=st.lists(st.floats(0.0, 20.0), min_size=1, max_size=20),
+    correlation_m=st.floats(1.0, 30.0),
+    n=st.integers(0, 19),
+)
+def test_against_the_whole_covariance(std: list[float], correlation_m: float, n: int) -> None:
+    spread, k = Spread(run_share=0.0, correlation_m=correlation_m), min(n, len(std) - 1)
+    neighbour = (correlation_m - 1.0) / (correlation_m + 1.0)
+    some = np.array(std[: k + 1])
+    apart = np.abs(np.subtract.outer(np.arange(k + 1), np.arange(k + 1)))
+    variance = some @ neighbour**apart @ some
+    assert spread.route_std(np.zeros(len(std)), std)[k] == pytest.approx(math.sqrt(variance), rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "corners", [[(5.0, 20.0), (21.0, 20.0)], [(5.0, 20.0), (9.3, 20.0), (9.3, 26.0), (15.0, 26.0)]]
+)
+def test_a_route_of_16_m_is_16_segments_however_it_is_cut(corners: list[tuple[float, float]]) -> None:
+    route = price_route(level(INDEPENDENT), corners)
+    assert route.length_m == pytest.approx(16.0)
+    along = std_along(level(INDEPENDENT), [route])
+    assert along is not None
+    assert along[-1] == pytest.approx(3.0 * 4.0, rel=1e-5)
+    assert std_along(level(None), [route]) is None
+
+
+def test_the_way_back_shares_what_the_day_is_off_by() -> None:
+    """16 m there and back at 20 J/m are 640 J, of which a tenth, and 32 independent metres of 3 J."""
+    lattice = level(Spread(run_share=0.1, correlation_m=1.0))
+    told = assess(lattice, battery=Battery(1.0), path=[(5.0, 20.0), (21.0, 20.0)], round_trip=True).verdict
+    assert told.energy_j == pytest.approx(640.0, rel=1e-5)
+    assert told.energy_std_j == pytest.approx(math.hypot(64.0, 3.0 * math.sqrt(32.0)), rel=1e-5)
+    assert told.probability == pytest.approx(1.0)
+
+
+def test_a_deviation_between_cells_and_headings_is_a_mean_of_its_neighbours() -> None:
+    lattice = level(INDEPENDENT)
+    assert lattice.std_j is not None
+    rows, cols, bins = np.indices(lattice.std_j.shape).astype(np.float32)
+    lattice = replace(lattice, std_j=1.0 + 0.1 * rows + 0.2 * cols + 0.5 * np.minimum(bins, 16 - bins))
+    route = price_route(
+        lattice, [(10.25, 20.25), (10.25, 21.0)]
+    )  # north, whose bin is 0; middle at row 18.875, col 9.75
+    assert route.profile.std_j is not None
+    assert route.profile.std_j[0] == pytest.approx(0.75 * (1.0 + 0.1 * 18.875 + 0.2 * 9.75), rel=1e-6)
+    step = 0.5 * np.array([math.sin(-math.pi / 16), math.cos(-math.pi / 16)])  # half a bin to the west of north
+    tilted = price_route(lattice, [np.array([10.25, 20.25]) - step, np.array([10.25, 20.25]) + step])
+    assert tilted.profile.std_j is not None
+    assert tilted.profile.std_j[0] == pytest.approx(1.0 + 0.1 * 19.25 + 0.2 * 9.75 + 0.25, rel=1e-6)
+
+
+def test_probabilities_of_the_normal_distribution() -> None:
+    """0.8413 is the table's value one standard deviation above the mean."""
+    battery = Battery(1.0)
+    assert judge(3500.0, battery, std_j=100.0).probability == pytest.approx(0.8413, abs=1e-4)
+    assert judge(3700.0, battery, std_j=100.0).probability == pytest.approx(0.1587, abs=1e-4)
+    assert judge(3700.0, battery, std_j=0.0).probability == 0.0
+    assert judge(3500.0, battery).probability is None
+
+
+def test_with_regeneration_the_riskiest_piece_decides() -> None:
+    """3500 J up are one deviation of 100 J below the battery's 3600; 1000 J come back and are no help before."""
+    verdict = judge_along([3500.0, -1000.0], Battery(1.0), std_j=[100.0, 120.0])
+    assert verdict.probability == pytest.approx(0.8413, abs=1e-4)
+    assert verdict.energy_std_j == 120.0
