@@ -119,6 +119,41 @@ def test_hostile_columns_are_refused_with_a_reason():
     assert "0% of the segments" in found.refused["learned:empty"]
 
 
+def test_what_sinks_while_another_rises_is_no_copy_of_it():
+    rng = np.random.default_rng(4)
+    drive = made_up(rng)
+    measured = noisy(rng, drive, EFFECTS["turning"](drive))
+    load = measured / drive.duration_s
+    warm = drive.clock_s / 3600.0 + 0.1 * rng.standard_normal(len(drive))
+    volts = 29.0 - 0.3 * drive.clock_s / 3600.0 - 0.002 * load  # a day's discharge, and the sag under load
+    assert abs(np.corrcoef(warm, volts)[0, 1]) > 0.95
+    columns = drive.columns | {"warm": warm, "sagging": 3.0 * volts - 7.0}
+    found = found_in(replace(drive, columns=columns), measured, electric={"voltage": volts})
+    assert "learned:warm" not in found.refused
+    assert "copy of the voltage" in found.refused["learned:sagging"]
+
+
+def test_a_wind_nobody_logged_is_a_diagnosis_and_acts_in_these_runs_only():
+    rng = np.random.default_rng(6)
+    drive = made_up(rng)
+    found = found_in(drive, noisy(rng, drive, 14.0 * np.cos(drive.heading_rad - 1.0)))
+    (effect,) = found.effects
+    assert (effect.term.name, effect.planner) == ("wind", False)
+    energy = effect.term.energy(drive)
+    np.testing.assert_allclose(energy, 14.0 * np.cos(drive.heading_rad - 1.0), atol=4.0)
+    elsewhere = replace(drive, runs=tuple(f"later{k}@0" for k in range(6)))
+    assert not effect.term.energy(elsewhere).any()
+
+
+def test_cost_that_grows_with_warmth_is_not_called_temperature():
+    rng = np.random.default_rng(8)
+    drive = made_up(rng)
+    warmth = drive.columns["temperature"] - 17.5
+    grows, falls = (found_in(drive, noisy(rng, drive, sign * 4.0 * warmth)) for sign in (1.0, -1.0))
+    assert grows.effects[0].term.name in ("learned:temperature", "drift")
+    assert falls.effects[0].term.name == "temperature"
+
+
 @pytest.mark.parametrize("runs", [1, 2])
 def test_one_or_two_runs_cannot_show_a_shift_of_whole_runs(runs):
     rng = np.random.default_rng(5)
