@@ -19,10 +19,11 @@ from service.store import safe_name
 
 @dataclass(frozen=True)
 class RunLimits:
-    """mb : of a file [1e6 bytes]; cells : rows x columns of its table."""
+    """mb : of a file [1e6 bytes]; cells : rows x columns of its table; km : driven."""
 
     mb: float
     cells: int
+    km: float
 
 
 def read_sent_runs(
@@ -76,14 +77,20 @@ def read_sent_run(path: Path, *, name: str, limits: RunLimits, crs: str | None =
             run=name, cells=cells, limit=limits.cells,
         )  # fmt: skip
     run = parse_run(path.read_bytes(), name=name, crs=crs)
+    known = np.isfinite(run.x) & np.isfinite(run.y)
+    x, y = run.x[known], run.y[known]
+    km = float(np.hypot(np.diff(x), np.diff(y)).sum()) / 1000.0
+    if km > limits.km:
+        raise TooLargeError(
+            f"run {name} is {km:.4g} km long, the limit is {limits.km:g} km: are its positions in metres?",
+            run=name, km=km, limit_km=limits.km,
+        )  # fmt: skip
     segments = cut_segments(run, charge=run.voltage_v is None)
     if len(segments) == 0:
         raise RunsError(
             f"run {name} holds no segment of 1 m: did the robot move, and is its position recorded?",
             run=name, repairs=run.repairs, left_out=segments.left_out,
         )  # fmt: skip
-    known = np.isfinite(run.x) & np.isfinite(run.y)
-    x, y = run.x[known], run.y[known]
     return {
         "name": name,
         "rows": len(run),

@@ -98,7 +98,7 @@ class Service:
         it is known. Raises RunsError, TooLargeError, InputError, NotFoundError."""
         settings = self.settings
         heightmap = self.store.heightmap(heightmap_id) if heightmap_id is not None else None
-        limits = RunLimits(settings.max_run_mb, settings.max_run_cells)
+        limits = RunLimits(settings.max_run_mb, settings.max_run_cells, settings.max_run_km)
         told = read_sent_runs(files, limits=limits, ground=heightmap.stats if heightmap is not None else None)
         return self.store.add_runs(files, told)
 

@@ -87,14 +87,16 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     TooLargeError, and BusyError."""
     heightmap = service.store.heightmap(wanted.heightmap_id)
     sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*wanted.runs, *wanted.base_runs])]
-    rows, limit = sum(run["rows"] for row in sent for run in row.stats), service.settings.max_calibration_rows
-    if rows > limit:
-        raise TooLargeError(
-            f"these runs have {rows:,} rows, the limit of a calibration is {limit:,}: send fewer",
-            rows=rows, limit=limit,
-        )  # fmt: skip
+    settings = service.settings
+    for key, limit in (("rows", settings.max_calibration_rows), ("segments", settings.max_calibration_segments)):
+        count = sum(run[key] for row in sent for run in row.stats)
+        if count > limit:
+            raise TooLargeError(
+                f"these runs have {count:,} {key}, the limit of a calibration is {limit:,}: send fewer",
+                limit=limit, **{key: count},
+            )  # fmt: skip
     robot = Robot.from_mapping(robot_values(wanted.robot))
-    predictor = find_predictor(wanted.model, models_dir=service.settings.resolved_models_dir)
+    predictor = find_predictor(wanted.model, models_dir=settings.resolved_models_dir)
     refuse_calibrated(wanted.model, predictor)
     service.jobs.check_room(CALIBRATION)
     asked = wanted.model_dump(include={"model", "start", "goal", "seed"})

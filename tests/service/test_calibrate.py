@@ -2,10 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from model.loop.record import read_record
+from model.robot import Robot
+from model.terrain.readers import read_heightmap
 from service.cli import app
+from service.residuals import keep_base_runs, read_calibration_runs
 
 runner = CliRunner()
 
@@ -66,3 +71,25 @@ def test_runs_of_another_place_are_refused_in_words(field, tmp_path):
     )  # fmt: skip
     assert done.exit_code == 3
     assert "belong together" in done.output
+
+
+def test_a_missing_input_is_not_there(field, tmp_path):
+    """5 for every file that is named and missing, before anything is computed."""
+    here = {"--heightmap": field / "dem.tif", "--robot": field / "robot.toml", "--runs": field, "--model": "physics"}
+    for missing in here:
+        options = [str(v) for pair in (here | {missing: tmp_path / "nothing"}).items() for v in pair]
+        for command in (["calibrate", "--out", str(tmp_path / "out")], ["suggest-drive"]):
+            done = runner.invoke(app, [*command, *options])
+            assert done.exit_code == 5, (missing, done.output)
+            assert "nothing" in done.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_too_few_runs_are_not_kept_beside_a_model(field, tmp_path):
+    robot, ground = Robot.from_toml(field / "robot.toml"), read_heightmap(field / "dem.tif")
+    segments, _ = read_calibration_runs([field / "run_01.csv"], robot, crs=ground.frame.crs)
+    few = segments.take(np.arange(10))
+    assert not keep_base_runs(tmp_path, ground, robot, few, np.full(10, 40.0))
+    assert list(tmp_path.iterdir()) == []
+    assert keep_base_runs(tmp_path, ground, robot, segments, np.full(len(segments), 40.0))
+    assert read_record(tmp_path) is not None
