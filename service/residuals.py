@@ -56,8 +56,9 @@ def read_calibration_runs(
 def residuals_on(
     predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments
 ) -> tuple[Residuals, dict[str, FloatArray], FloatArray]:
-    """Residuals of segments against a model; of each row the mean voltage, current and power, which no effect may copy;
-    and (n,) the standard deviation [J] that the model believes in. Raises RunsError."""
+    """Residuals of segments against a model; of each row what the battery's meters said (means of voltage, current and
+    power, energy, the current's ripple), which no effect may copy; and (n,) the standard deviation [J] that the model
+    believes in. Raises RunsError."""
     if len(segments) == 0:
         raise RunsError("the runs hold no segment of 1 m: did the robot move, and is its position recorded?")
     said = predict_segments(predictor, heightmap, robot, segments)
@@ -68,6 +69,8 @@ def residuals_on(
         "voltage": segments.voltage_v,
         "current": segments.current_a,
         "power": segments.energy_j / segments.duration_s,
+        "energy": segments.energy_j,
+        "ripple": segments.ripple,
         "std_j": std,
     }
     residuals, kept = _residuals(heightmap, robot, segments, said.traction_per_m, beside)

@@ -27,6 +27,7 @@ FloatArray = NDArray[np.float64]
 
 _JOINED_TILE = 24, 64  # cells of one pass: its layers stay near the cache
 _SQUARES_TILE = 6, 64
+_SQUARES_SPAN_M = 128.0  # at most, for the sake of memory
 _BATCH = 2048  # squares of one pass
 _PASSES = 8  # a spacing of 1/k m up to this k is answered by k x k passes over cells 1 m apart
 
@@ -64,6 +65,8 @@ class CompactPredictor(Learned):
         step = round(1.0 / frame.resolution_m)
         joined = 1 <= step <= _PASSES and abs(step * frame.resolution_m - 1.0) < 1e-9
         step, (high, wide) = (step, _JOINED_TILE) if joined else (1, _SQUARES_TILE)
+        if not joined:
+            high, wide = (max(1, min(n, int(_SQUARES_SPAN_M / frame.resolution_m))) for n in (high, wide))
         mine = threading.local()
 
         def fill(at: tuple[int, int]) -> None:

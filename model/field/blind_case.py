@@ -122,7 +122,7 @@ def make_blind_case(
     first: list[_Driven] = []
     for folder, site, count, day in (("new", home, NEW_RUNS, 11), ("other_site", other, OTHER_RUNS, 12)):
         lengths = rng.uniform(300.0, 400.0, count)
-        driven = _drive_day(site, robot, lengths, hidden, rng, day=day)
+        driven = _drive_day(site, robot, lengths, hidden, rng, day=day, before=first)
         first = first or driven
         errors = []
         for number, run in enumerate(driven, start=1):
@@ -204,10 +204,14 @@ def _drive_day(
     rng: np.random.Generator,
     *,
     day: int,
+    before: Sequence[_Driven] = (),
 ) -> list[_Driven]:
-    """The runs of a day one after another, on one battery."""
+    """The runs of a day one after another, on one battery. before : runs whose logger is used again."""
     weather: Day = day_for(effects, rng)
     payload_logged = bool(rng.random() < 0.7)
+    for run in before[:1]:
+        weather = replace(weather, wind_logged=run.conditions.wind_logged)
+        payload_logged = run.conditions.payload_logged
     pattern = int(rng.integers(len(PATTERNS)))
     clock = day * _DAY_S + float(rng.uniform(7.5, 9.0)) * 3600.0
     metres, charge = 0.0, 0.97
@@ -294,6 +298,6 @@ def _fitted(runs: Sequence[_Driven], robot: FieldRobot, effect: Effect, *, alone
         extra = trace.energy_j(trace.explained_w) - run.plain.energy_j(run.plain.explained_w)
         gained, units = segment_gains(trace, extra, counted)
         cost.append(gained)
-        amount.append(np.abs(units) if effect.unsigned else units)
+        amount.append(units)
     units, gained = np.concatenate(amount), np.concatenate(cost)
     return float(units @ gained / (units @ units))

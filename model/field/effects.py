@@ -6,7 +6,7 @@ is driven, the forces at the wheels, the power of the drives, the power at the b
 meter. Forces are those at the wheels, so that the drivetrain's losses come on top, as they would.
 
 `amount` is what an effect is measured by in its natural unit, cumulated along the path: the energy that it takes is
-about a coefficient times the amount of a segment (for `unsigned` effects, times its magnitude).
+about a coefficient times the amount of a segment.
 """
 
 from __future__ import annotations
@@ -70,7 +70,6 @@ class Effect:
 
     name: ClassVar[str] = "none"
     unit: ClassVar[str] = ""
-    unsigned: ClassVar[bool] = False
 
     def on_site(self, site: Site) -> Site:
         return site
@@ -121,7 +120,7 @@ class Within(Effect):
     def __post_init__(self) -> None:
         if not self.above < self.below:
             raise InputError(f"an effect needs a range to act in, got {self.above} to {self.below}")
-        for key in ("name", "unit", "unsigned"):
+        for key in ("name", "unit"):
             object.__setattr__(self, key, getattr(self.effect, key))
 
     def acting(self, ride: Ride) -> NDArray[np.bool_]:

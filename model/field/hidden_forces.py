@@ -29,7 +29,6 @@ class Turning(Effect):
     sliding_rad_s: float = 0.05
     name: ClassVar[str] = "turning"
     unit: ClassVar[str] = "J/rad"
-    unsigned: ClassVar[bool] = True
 
     def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:
         rate = np.abs(ride.turn_rate)
@@ -37,7 +36,7 @@ class Turning(Effect):
         return wheels_w + moment * np.tanh(rate / self.sliding_rad_s) * rate / ride.robot.gear_efficiency
 
     def amount(self, ride: Ride) -> FloatArray:
-        return np.unwrap(ride.drive.heading_rad)
+        return np.cumsum(np.abs(ride.turn_rate) * ride.duration_s)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from model.errors import ConflictError, ModelError
 from model.frames import GridFrame
 from model.loop.drive import Drive, describe_segments, planned_drive
 from model.loop.effects import Term
-from model.loop.payload import payload_factor
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
@@ -121,7 +120,6 @@ class CalibratedPredictor:
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)
         traction = self.base.segment_traction(heightmap, robot, segments.x, segments.y, segments.heading_rad)
-        traction = traction * payload_factor(self.base, robot, segments)
         drive, _ = describe_segments(segments, heightmap, robot, traction, with_stands=False)
         known = np.isfinite(traction) & np.isfinite(drive.grade)
         return np.where(known, volts * self.correction.predict(drive), np.nan)

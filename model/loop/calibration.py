@@ -98,10 +98,10 @@ def calibrate(
     start = measured.without_prediction() if plane else residuals
     silent: list[Term] = list(plane)
     chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
-    if chosen and not plane and traced.evidence.silent(traced.chosen).size:
+    if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
         silent = [Term("level", "level", ("",))]
     chosen = localised(start, chosen, silent)
-    fit = fit_terms(start, [*silent, *chosen])
+    fit = fit_terms(start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals)
     effects = _effects(traced, fit, len(silent))
     held = start.predicted + fit.held_out if chosen else before_energy
     planner = [e.term for e in effects if e.planner]
@@ -146,21 +146,20 @@ def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
     out = []
     for k, found in enumerate(traced.found):
         rest = [c for c in chosen if c != found.verdict.term]
-        lost = _error(traced, rest, silent=False) - _error(traced, chosen)
+        lost = _error(traced, rest) - _error(traced, chosen)
         out.append(
             Effect(
                 fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k], found.verdict.p_value,
-                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.planner, found.candidate.reveals,
+                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(fit.terms[skip + k]),
+                found.candidate.reveals,
             )
         )  # fmt: skip
     return tuple(out)
 
 
-def _error(traced: Trace, chosen: Sequence[int], *, silent: bool = True) -> float:
-    """Held-out squared error [scaled], with the level refitted or (unless nothing else is known) as it is."""
-    evidence = traced.evidence
-    level = evidence.silent(chosen) if silent or evidence.residuals.charge else evidence.nuisance[:0]
-    return float(evidence.held_out(np.concatenate([evidence.columns_of(chosen), level])).sum())
+def _error(traced: Trace, chosen: Sequence[int]) -> float:
+    """Held-out squared error [scaled] of a choice of terms."""
+    return float(traced.evidence.held_out(traced.evidence.columns_of(chosen)).sum())
 
 
 def _errors(measured: Residuals, predicted: FloatArray) -> dict[str, Any]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from model.loop.drive import Drive
 from model.loop.effects import Term, quantity
 from model.loop.residual import Residuals
 from model.loop.track import TURN_LIMITS_RADPS
@@ -24,11 +25,12 @@ _MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|w
 _RESPONSE = re.compile(
     r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|wheel|odom|duty|pwm|rpm|torque|slip"
 )
-_COPY = 0.97
+_COPY = 0.95
 _GRADES = (-0.03, 0.0, 0.03)
-_USUAL = {"temperature": 20.0, "payload": 0.0}
+_USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 40
+_MOST_RIPPLE = 4.0  # more is a broken reading
 _MOST_RUNS = 12  # that may each have something of their own
 
 
@@ -38,7 +40,7 @@ class Candidate:
 
     variants : ways in which it may act. planner : stated in what a planner knows beforehand. response : a column that
     answers to the drive (a command, a measured attitude), tried once nothing else is found. reveals : the drive that
-    shows it.
+    shows it. sign : that its (last) coefficient must have, 0 where either makes sense: no robot has a negative drag.
     """
 
     name: str
@@ -46,10 +48,15 @@ class Candidate:
     reveals: str
     planner: bool = True
     response: bool = False
+    sign: int = 0
 
     @property
     def learned(self) -> bool:
         return self.name.startswith("learned:")
+
+    def in_plans(self, term: Term) -> bool:
+        """Whether a planner knows beforehand what a variant depends on: the wind of a run that is over it does not."""
+        return self.planner and "runs" not in term.where and term.settings.get("of") != "wind_constant"
 
 
 def find_candidates(
@@ -57,13 +64,13 @@ def find_candidates(
 ) -> tuple[list[Candidate], dict[str, str]]:
     """(candidates, refused: name -> why).
 
-    columns : mean voltage [V], current [A] and power [W] of each row, that nothing may copy. usual : of a logged
-    column, the value at which the base model holds.
+    columns : mean voltage [V], current [A] and power [W] of each row, that nothing may copy; and the current's
+    `ripple`. usual : of a logged column, the value at which the base model holds.
     """
     drive, moving = residuals.drive, residuals.moving
     unit, amount = ("A s", "A") if residuals.charge else ("J", "W")
     refused: dict[str, str] = {}
-    found = list(_of_path(unit))
+    found = list(_of_path(unit, drive.runs, _ripple(residuals, columns.get("ripple"))))
     found.append(
         Candidate("hotel_load", (Term("hotel_load", "hotel_load", (amount,)),),
                   "drive the same line at two speeds, and stand for a minute")
@@ -100,7 +107,7 @@ def _merged(found: list[Candidate]) -> list[Candidate]:
     return list(by_name.values())
 
 
-def _of_path(unit: str) -> Iterator[Candidate]:
+def _of_path(unit: str, runs: Sequence[str], ripple: float) -> Iterator[Candidate]:
     rad = f"{unit}/rad"
     saturating = tuple(Term("turning", "turning", (rad,), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
     both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS[:5])
@@ -108,7 +115,10 @@ def _of_path(unit: str) -> Iterator[Candidate]:
     sides = Term("turning", "turning_sides", (rad, rad))
     slopes = tuple(replace(plain, where={"over": "grade", side: g}) for side in ("above", "below") for g in _GRADES)
     yield Candidate(
-        "turning", (plain, *saturating, *both, sides, *slopes), "curves of several radii on level ground, both ways"
+        "turning",
+        (plain, *saturating, *both, sides, *slopes),
+        "curves of several radii on level ground, both ways",
+        sign=1,
     )
     speeds = tuple(
         Term("speed", "speed", (f"{unit}/m per m/s",) if p == 1 else (f"{unit}/m per (m/s)^{p}",),
@@ -117,14 +127,14 @@ def _of_path(unit: str) -> Iterator[Candidate]:
     )  # fmt: skip
     yield Candidate("speed", speeds, "the same line at several speeds")
     spin = Term("acceleration", "acceleration", ("kg",))
-    yield Candidate("acceleration", (spin,), "starts and stops on level ground", planner=False)
+    yield Candidate("acceleration", (spin,), "starts and stops on level ground", planner=False, sign=1)
     across = tuple(Term("cross_slope", "cross_slope", ("",), {"power": p}) for p in (1, 2))
-    yield Candidate("cross_slope", across, "along a side slope, and beside it on the level")
+    yield Candidate("cross_slope", across, "along a side slope, and beside it on the level", sign=1)
     down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
     yield Candidate("braking", down, "straight down a slope, and straight up it")
     yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
     j_per_m = f"{unit}/m"
-    calm = Term("wind", "wind_constant", (j_per_m, j_per_m))
+    calm = Term("wind", "wind_constant", (j_per_m, j_per_m), {}, {"runs": list(runs)})
     yield Candidate("wind", (calm,), "one line to and fro, and one across it")
     more = tuple(
         Term("learned:heading", "heading", (j_per_m,) * (2 * n + level), {"harmonics": n, "level": level})
@@ -132,11 +142,28 @@ def _of_path(unit: str) -> Iterator[Candidate]:
         for level in (False, True)
     )
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
-    hour = Term("drift", "drift", ("1/h",), {"over": "since_start", "unit": 3600.0})
-    far = Term("drift", "drift", ("1/km",), {"over": "driven", "unit": 1000.0})
-    day = Term("drift", "drift", ("1/h",), {"over": "clock", "unit": 3600.0})
-    yield Candidate("drift", (hour, far, day), "the same loop at the start and at the end of a long run")
-    yield Candidate("battery", (Term("battery", "battery", ("ohm",)),), "hard climbs and easy ground at equal charge")
+    yield Candidate("drift", tuple(_drifts(unit)), "the same loop at the start and at the end of a long day")
+    losses = Term("battery", "battery", ("ohm",), {"ripple": ripple})
+    yield Candidate("battery", (losses,), "hard climbs and easy ground at equal charge", sign=1)
+
+
+def _ripple(residuals: Residuals, measured: FloatArray | None) -> float:
+    """How much more the square of a current is in the mean of a segment than at its mean current."""
+    if measured is None:
+        return 1.0
+    weight = np.where(residuals.moving & np.isfinite(measured), residuals.predicted**2, 0.0)
+    return round(float(np.sum(weight * np.clip(np.nan_to_num(measured), 1.0, _MOST_RIPPLE)) / weight.sum()), 3)
+
+
+def _drifts(unit: str) -> Iterator[Term]:
+    """Over a run, and over a day that may have begun before the first run."""
+    hour, km = (3600.0, "h"), (1000.0, "km")
+    of_run = [("since_start", hour, False), ("driven", km, False)]
+    of_day = [(over, per, begun) for over, per in (("clock", hour), ("odometer", km)) for begun in (False, True)]
+    for over, (per, name), begun in of_run + of_day:
+        for of_all, amount in ((True, ""), (False, f"{unit}/m")):
+            units = (amount,) * begun + (f"{amount or 1}/{name}",)
+            yield Term("drift", "drift", units, {"over": over, "unit": per, "of_all": of_all, "begun": begun})
 
 
 def _of_level() -> Iterator[Candidate]:
@@ -153,10 +180,11 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
     if "temperature" in usable:
         warm = {"reference": usual["temperature"]}
         warmth = tuple(
-            Term("temperature", "temperature", ("1/K" if of else f"{unit}/m/K",), warm | {"of_motion": of})
-            for of in (True, False)
-        )
-        yield Candidate("temperature", warmth, "the same loop on a cold and on a warm day")
+            Term("temperature", "temperature", ("" if of else f"{unit}/m",) * begun + ("1/K" if of else f"{unit}/m/K",),
+                 warm | {"of_motion": of, "begun": begun})
+            for of in (True, False) for begun in (False, True)
+        )  # fmt: skip
+        yield Candidate("temperature", warmth, "the same loop on a cold and on a warm day", sign=-1)
     if "wind_speed" in usable and "wind_from" in drive.columns:
         air = (
             Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
@@ -164,7 +192,7 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
         )
         yield Candidate("wind", air, "one line to and fro in a wind")
     if "payload" in usable:
-        logged = Term("payload", "payload", ("",), {"column": "payload", "reference": usual["payload"]})
+        logged = Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0})
         yield Candidate("payload", (logged,), "the same loop with and without a load")
 
 
@@ -204,6 +232,8 @@ def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -
 def _usable(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
     """Logged columns that vary, copy no other column, and are no part of the measurement."""
     drive, moving = residuals.drive, residuals.moving
+    only = drive.take(moving)
+    meters = {key: values for key, values in electric.items() if key != "ripple"}
     kept: dict[str, FloatArray] = {}
     for key, every in sorted(drive.columns.items()):
         values = every[moving]
@@ -216,7 +246,7 @@ def _usable(residuals: Residuals, electric: Mapping[str, FloatArray], refused: d
             refused[f"learned:{key}"] = f"recorded on {known.mean():.0%} of the segments only"
         elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
             refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
-        elif copied := next((m for m, e in electric.items() if _alike(values, e[moving], drive.run[moving])), None):
+        elif copied := next((m for m, e in meters.items() if _alike(values, e[moving], only)), None):
             refused[f"learned:{key}"] = f"a copy of the {copied}, which is part of the measurement itself"
         elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
             refused[f"learned:{key}"] = f"identical to {twin}"
@@ -227,15 +257,25 @@ def _usable(residuals: Residuals, electric: Mapping[str, FloatArray], refused: d
     return list(kept)
 
 
-def _alike(values: FloatArray, electric: FloatArray, run: NDArray[np.int64]) -> bool:
-    """Whether a column follows a reading of the battery within the runs or over all of them."""
+def _alike(values: FloatArray, electric: FloatArray, drive: Drive) -> bool:
+    """Whether a column follows a reading of the battery from segment to segment: what both have of a day's slow course
+    (a voltage sinks while the air warms) makes no copy, so that each run's straight line in time is taken out."""
     both = np.isfinite(values) & np.isfinite(electric)
     if both.sum() < 10:
         return False
-    a, b, run = values[both], electric[both], run[both]
-    means = [np.bincount(run, weights=v) / np.maximum(np.bincount(run), 1) for v in (a, b)]
-    pairs = ((a, b), (a - means[0][run], b - means[1][run]))
-    return any(min(p.std(), q.std()) > 1e-9 and abs(np.corrcoef(p, q)[0, 1]) > _COPY for p, q in pairs)
+    run, since = drive.run[both], drive.since_s[both]
+    a, b = (_without_lines(v[both], run, since) for v in (values, electric))
+    least = 1e-9 * max(1.0, float(np.abs(values[both]).max()))
+    return bool(a.std() > least and b.std() > 1e-9 and abs(np.corrcoef(a, b)[0, 1]) > _COPY)
+
+
+def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray) -> FloatArray:
+    out = values.copy()
+    for k in np.unique(run):
+        mine = run == k
+        line = np.stack([np.ones(mine.sum()), since[mine] - since[mine].mean()], axis=1)
+        out[mine] -= line @ np.linalg.lstsq(line, values[mine], rcond=None)[0]
+    return out
 
 
 def _same(a: FloatArray, b: FloatArray) -> bool:
@@ -258,10 +298,10 @@ def _smooth(
     straight = sorted({knots[0], knots[-1]})
     sets = [[float(k) for k in some] for some in (straight, knots)]
     variants = tuple(
-        Term(name, "smooth", (("" if of else f"{unit}/m"),) * (len(some) - 1 + level),
-             {"over": over, "knots": some, "of_all": of, "level": level})
+        Term(name, "smooth", ((f"{unit}/m" if of == "length" else ""),) * (len(some) - 1 + level),
+             {"over": over, "knots": some, "of": of, "level": level})
         for some in (sets if len(sets[1]) > 2 else sets[:1])
-        for of in (False, True)
+        for of in ("length", "all", "motion")
         for level in ((False, True) if over.startswith("column:") and not residuals.charge else (False,))
     )  # fmt: skip
     yield Candidate(name, variants, f"the same line while only {name.removeprefix('learned:')} changes",

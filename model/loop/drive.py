@@ -20,6 +20,7 @@ FloatArray = NDArray[np.float64]
 
 _REACH_M = 0.5  # the square metre that a segment's ground is judged on
 _SIDE = 5  # samples along its sides
+_LEAST_M = 0.1  # between wheels
 _LIKE_OTHER_STANDS = 0.3  # of their power: else the robot did something while it stood
 
 
@@ -28,13 +29,13 @@ class Drive:
     """Segments and stands as columns of (n,), the only thing an effect's formula sees.
 
     length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
-    turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade, cross : tangents of the ground
-    along the heading (> 0 uphill) and across it (> 0 down to the right). cross_abs, cross_sq : mean of the magnitude
-    and of the square of the tangent across, as the wheels feel it along the segment. roughness_m : departure of the
-    square metre from its plane. elevation_m. since_s, driven_m : since the start of the run; clock_s : since that of
-    the first run. run : number of the run, an index into `runs`, which tells runs apart by name and first stamp.
-    columns, words (in small letters) : what else was logged (NaN, "" : not recorded). robot : as declared. unit_j :
-    joules of one unit of energy here (1, or the nominal voltage for charge in ampere seconds).
+    turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade : tangent of the ground along
+    the heading (> 0 uphill), as the axles feel it along the segment; cross : across it (> 0 down to the right).
+    cross_abs, cross_sq : mean of the magnitude and of the square of the tangent across, as the wheels feel it.
+    roughness_m : departure of the square metre from its plane. elevation_m. since_s, driven_m : since the start of the
+    run; clock_s : since that of the first run. run : number of the run, an index into `runs`, which tells runs apart by
+    name and first stamp. columns, words (in small letters) : what else was logged (NaN, "" : not recorded). robot : as
+    declared. unit_j : joules of one unit of energy here (1, or the nominal voltage for charge in ampere seconds).
     """
 
     robot: Robot
@@ -85,6 +86,14 @@ class Drive:
         """Mean speed over a segment; the robot's own for a stand."""
         moving = ~self.standing & (self.duration_s > 0)
         return np.where(moving, self.length_m / np.where(moving, self.duration_s, 1.0), self.robot.speed_mps)
+
+    @property
+    def odometer_m(self) -> FloatArray:
+        """Driven since the start of the first run."""
+        order = np.argsort(self.clock_s, kind="stable")
+        out = np.empty(len(self))
+        out[order] = np.cumsum(self.length_m[order])
+        return out
 
     @property
     def hotel_part(self) -> FloatArray:
@@ -235,15 +244,19 @@ def _ground(
     plane = np.stack([np.ones_like(a), a, r], axis=1)
     coefficients = heights @ np.linalg.pinv(plane).T  # (n, 3)
     rest = heights - coefficients @ plane.T
-    axles = np.concatenate([side - 0.5 * robot.length_m, side + 0.5 * robot.length_m])
-    half = np.full(axles.size, 0.5 * robot.width_m)
-    tilt = (heights_at(axles, -half) - heights_at(axles, half)) / robot.width_m  # (n, 10), > 0 down to the right
+    length, width = max(robot.length_m, _LEAST_M), max(robot.width_m, _LEAST_M)
+    axles = np.concatenate([side - 0.5 * length, side + 0.5 * length])
+    half = np.full(axles.size, 0.5 * width)
+    left, right = heights_at(axles, -half), heights_at(axles, half)  # (n, 10): rear axle, front axle
+    tilt = (left - right) / width  # > 0 down to the right
     roll = 0.5 * (tilt[:, :_SIDE] + tilt[:, _SIDE:])
+    climb = 0.5 * (left + right)
+    grade = ((climb[:, _SIDE:] - climb[:, :_SIDE]) / length).mean(axis=1)
     cross = -coefficients[:, 2]
     off_map = ~np.isfinite(roll)  # the wheels reach further than the square metre
     roll = np.where(off_map, cross[:, None], roll)
     return {
-        "grade": coefficients[:, 1],
+        "grade": np.where(np.isfinite(grade), grade, coefficients[:, 1]),
         "cross": cross,
         "cross_abs": np.abs(roll).mean(axis=1),
         "cross_sq": (roll**2).mean(axis=1),

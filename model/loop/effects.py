@@ -45,6 +45,7 @@ def quantity(drive: Drive, name: str) -> FloatArray:
         "since_start": lambda: drive.since_s,
         "driven": lambda: drive.driven_m,
         "clock": lambda: drive.clock_s,
+        "odometer": lambda: drive.odometer_m,
         "x": lambda: drive.x,
         "y": lambda: drive.y,
     }
@@ -119,10 +120,15 @@ def payload(drive: Drive, *, column: str | None = None, reference: float = 0.0) 
 
 
 @_formula
-def temperature(drive: Drive, *, reference: float, of_motion: bool) -> FloatArray:
-    """1/K, or J/m/K. A share of the motion's energy, or energy, per degree above the reference [degC]."""
+def temperature(drive: Drive, *, reference: float, of_motion: bool, begun: bool = False) -> FloatArray:
+    """1/K, or J/m/K. A share of the motion's energy, or energy, per degree above the reference [degC]; before it, with
+    `begun`, what it takes at the reference already."""
     amount = drive.motion_part if of_motion else drive.length_m
-    return (amount * _known(drive, "temperature", reference))[:, None]
+    return _from_zero(amount, _known(drive, "temperature", reference), begun)
+
+
+def _from_zero(amount: FloatArray, grows: FloatArray, begun: bool) -> FloatArray:
+    return np.stack([amount] * begun + [amount * grows], axis=1)
 
 
 @_formula
@@ -192,26 +198,30 @@ def heading(drive: Drive, *, harmonics: int, level: bool = False) -> FloatArray:
 
 @_formula
 def by_run(drive: Drive, *, of: str, runs: list[str]) -> FloatArray:
-    """What another formula says, with coefficients of its own in every run; in a run not listed, their mean."""
+    """What another formula says, with coefficients of its own in every run; in a run not listed, their mean (of a
+    load), or nothing (of a wind: another day has another)."""
     columns = FORMULAS[of](drive)
     numbers = {name: k for k, name in enumerate(runs)}
     which = np.array([numbers.get(name, -1) for name in drive.runs] or [-1])[drive.run]
-    share = np.where(which[:, None] < 0, 1.0 / len(runs), which[:, None] == np.arange(len(runs)))  # (n, runs)
+    elsewhere = 0.0 if of == "wind_constant" else 1.0 / len(runs)
+    share = np.where(which[:, None] < 0, elsewhere, which[:, None] == np.arange(len(runs)))  # (n, runs)
     return (share[:, :, None] * columns[:, None, :]).reshape(len(drive), -1)
 
 
 @_formula
-def drift(drive: Drive, *, over: str, unit: float) -> FloatArray:
-    """A factor on everything that grows from 0 at the start, per `unit` of a quantity (an hour, a kilometre)."""
-    return (drive.predicted * quantity(drive, over) / unit)[:, None]
+def drift(drive: Drive, *, over: str, unit: float, of_all: bool = True, begun: bool = False) -> FloatArray:
+    """A share of everything (or J/m) that grows from 0 at the start, per `unit` of a quantity (an hour, a kilometre);
+    before it, with `begun`, what it takes at the start already."""
+    return _from_zero(drive.predicted if of_all else drive.length_m, quantity(drive, over) / unit, begun)
 
 
 @_formula
-def battery(drive: Drive) -> FloatArray:
-    """Ohm. Losses with the square of the current that the prediction asks for."""
+def battery(drive: Drive, *, ripple: float = 1.0) -> FloatArray:
+    """Ohm. Losses with the square of the current that the prediction asks for. ripple : mean square of a current over
+    the square of its mean within a segment, where it is not steady."""
     volts = drive.robot.nominal_voltage_v
     amps = drive.predicted * drive.unit_j / np.maximum(drive.duration_s, 1e-6) / volts
-    return (amps**2 * drive.duration_s / drive.unit_j)[:, None]
+    return (ripple * amps**2 * drive.duration_s / drive.unit_j)[:, None]
 
 
 @_formula
@@ -245,14 +255,15 @@ def place(drive: Drive, *, centres: list[list[float]], width_m: float, of_all: b
 
 
 @_formula
-def smooth(drive: Drive, *, over: str, knots: list[float], of_all: bool, level: bool = False) -> FloatArray:
-    """J/m (or a share of everything) at the knots of a piecewise linear curve over a quantity; it is 0 at the middle
-    one, unless it brings its own level.
+def smooth(drive: Drive, *, over: str, knots: list[float], of: str, level: bool = False) -> FloatArray:
+    """J/m (or a share of all that is predicted, or of the motion's part) at the knots of a piecewise linear curve over
+    a quantity; it is 0 at the middle one, unless it brings its own level.
 
     The curve is constant beyond its outer knots; where the quantity is unknown it says what it says at the middle.
     """
     values = quantity(drive, over)
-    amount = np.where(drive.standing, 0.0, drive.predicted) if of_all else drive.length_m
+    amount = {"length": drive.length_m, "all": np.where(drive.standing, 0.0, drive.predicted),
+              "motion": drive.motion_part}[of]  # fmt: skip
     middle = len(knots) // 2
     filled = np.where(np.isfinite(values), values, knots[middle])
     hats = [np.interp(filled, knots, row) for k, row in enumerate(np.eye(len(knots))) if level or k != middle]
@@ -267,9 +278,11 @@ def _known(drive: Drive, column: str, reference: float) -> FloatArray:
 
 def inside(drive: Drive, where: Mapping[str, Any]) -> NDArray[np.bool_]:
     """(n,) the rows of a part of the operating range: {"over": quantity, "above" | "below": value}, {"word": column,
-    "is": value} or {} for all of it."""
+    "is": value}, {"runs": names} or {} for all of it."""
     if not where:
         return np.ones(len(drive), dtype=bool)
+    if "runs" in where:
+        return np.isin(drive.runs or [""], where["runs"])[drive.run]
     if "word" in where:
         return np.asarray(drive.words.get(where["word"], np.full(len(drive), "")) == where["is"])
     values = quantity(drive, where["over"])

@@ -2,6 +2,8 @@
 
 Two questions are asked of each. *Does it help where it was not fitted?* Whole runs are held out in turn, and the share
 by which the squared error there falls is the gain; all such fits are solved from one cross-product matrix per run.
+In each fit the base model's level may be off by as much as it usually is, and by no more: what moves the level further
+is an effect like any other.
 *Could chance do it?* For an effect that varies within runs, the residual is shifted circularly along every run by
 random amounts, which keeps what makes neighbours alike in it and in the effect, and the largest statistic over all
 candidates in each shifting is what a find must exceed: the p-value allows for everything that was tried. An effect
@@ -31,7 +33,6 @@ LEVEL_FORMULAS = frozenset({"hotel_load", "sensor_gain", "payload", "friction", 
 
 _FIELD_RIDGE = 5.0  # as many segments say that a bell curve of a field is flat
 _LEAST_RUNS = 3
-_LEVEL_HELPS = 0.005
 _BETWEEN = 0.05  # an effect with less of its variance within runs is judged by runs
 
 
@@ -39,9 +40,9 @@ _BETWEEN = 0.05  # an effect with less of its variance within runs is judged by 
 class Verdict:
     """On one term.
 
-    gain : share by which the held-out squared error falls; net : the same of what is left when the level is refitted
-    with and without the effect. p_value : allowing for all that was tried (1 where it cannot be asked). steady : share
-    of the folds in which it helps. why : where it cannot be asked, why.
+    gain : share by which the held-out squared error falls; net : the same with the level free in both fits, of an
+    effect that is not itself one of level. p_value : allowing for all that was tried (1 where it cannot be asked).
+    steady : share of the folds in which it helps. why : where it cannot be asked, why.
     """
 
     term: int
@@ -80,7 +81,6 @@ class Evidence:
         self.moving = np.flatnonzero(residuals.moving)
         self.moving = self.moving[np.lexsort((drive.since_s[self.moving], drive.run[self.moving]))]
         self._grams()
-        self._silent: dict[tuple[int, ...], IntArray] = {}
 
     def _scaled(self, columns: FloatArray) -> FloatArray:
         return columns / self.residuals.scale[:, None]
@@ -96,22 +96,9 @@ class Evidence:
         self.own_of_runs = {int(c) for t, k in zip(self.terms, self.columns, strict=True) if t.formula == "by_run"
                             for c in k}  # fmt: skip
 
-    def silent(self, chosen: Sequence[int]) -> IntArray:
-        """Columns that are refitted without a word: the level, where that helps on held-out runs and no chosen effect
-        moves the level itself."""
-        if self.residuals.charge:
-            return self.nuisance
-        key = tuple(chosen)
-        if key not in self._silent:
-            selected = self.columns_of(chosen)
-            plain = self.held_out(selected).sum()
-            refitted = self.held_out(np.concatenate([selected, self.nuisance])).sum()
-            helps = refitted < (1.0 - _LEVEL_HELPS) * plain
-            self._silent[key] = self.nuisance if helps and not self.moves_level(chosen) else self.nuisance[:0]
-        return self._silent[key]
-
     def moves_level(self, chosen: Sequence[int]) -> bool:
-        terms = [self.terms[k] for k in chosen]
+        """Whether any of these effects is told from the level by its size alone."""
+        terms = [self.terms[k] for k in chosen if not self.terms[k].settings.get("begun")]
         return not self.residuals.charge and any(
             t.formula in LEVEL_FORMULAS or t.settings.get("of") in LEVEL_FORMULAS for t in terms
         )
@@ -119,20 +106,24 @@ class Evidence:
     def columns_of(self, chosen: Sequence[int]) -> IntArray:
         return np.concatenate([self.nuisance[:0], *(self.columns[k] for k in chosen)]).astype(np.int64)
 
-    def held_out(self, active: IntArray, *, blocks: bool = False) -> FloatArray:
-        """(folds,) squared error [scaled] of each fold, fitted to all others. Where runs have
-        coefficients of their own (or with `blocks`) a fold is a third of every run."""
+    def held_out(self, active: IntArray, *, blocks: bool = False, free: bool = False) -> FloatArray:
+        """(folds,) squared error [scaled] of each fold, fitted to all others, with the level refitted: within the doubt
+        about it, or (with `free`, and of a charge) to any value. Where runs have coefficients of their own (or with
+        `blocks`) a fold is a third of every run."""
         gram = self.by_block if blocks or self.own(active) else self.by_fold
-        if active.size == 0:
-            return gram[:, -1, -1]
-        inner = gram[:, active[:, None], active]
-        right = gram[:, active, -1]
-        left = inner.sum(axis=0) - inner + np.diag(self.ridge[active])
-        beta = np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0]
-        cross = gram[:, active, -1]
-        return np.asarray(
-            gram[:, -1, -1] - 2.0 * np.einsum("fk,fk->f", beta, cross) + np.einsum("fk,fkl,fl->f", beta, inner, beta)
-        )
+        every = np.concatenate([self.nuisance, active])
+        inner = gram[:, every[:, None], every]
+        right = gram[:, every, -1]
+        left = inner.sum(axis=0) - inner + np.diag(self.ridge[every])
+        aim = right.sum(axis=0) - right
+        beta = np.linalg.solve(left, aim[..., None])[..., 0]
+        if not (free or self.residuals.charge):
+            most = self.level_doubt * self.size[0]
+            level = np.clip(beta[:, 0], -most, most)
+            rest = aim[:, 1:] - left[:, 1:, 0] * level[:, None]
+            beta = np.concatenate([level[:, None], np.linalg.solve(left[:, 1:, 1:], rest[..., None])[..., 0]], axis=1)
+        error = np.einsum("fk,fkl,fl->f", beta, inner, beta) - 2.0 * np.einsum("fk,fk->f", beta, right)
+        return np.asarray(gram[:, -1, -1] + error)
 
     def own(self, active: IntArray) -> bool:
         """Whether runs have coefficients of their own among these columns."""
@@ -145,31 +136,29 @@ class Evidence:
         right = self.by_fold[:, active, -1][keep].sum(axis=0)
         return np.asarray(np.linalg.solve(left, right) / self.size[active])
 
+    def sign(self, chosen: Sequence[int], k: int) -> int:
+        """Of the last coefficient of a term, given the chosen ones; 0 where it has several of equal rank."""
+        if self.columns[k].size > 1 and not self.terms[k].settings.get("begun"):
+            return 0
+        level = self.nuisance[: 0 if self.moves_level([*chosen, k]) else None]
+        return int(np.sign(self.coefficients(np.concatenate([level, self.columns_of([*chosen, k])]))[-1]))
+
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
         """A verdict on each tried term, given the chosen ones."""
         selected = self.columns_of(chosen)
-        with_level = np.concatenate([selected, self.nuisance])
-        bare = with_level if self.residuals.charge else selected
-        if chosen and not self.residuals.charge:
-            bare = np.concatenate([selected, self.silent(chosen)])
-        before = {b: (self.held_out(bare, blocks=b), self.held_out(with_level, blocks=b)) for b in (False, True)}
+        before = {blocks: [self.held_out(selected, blocks=blocks, free=free) for free in (False, True)]
+                  for blocks in (False, True)}  # fmt: skip
         p_values, reasons = self._chances(chosen, tried)
         verdicts = []
         for k in tried:
-            own = self.terms[k].formula == "by_run"
-            error, error_level = before[own]
-            kept = selected if self.moves_level([k]) else bare
-            after = self.held_out(np.concatenate([kept, self.columns[k]]))
-            gain = 1.0 - after.sum() / error.sum()
-            if self.moves_level([k]):
-                net, falls = gain, (error - after) / error.sum()
-            else:
-                refitted = self.held_out(np.concatenate([with_level, self.columns[k]]))
-                net = 1.0 - refitted.sum() / error_level.sum()
-                falls = (error_level - refitted) / error_level.sum()
-                gain = max(gain, (error_level - refitted).sum() / error.sum())
-            steady = float((falls > 0).mean())
-            verdicts.append(Verdict(k, float(gain), float(net), p_values[k], steady, reasons.get(k, "")))
+            error, error_free = before[self.own(self.columns[k])]
+            active = np.concatenate([selected, self.columns[k]])
+            falls = error - self.held_out(active)
+            gain = net = float(falls.sum() / error.sum())
+            if not self.moves_level([k]):
+                falls = error_free - self.held_out(active, free=True)
+                net = float(falls.sum() / error_free.sum())
+            verdicts.append(Verdict(k, gain, net, p_values[k], float((falls > 0).mean()), reasons.get(k, "")))
         return verdicts
 
     def _chances(self, chosen: Sequence[int], tried: Sequence[int]) -> tuple[dict[int, float], dict[int, str]]:
@@ -246,7 +235,8 @@ class Evidence:
 
     def _by_runs(self, chosen: Sequence[int], k: int) -> float:
         """p of a t-test over left-out runs for a term of one coefficient."""
-        active = np.concatenate([self.columns_of(chosen), self.silent([*chosen, k]), self.columns[k]])
+        level = self.nuisance[: 0 if self.moves_level([*chosen, k]) else None]
+        active = np.concatenate([self.columns_of(chosen), level, self.columns[k]])
         value = self.coefficients(active)[-1]
         spread = self.jackknife(active)[-1]
         share = self.x[self.moving][:, self.columns[k]] * self.size[self.columns[k]]
@@ -272,11 +262,12 @@ class Evidence:
         return float((1 + (stat[1:] >= stat[0] - 1e-12).sum()) / (SHIFTS + 1))
 
     def _differ_between_runs(self, chosen_level: FloatArray, per_run: FloatArray) -> float:
-        """p of the runs' levels being no further off than the base model's usually are."""
+        """p of the runs' levels being no further from each other than the base model's usually are."""
         z = self.z[self.moving]
         z = z - chosen_level @ (chosen_level.T @ z)
         offs = (per_run.T @ z) / (per_run**2).sum(axis=0)
-        return float(chi2.sf(float(((offs / self.level_doubt) ** 2).sum()), offs.size))
+        apart = (offs - offs.mean()) / (0.5 * self.level_doubt)
+        return float(chi2.sf(float((apart**2).sum()), max(offs.size - 1, 1)))
 
     def jackknife(self, active: IntArray) -> FloatArray:
         """Standard errors of `coefficients`, leaving out a fold at a time."""

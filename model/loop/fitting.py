@@ -17,6 +17,7 @@ FloatArray = NDArray[np.float64]
 _HUBER = 2.0  # robust standard deviations beyond which a segment counts less
 _FIELD_RIDGE = 5.0
 _STEPS = 12
+_OF_THESE_RUNS = frozenset({"by_run", "place", "disk"})
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,18 @@ class Fit:
     held_out: FloatArray
 
 
-def fit_terms(residuals: Residuals, terms: Sequence[Term]) -> Fit:
+def fit_terms(
+    residuals: Residuals, terms: Sequence[Term], *, level_doubt: float = 0.0, base: Residuals | None = None
+) -> Fit:
     """Fit terms together to residuals (n,).
 
     The noise is a share of the energy (`Residuals.scale`); far segments weigh less (Huber 1964). Intervals are those of
     the jackknife over runs with Student's t of as many degrees of freedom (Cameron & Miller 2015, section VI: few
-    clusters), so that what makes the segments of a run alike widens them. Where runs
-    have coefficients of their own, a third of every run is left out at a time.
+    clusters), so that what makes the segments of a run alike widens them; where runs have coefficients of their own, a
+    third of every run is left out at a time. Three doubts are added: how far a coefficient moves when the noise is
+    judged otherwise (a right formula gives the same whatever counts more: White 1980), and when the base model's level
+    is off by half of `level_doubt`, a share of the energy; and what the same formula finds where it is not at work, on
+    the runs of `base`: the base model's own error along it (a negative control: Lipsitch et al. 2010).
     """
     own = any(t.formula == "by_run" for t in terms)
     scale, fold = residuals.scale, residuals.block if own else residuals.fold
@@ -58,12 +64,36 @@ def fit_terms(residuals: Residuals, terms: Sequence[Term]) -> Fit:
     folds = np.unique(fold)
     each = np.stack([_solve(a[fold != f], z[fold != f], weight[fold != f], ridge) for f in folds])
     error = np.sqrt((folds.size - 1) / folds.size * ((each - each.mean(axis=0)) ** 2).sum(axis=0))
+    plain, even = _solve(a, z, np.ones_like(z), ridge), _solve(a, z, (scale / scale[moving].mean()) ** 2, ridge)
+    form = np.std([beta, plain, even], axis=0, ddof=1)
+    level = _solve(a, np.where(moving, residuals.predicted, 0.0) / scale, np.ones_like(z), ridge)
+    error = np.sqrt(error**2 + form**2 + (0.5 * level_doubt * level) ** 2 + (_placebo(base, terms, counts) * size) ** 2)
     reach = float(student.ppf(0.975, folds.size - 1)) * error
     held = np.sum(a * each[np.searchsorted(folds, fold)], axis=1) * scale
     edges = np.cumsum(counts)[:-1]
     parts = [np.split(v, edges) for v in (beta / size, (beta - reach) / size, (beta + reach) / size)]
     fitted = tuple(t.fitted(v) for t, v in zip(terms, parts[0], strict=False))
     return Fit(fitted, tuple(parts[1]), tuple(parts[2]), held)
+
+
+def _placebo(base: Residuals | None, terms: Sequence[Term], counts: Sequence[int]) -> FloatArray:
+    """How far coefficients (so many per term) are from 0 on runs without the effects, and how uncertain that is; 0
+    where these runs cannot show any."""
+    found = [np.zeros(count) for count in counts]
+    shared = [k for k, t in enumerate(terms) if t.formula not in _OF_THESE_RUNS and "runs" not in t.where]
+    if base is None or not shared:
+        return np.concatenate([*found, np.zeros(0)])
+    x = np.concatenate([terms[k].columns(base.drive) for k in shared], axis=1) / base.scale[:, None]
+    size = np.sqrt(np.mean(x**2, axis=0))
+    shown = size > 0
+    a = x[:, shown] / size[shown]
+    beta = np.zeros(size.size)
+    z, ridge, folds = base.residual / base.scale, np.full(a.shape[1], 1e-3 * len(base)), np.unique(base.fold)
+    each = [_solve(a[use], z[use], np.ones(use.sum()), ridge) for use in (base.fold != f for f in folds)]
+    beta[shown] = np.hypot(np.mean(each, axis=0), np.std(each, axis=0) * np.sqrt(folds.size - 1)) / size[shown]
+    for k, part in zip(shared, np.split(beta, np.cumsum([counts[k] for k in shared])[:-1]), strict=True):
+        found[k] = part
+    return np.concatenate(found)
 
 
 def _solve(a: FloatArray, z: FloatArray, weight: FloatArray, ridge: FloatArray) -> FloatArray:

@@ -138,6 +138,7 @@ def cut_travel(run: Run, *, length_m: float = 1.0) -> Segments:
         gained_m2ps2=between(_summed(np.maximum(np.diff(0.5 * speed**2), 0.0))),
         voltage_v=np.full(starts.size, np.nan),
         current_a=mean(run.current_a),
+        ripple=np.ones(starts.size),
         t0=starts,
         run=np.zeros(starts.size, dtype=np.int64),
         runs=(run.name,),

@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 @dataclass(frozen=True)
 class Prediction:
     """Per segment, (n,) each; NaN on unknown ground. energy_j [J] : drawn from the battery. std_j : its standard
-    deviation, None from a model that does not know it. traction_per_m [J/m] : with the payload's weight, before any
+    deviation, None from a model that does not know it. traction_per_m [J/m] : of the declared robot, before any
     calibration. turning_j : the part of the energy that goes into turning, apart from a calibration's effects."""
 
     energy_j: FloatArray
@@ -53,11 +53,10 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
     traction, std = base.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     factor = payload_factor(base, robot, segments)
     std = predictor.std_of(std, traction, robot) if isinstance(predictor, CalibratedPredictor) else std
-    traction = traction * factor
     std = None if std is None else std * factor * segments.driven_m
     if isinstance(predictor, CalibratedPredictor):  # its effects know more of a log than a plan could
         energy = predictor.segment_energy(segments, heightmap, robot)
         return Prediction(energy, std, traction, np.zeros(len(segments)))
     turning_robot = base.robot_with_turning(robot) if isinstance(base, Learned) else robot
     turning = turning_robot.turn_j_per_rad * np.abs(segments.heading_change_rad)
-    return Prediction(robot.price_per_m(traction) * segments.driven_m + turning, std, traction, turning)
+    return Prediction(robot.price_per_m(traction * factor) * segments.driven_m + turning, std, traction, turning)

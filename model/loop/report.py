@@ -104,7 +104,7 @@ def coefficient_names(term: Term) -> list[str]:
         return ["turning", f"turning up to {settings['limit_radps']:g} rad/s"]
     if term.formula == "turning_sides":
         return ["right", "left"]
-    return [term.name]
+    return ["at the start" if term.name == "drift" else "at the reference", term.name] if count == 2 else [term.name]
 
 
 def where_words(term: Term) -> str:
@@ -116,6 +116,8 @@ def where_words(term: Term) -> str:
         return f"everywhere; saturates at {term.settings['limit_radps']:g} rad/s"
     if not term.where:
         return "everywhere"
+    if "runs" in term.where:
+        return "in these runs only: another day has its own"
     if "word" in term.where:
         return f"where {term.where['word']} is {term.where['is']}"
     side = "above" if "above" in term.where else "below"

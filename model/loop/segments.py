@@ -57,10 +57,10 @@ class Segments:
     duration_s. driven_m : horizontal length of the track. heading_change_rad : of the track from p to q, > 0 to the
     right. turned_abs_rad : turns to both sides added up. gentle_turn_rad : (n, 7), the same where every rate of turning
     counts up to the limits `track.TURN_LIMITS_RADPS` only. gained_m2ps2 : half the square of the speed, what it rose by
-    between p and q (falls do not count). voltage_v (NaN where it was not recorded), current_a : means. t0 : stamp at p.
-    run : index into `runs`. extras : mean of each further numeric column (NaN where blank); texts : text columns at the
-    middle. stands : (run, seconds, energy) of every stand of 2 s or more without its first and last half second.
-    left_out : reason -> count.
+    between p and q (falls do not count). voltage_v (NaN where it was not recorded), current_a : means. ripple : mean
+    square of the current over the square of its mean. t0 : stamp at p. run : index into `runs`. extras : mean of each
+    further numeric column (NaN where blank); texts : text columns at the middle. stands : (run, seconds, energy) of
+    every stand of 2 s or more without its first and last half second. left_out : reason -> count.
     """
 
     x: FloatArray
@@ -75,6 +75,7 @@ class Segments:
     gained_m2ps2: FloatArray
     voltage_v: FloatArray
     current_a: FloatArray
+    ripple: FloatArray
     t0: FloatArray
     run: NDArray[np.int64]
     runs: tuple[str, ...]
@@ -153,11 +154,12 @@ def cut_segments(
     energy = integral(run.t, power, qt) - integral(run.t, power, pt)
     first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
     voltage = np.full(pt.size, np.nan) if run.voltage_v is None else _mean(run.voltage_v, first, last, False)
+    current, square = (_mean(values, first, last, False) for values in (run.current_a, run.current_a**2))
     columns = {
         "x": (px + qx) / 2, "y": (py + qy) / 2, "heading_rad": heading_of(qx - px, qy - py), "energy_j": energy,
         "duration_s": qt - pt, "driven_m": qs - ps, "heading_change_rad": turned, "t0": pt,
         "turned_abs_rad": turned_abs, "gentle_turn_rad": gentle, "gained_m2ps2": gained_q - gained_p,
-        "voltage_v": voltage, "current_a": _mean(run.current_a, first, last, False),
+        "voltage_v": voltage, "current_a": current, "ripple": _ripple(square, current),
     }  # fmt: skip
     bent = (qs - ps) > max_driven_ratio * length_m
     slow = ~bent & ((qt - pt) * usual > max_duration_ratio * length_m)
@@ -238,6 +240,12 @@ def split_runs(segments: Segments, held_out: Iterable[int]) -> tuple[Segments, S
 def _count(counts: dict[str, int], key: str, count: int) -> None:
     if count:
         counts[key] = counts.get(key, 0) + count
+
+
+def _ripple(square: FloatArray, mean: FloatArray) -> FloatArray:
+    """Mean square over squared mean, 1 where no current flows."""
+    flows = np.abs(mean) > 1e-9
+    return np.where(flows, square / np.where(flows, mean, 1.0) ** 2, 1.0)
 
 
 def _mean(values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64], angle: bool) -> FloatArray:

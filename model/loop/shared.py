@@ -34,8 +34,8 @@ class SharedErrors:
         if self.residuals is None:
             return np.zeros(len(terms))
         evidence = Evidence(self.residuals, terms, level_doubt=self.level_doubt)
-        before = evidence.held_out(evidence.nuisance).sum()
-        after = [evidence.held_out(np.concatenate([evidence.nuisance, c])).sum() for c in evidence.columns]
+        before = evidence.held_out(evidence.columns_of([]), free=True).sum()
+        after = [evidence.held_out(c, free=True).sum() for c in evidence.columns]
         return np.maximum(1.0 - np.array(after) / before, 0.0)
 
 
@@ -49,9 +49,9 @@ def shared_errors(base: Residuals | None) -> SharedErrors:
     evidence = Evidence(base, [*always, *_known_forms(base)], level_doubt=_USUAL_DOUBT)
     chosen = list(range(len(always)))
     while True:
-        error = evidence.held_out(evidence.columns_of(chosen)).sum()
+        error = evidence.held_out(evidence.columns_of(chosen), free=True).sum()
         rest = [k for k in range(len(evidence.terms)) if k not in chosen]
-        after = {k: evidence.held_out(evidence.columns_of([*chosen, k])).sum() for k in rest}
+        after = {k: evidence.held_out(evidence.columns_of([*chosen, k]), free=True).sum() for k in rest}
         best = min(after, key=lambda k: after[k], default=None)
         if best is None or after[best] > (1.0 - _LEAST_GAIN) * error:
             break
@@ -73,8 +73,7 @@ def _known_forms(base: Residuals) -> list[Term]:
     ]
     carried = base.drive.columns.get("payload")
     if carried is not None and np.isfinite(carried).any() and np.nanmax(carried) > np.nanmin(carried):
-        reference = round(float(np.nanmean(carried)), 3)
-        forms.append(Term("payload", "payload", ("",), {"column": "payload", "reference": reference}))
+        forms.append(Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0}))
     return forms
 
 

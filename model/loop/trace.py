@@ -9,7 +9,7 @@ others make needless is dropped, and each is put in the best of its forms given 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,9 @@ MAX_EFFECTS = 6
 
 _STEADY = 0.6  # of the folds must gain
 _COEFFICIENT, _MOST = 0.01, 0.04
-_NEARLY = 0.85  # of a learned curve's gain is enough for a physical form
+_NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
+_SURE, _LITTLE = 0.01, 0.02
+_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -84,15 +86,18 @@ def trace(
     ranking = search.best_of_each([])
     found: list[Found] = []
     verdicts = ranking
+    needless: set[str] = set()
     while len(found) < MAX_EFFECTS:
-        taken = search.pick(verdicts, found)
+        taken = search.pick([v for v in verdicts if v[0].name not in needless], found)
         if taken is None:
             break
+        before = {f.candidate.name for f in [*found, taken]}
         found = search.settle([*found, taken])
+        needless |= before - {f.candidate.name for f in found}  # or it would be taken and dropped for ever
         verdicts = search.best_of_each(found)
         if progress is not None:
             progress(len(found) / MAX_EFFECTS)
-    found = search.by_worth(found)
+    found = search.by_worth(search.two_named(found))
     remaining = [v for v in verdicts if v[0].name not in {f.candidate.name for f in found}]
     names = {f.candidate.name: search.rivals(found, f) for f in found}
     least = min((v.p_value for _, v in remaining if search.clears_floor(v)), default=None)
@@ -136,8 +141,11 @@ class _Search:
         names = {f.candidate.name for f in found}
         tried = [k for k, c in enumerate(self.owner) if c.name not in names]
         best: dict[str, tuple[Candidate, Verdict]] = {}
-        for verdict in self.evidence.judge([f.verdict.term for f in found], tried):
+        taken = [f.verdict.term for f in found]
+        for verdict in self.evidence.judge(taken, tried):
             candidate = self.owner[verdict.term]
+            if candidate.sign and self.evidence.sign(taken, verdict.term) == -candidate.sign:
+                verdict = replace(verdict, p_value=1.0, why="its sign makes no sense")
             before = best.get(candidate.name)
             if before is None or self._order(verdict) > self._order(before[1]):
                 best[candidate.name] = candidate, verdict
@@ -147,60 +155,128 @@ class _Search:
         return verdict.p_value <= ALPHA and self.clears_floor(verdict), self.score(verdict)
 
     def pick(self, verdicts: Sequence[tuple[Candidate, Verdict]], found: Sequence[Found]) -> Found | None:
-        """The effect to take next, None when there is none."""
+        """The effect to take next, None when there is none: of those that do as well as the best, a named one that no
+        column tells more than."""
         good = [Found(c, v) for c, v in verdicts if v.p_value <= ALPHA and self.clears_floor(v)]
         first = [f for f in good if not f.candidate.response] or good
         if not first:
             return None
+        taken = [f.verdict.term for f in found]
         best = max(first, key=lambda f: self.score(f.verdict))
-        near = [f for f in first if self.score(f.verdict) >= _NEARLY * self.score(best.verdict)]
-        physical = [f for f in near if not f.candidate.learned]
-        if best.candidate.learned and physical:
-            return max(physical, key=lambda f: self.score(f.verdict))
-        return best
+        alike = [f for f in first if f is best or self.as_good(taken, f, best)]
+        alike.sort(key=lambda f: (self.named(f), self.score(f.verdict)), reverse=True)
+        chosen = alike[0]
+        above = [f for f in alike[1:] if self.score(f.verdict) > self.score(chosen.verdict)]
+        return next((c for c in above if self.tells_more(taken, c, chosen)), chosen)
+
+    def named(self, one: Found) -> bool:
+        """Whether a physical form speaks for an effect: a curve, a drift and coefficients for every run say only that
+        something changes."""
+        return not (one.candidate.learned or one.candidate.name == "drift" or self.by_run(one))
+
+    def by_run(self, one: Found) -> bool:
+        return self.evidence.own(self.evidence.columns[one.verdict.term])
+
+    def as_good(self, taken: Sequence[int], one: Found, best: Found) -> bool:
+        """Whether an effect does as well as the best on held-out data: within one standard error (Breiman et al. 1984,
+        section 3.4.3) and no small part of the gain, or nearly."""
+        mine, its = (self.evidence.columns_of([*taken, f.verdict.term]) for f in (one, best))
+        blocks = self.evidence.own(mine) or self.evidence.own(its)
+        before = self.evidence.held_out(self.evidence.columns_of(taken), blocks=blocks).sum()
+        error = self.evidence.held_out(its, blocks=blocks)
+        worse = self.evidence.held_out(mine, blocks=blocks) - error
+        gained = float(before - error.sum())
+        noise = 0.0 if blocks else float(worse.std(ddof=1)) * np.sqrt(worse.size)
+        return bool(worse.sum() <= max((1.0 - _NEARLY) * gained, min(noise, (1.0 - _FAIRLY) * gained)))
+
+    def tells_more(self, taken: Sequence[int], column: Found, other: Found) -> bool:
+        """Whether a logged column explains what another effect leaves, and that one nothing of what the column leaves
+        (encompassing: Mizon & Richard 1986)."""
+        name = column.candidate.name
+        over = str(self.evidence.terms[column.verdict.term].settings.get("over", ""))
+        if not over.startswith("column:") or over.removeprefix("column:") == other.candidate.name:
+            return False
+        slopes = [k for k, c in enumerate(self.owner) if c.name == name and self.evidence.columns[k].size == 1]
+        constant = [k for k, t in enumerate(self.evidence.terms) if t.formula == "friction"]
+        more = self.evidence.judge([*taken, other.verdict.term, *constant], slopes)
+        if min((v.p_value for v in more), default=1.0) > _SURE:
+            return False
+        back = self.evidence.judge([*taken, column.verdict.term], [other.verdict.term])[0]
+        return back.p_value > ALPHA or min(back.gain, back.net) < _LITTLE
 
     def settle(self, found: list[Found]) -> list[Found]:
-        """Each effect in its best variant given the others, without those that the others make needless."""
-        for _ in range(2):
-            for k, one in enumerate(found):
-                rest = [f.verdict.term for j, f in enumerate(found) if j != k]
-                terms = [t for t, c in enumerate(self.owner) if c.name == one.candidate.name]
-                better = min(terms, key=lambda t: self.error([*rest, t]) * (1.0 + self.price(t)))
-                if better != one.verdict.term and self.error([*rest, better]) < self.error([*rest, one.verdict.term]):
-                    found[k] = Found(one.candidate, self.evidence.judge(rest, [better])[0])
-            worth = [(self.worth(found, f), k) for k, f in enumerate(found)]
-            least, k = min(worth)
+        """Each effect as it would be taken given the others, which may put another in its place; without those that the
+        others make needless (sequential replacement: Miller 2002, section 3.7)."""
+        for _ in range(_ROUNDS):
+            before = list(found)
+            for k, one in enumerate(before):
+                rest = self.beside(found, found[k])
+                again = self.pick(self.best_of_each(rest), rest)
+                if again is not None and self.better(rest, again, one):
+                    found = [*found[:k], again, *found[k + 1 :]]
+            least, k = min((self.worth(found, f), k) for k, f in enumerate(found))
             if len(found) > 1 and least < 0.5 * self.floor(found[k].verdict.term):
                 found = found[:k] + found[k + 1 :]
+            if found == before:
+                break
         return found
+
+    def two_named(self, found: list[Found]) -> list[Found]:
+        """Instead of two effects of which one is a mere curve, two with a physical form that do as well together, if
+        there are such: taken one by one, the first may have stood for both."""
+        if len(found) != 2 or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
+            return found
+        single = [k for k, c in enumerate(self.owner) if self.evidence.columns[k].size == 1 and not c.learned]
+        single = [k for k in single if self.evidence.terms[k].formula not in ("disk", "turning")]
+        pairs = [(self.error([j, k]), j, k) for j in single for k in single
+                 if j < k and self.owner[j].name != self.owner[k].name]  # fmt: skip
+        error, *best = min(pairs, default=(np.inf, 0, 0))
+        if error > (1.0 + _LITTLE) * self.error([f.verdict.term for f in found]):
+            return found
+        verdicts = [self.evidence.judge([b for b in best if b != k], [k])[0] for k in best]
+        if any(v.p_value > ALPHA or not self.clears_floor(v) for v in verdicts):
+            return found
+        return [Found(self.owner[v.term], v) for v in verdicts]
+
+    def better(self, rest: Sequence[Found], again: Found, one: Found) -> bool:
+        """Whether to put an effect in the place of another: the whole gets better by it, or is named by it."""
+        taken = [f.verdict.term for f in rest]
+        new, old = (self.error([*taken, f.verdict.term]) for f in (again, one))
+        if again.candidate.name == one.candidate.name:
+            return new < old
+        named = self.named(again) and not self.named(one)
+        return new < (1.0 + _LITTLE if named else 1.0 - _LITTLE) * old
 
     def error(self, chosen: Sequence[int]) -> float:
         """Held-out squared error [scaled] of a choice of terms."""
-        return float(self.evidence.held_out(self.active(chosen)).sum())
+        return float(self.evidence.held_out(self.evidence.columns_of(chosen)).sum())
 
-    def active(self, chosen: Sequence[int]) -> NDArray[np.int64]:
-        return np.concatenate([self.evidence.columns_of(chosen), self.evidence.silent(chosen)])
+    def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
+        """The effects that an effect must hold its own against: what answers to the drive makes nothing needless that
+        explains it, for a measured tilt may say the same as a slope, and say it better."""
+        return [f for f in found if f is not one and (one.candidate.response or not f.candidate.response)]
 
     def worth(self, found: Sequence[Found], one: Found) -> float:
         """Share by which the held-out error would grow without an effect."""
-        rest = [f.verdict.term for f in found if f is not one]
-        whole = self.error([f.verdict.term for f in found])
-        return (self.error(rest) - whole) / max(self.error(rest), 1e-12)
+        rest = [f.verdict.term for f in self.beside(found, one)]
+        without = self.error(rest)
+        return (without - self.error([*rest, one.verdict.term])) / max(without, 1e-12)
 
     def by_worth(self, found: list[Found]) -> list[Found]:
-        return sorted(found, key=lambda f: -self.worth(found, f))
+        """The most telling first; what answers to the drive comes after what explains it."""
+        return sorted(found, key=lambda f: (f.candidate.response, -self.worth(found, f)))
 
     def rivals(self, found: Sequence[Found], one: Found) -> list[str]:
         """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise."""
         rest = [f.verdict.term for f in found if f is not one]
         names = {f.candidate.name for f in found}
-        mine = self.active([*rest, one.verdict.term])
+        mine = self.evidence.columns_of([*rest, one.verdict.term])
         gained = self.error(rest) - self.error([*rest, one.verdict.term])
         out = []
         for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
             if candidate.name in names or verdict.p_value > ALPHA or not self.clears_floor(verdict):
                 continue
-            its = self.active([*rest, verdict.term])
+            its = self.evidence.columns_of([*rest, verdict.term])
             blocks = self.evidence.own(mine) or self.evidence.own(its)
             worse = self.evidence.held_out(its, blocks=blocks) - self.evidence.held_out(mine, blocks=blocks)
             noise = float(worse.std(ddof=1)) * np.sqrt(worse.size)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from model.field.hidden_draws import EFFECT_NAMES
 from tests.loop.cases import SITES, Calibrator, Outcome, append_outcome, base_model, read_outcomes, try_case
-from tests.loop.table import LEGEND, table_of
+from tests.loop.table import LEGEND, summary_of, table_of
 
 PAIRS = ("turning+wind", "payload+hotel_load", "terrain_class+turning", "braking+temperature", "drift+cross_slope")
 CALIBRATOR = "tests.loop.calibrators:Joulemap"
@@ -50,7 +50,7 @@ def main() -> None:
     options.work.mkdir(parents=True, exist_ok=True)
     kept = options.work / f"{options.calibrator.replace(':', '.')}.jsonl"
     done = {(o.case, o.seed): o for o in read_outcomes(kept)}
-    wanted = [(case, seed) for case in cases for seed in seeds]
+    wanted = [(case, seed) for seed in seeds for case in cases]  # cut off, every case has as many seeds
     if not options.table:
         todo = [key for key in wanted if key not in done]
         for number, outcome in enumerate(outcomes(todo, options.calibrator, options.work, options.jobs), start=1):
@@ -59,7 +59,8 @@ def main() -> None:
             print(f"{number}/{len(todo)} {outcome.case} {outcome.seed}: {', '.join(outcome.found) or 'nothing'}"
                   f" {outcome.new_before:.3f} -> {outcome.new_after:.3f} ({outcome.tried_s:.0f} s)",
                   file=sys.stderr)  # fmt: skip
-    text = table_of([done[key] for key in wanted if key in done])
+    there = [done[key] for key in wanted if key in done]
+    text = f"{summary_of(there)}\n\n{table_of(there)}"
     print(text)
     if options.write is not None:
         options.write.write_text(document(text, options), encoding="utf-8")
@@ -91,6 +92,7 @@ def _one_thread() -> None:
 def document(table: str, options: argparse.Namespace) -> str:
     """What is committed: the table with its command, date and machine."""
     command = f"python -m tests.loop --effects {options.effects} --seeds {options.seeds}"
+    command += f" --first-seed {options.first_seed}" if options.first_seed else ""
     command += f" --calibrator {options.calibrator}" if options.calibrator != CALIBRATOR else ""
     return (
         "# Blind cases\n\n"

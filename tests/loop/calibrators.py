@@ -28,10 +28,8 @@ class Joulemap:
     def calibrate(
         self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
     ) -> dict[str, Any]:
-        report, _ = calibrate_on_runs(
-            str(model), read_heightmap(heightmap), Robot.from_toml(robot), list(runs), out=out
-        )
-        return report
+        done = calibrate_on_runs(str(model), read_heightmap(heightmap), Robot.from_toml(robot), list(runs), out=out)
+        return done.document
 
     def predict(self, model: Path, heightmap: Path, segments: Segments, robot: Path, out: Path) -> FloatArray:
         found = out / "model"

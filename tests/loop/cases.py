@@ -91,6 +91,7 @@ class Outcome:
     floor: float
     tried_s: float
     fits: tuple[Fit, ...] = ()
+    knowable: bool = True
 
     @property
     def first_right(self) -> bool:
@@ -107,9 +108,9 @@ class Outcome:
 
     @property
     def gain_share(self) -> float | None:
-        """Of what knowing the true effect gains on the second site; None where that is hardly anything, or where the
-        effect is a place, which says nothing of another site."""
-        if "local_friction" in self.true:
+        """Of what knowing the true effect gains on the second site; None where that is hardly anything, or not to be
+        known."""
+        if not self.knowable:
             return None
         told = self.other_before - self.other_told
         return (self.other_before - self.other_after) / told if told > LEAST_GAIN else None
@@ -145,6 +146,8 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
     tried_s = time.perf_counter() - began
     robot = Robot.from_toml(robot_file)
 
+    columns: set[str] = set()
+
     def errors(place: str, runs: Path, heightmap: Path) -> tuple[float, float, float]:
         """(base model, calibrated, base model told the truth) on all runs of a folder."""
         segments, extra = _segments_with_extra(sorted(runs.glob("*.csv")), place, heightmap, robot, truth)
@@ -153,6 +156,7 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
         before = robot.price_per_m(traction)
         after = calibrator.predict(base, heightmap, segments, robot_file, folder / "out")
         known = np.isfinite(before)
+        columns.update(key for key, values in segments.extras.items() if np.isfinite(values).any())
         return (
             _error(before[known], segments.energy_j[known]),
             _error(after[known], segments.energy_j[known]),
@@ -178,6 +182,7 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
         floor=truth.floor_known["new"],
         tried_s=tried_s,
         fits=fits_of(report, truth),
+        knowable=all(_NEEDS.get(name, "x") in {*columns, "x"} for name in truth.names),
     )
     shutil.rmtree(folder)
     return outcome
@@ -217,6 +222,10 @@ def fits_of(report: dict[str, Any], truth: BlindTruth) -> tuple[Fit, ...]:
 
 _NO_ONE_FORM = {"terrain_class", "local_friction", "cross_slope", "acceleration", "speed", "temperature", "drift"}
 """Effects whose coefficient depends on the form that is given to them: no truth to cover."""
+
+
+_NEEDS = {"wind": "wind_speed", "payload": "payload", "local_friction": "nothing that is logged"}
+"""What a log must hold for an effect to be known elsewhere."""
 
 
 def extra_energy(truth: RunTruth, segments: Segments) -> FloatArray:

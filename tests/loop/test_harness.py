@@ -33,6 +33,7 @@ def test_an_outcome_is_judged_by_its_names():
     place = dataclasses.replace(FOUND, true=("local_friction",), found=("learned:place",))
     assert place.first_right
     assert dataclasses.replace(FOUND, other_told=0.245).gain_share is None
+    assert dataclasses.replace(FOUND, knowable=False).gain_share is None
 
 
 def test_outcomes_are_kept_as_they_are(tmp_path):

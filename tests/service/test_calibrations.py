@@ -159,7 +159,7 @@ def test_the_list_has_no_reports(service: TestClient, calibration: dict[str, Any
 def test_a_running_calibration_is_stopped_by_deleting_it(service: TestClient, ground_id: str, runs_id: str) -> None:
     asked = {"heightmap_id": ground_id, "runs": [runs_id], "model": "physics", "robot": ROBOT}
     place = service.post("/v1/calibrations", json=asked).headers["location"]
-    wait_until(lambda: service.get(place).json()["progress"] > 0.0)
+    wait_until(lambda: service.get(place).json()["progress"] > 0.0, timeout_s=200.0)
     check_problem(service.get(f"{place}/report.html"), 409, "conflict", "running")
     assert service.delete(place).status_code == 204
     check_problem(service.get(place), 404, "not_found")
@@ -262,12 +262,12 @@ def test_a_killed_calibration_is_done_again(tmp_path: Path) -> None:
     process = subprocess.Popen([sys.executable, "-c", SERVE, str(tmp_path), "", str(port)], env=env)
     try:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as http:
-            wait_until(lambda: answers(http, "/readyz"))
+            wait_until(lambda: answers(http, "/readyz"), timeout_s=200.0)
             ground = http.post("/v1/heightmaps", content=write_geotiff(None, hills())).json()["id"]
             runs = send(http, *(run_csv(seed) for seed in range(3))).json()["id"]
             asked = {"heightmap_id": ground, "runs": [runs], "model": "physics", "robot": ROBOT}
             place = http.post("/v1/calibrations", json=asked).headers["location"]
-            wait_until(lambda: http.get(place).json()["progress"] > 0.0)
+            wait_until(lambda: http.get(place).json()["progress"] > 0.0, timeout_s=200.0)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
