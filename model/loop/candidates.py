@@ -70,7 +70,7 @@ def find_candidates(
     drive, moving = residuals.drive, residuals.moving
     unit, amount = ("A s", "A") if residuals.charge else ("J", "W")
     refused: dict[str, str] = {}
-    found = list(_of_path(unit, drive.runs, _ripple(residuals, columns.get("ripple"))))
+    found = list(_of_path(unit, _ripple(residuals, columns.get("ripple"))))
     found.append(
         Candidate("hotel_load", (Term("hotel_load", "hotel_load", (amount,)),),
                   "drive the same line at two speeds, and stand for a minute")
@@ -107,7 +107,7 @@ def _merged(found: list[Candidate]) -> list[Candidate]:
     return list(by_name.values())
 
 
-def _of_path(unit: str, runs: Sequence[str], ripple: float) -> Iterator[Candidate]:
+def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     rad = f"{unit}/rad"
     saturating = tuple(Term("turning", "turning", (rad,), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
     both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS[:5])
@@ -134,11 +134,9 @@ def _of_path(unit: str, runs: Sequence[str], ripple: float) -> Iterator[Candidat
     yield Candidate("braking", down, "straight down a slope, and straight up it")
     yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
     j_per_m = f"{unit}/m"
-    calm = Term("wind", "wind_constant", (j_per_m, j_per_m), {}, {"runs": list(runs)})
-    yield Candidate("wind", (calm,), "one line to and fro, and one across it")
     more = tuple(
         Term("learned:heading", "heading", (j_per_m,) * (2 * n + level), {"harmonics": n, "level": level})
-        for n in (2, 3)
+        for n in (1, 2, 3)
         for level in (False, True)
     )
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
@@ -185,7 +183,10 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
             for of in (True, False) for begun in (False, True)
         )  # fmt: skip
         yield Candidate("temperature", warmth, "the same loop on a cold and on a warm day", sign=-1)
-    if "wind_speed" in usable and "wind_from" in drive.columns:
+    if not _wind_logged(residuals, usable):
+        calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
+        yield Candidate("wind", (calm,), "one line to and fro, and one across it")
+    else:
         air = (
             Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
             Term("wind", "wind_measured", (f"{unit}/m per m/s",), {"quadratic": False}),
@@ -196,6 +197,10 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
         yield Candidate("payload", (logged,), "the same loop with and without a load")
 
 
+def _wind_logged(residuals: Residuals, usable: Sequence[str]) -> bool:
+    return "wind_speed" in usable and "wind_from" in residuals.drive.columns
+
+
 def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator[Candidate]:
     """What nobody recorded and every run had its own of."""
     drive = residuals.drive
@@ -203,7 +208,7 @@ def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator
     names = list(drive.runs)
     if runs.size < 2 or runs.size < len(names) or runs.size > _MOST_RUNS:
         return
-    if "wind_speed" not in usable:
+    if not _wind_logged(residuals, usable):
         wind = Term("wind", "by_run", (f"{unit}/m",) * 2 * len(names), {"of": "wind_constant", "runs": names})
         yield Candidate("wind", (wind,), "one line to and fro, and one across it, in every run")
     if "payload" not in usable and not residuals.charge:

@@ -17,6 +17,7 @@ FloatArray = NDArray[np.float64]
 _HUBER = 2.0  # robust standard deviations beyond which a segment counts less
 _FIELD_RIDGE = 5.0
 _STEPS = 12
+_AS_MUCH = 0.5
 _OF_THESE_RUNS = frozenset({"by_run", "place", "disk"})
 
 
@@ -67,7 +68,9 @@ def fit_terms(
     plain, even = _solve(a, z, np.ones_like(z), ridge), _solve(a, z, (scale / scale[moving].mean()) ** 2, ridge)
     form = np.std([beta, plain, even], axis=0, ddof=1)
     level = _solve(a, np.where(moving, residuals.predicted, 0.0) / scale, np.ones_like(z), ridge)
-    error = np.sqrt(error**2 + form**2 + (0.5 * level_doubt * level) ** 2 + (_placebo(base, terms, counts) * size) ** 2)
+    error = np.sqrt(
+        error**2 + form**2 + (0.5 * level_doubt * level) ** 2 + (_placebo(base, terms, size, counts) * size) ** 2
+    )
     reach = float(student.ppf(0.975, folds.size - 1)) * error
     held = np.sum(a * each[np.searchsorted(folds, fold)], axis=1) * scale
     edges = np.cumsum(counts)[:-1]
@@ -76,16 +79,16 @@ def fit_terms(
     return Fit(fitted, tuple(parts[1]), tuple(parts[2]), held)
 
 
-def _placebo(base: Residuals | None, terms: Sequence[Term], counts: Sequence[int]) -> FloatArray:
+def _placebo(base: Residuals | None, terms: Sequence[Term], usual: FloatArray, counts: Sequence[int]) -> FloatArray:
     """How far coefficients (so many per term) are from 0 on runs without the effects, and how uncertain that is; 0
-    where these runs cannot show any."""
+    where these runs vary a column much less than `usual` (as large as it is where the effects are)."""
     found = [np.zeros(count) for count in counts]
     shared = [k for k, t in enumerate(terms) if t.formula not in _OF_THESE_RUNS and "runs" not in t.where]
     if base is None or not shared:
         return np.concatenate([*found, np.zeros(0)])
     x = np.concatenate([terms[k].columns(base.drive) for k in shared], axis=1) / base.scale[:, None]
     size = np.sqrt(np.mean(x**2, axis=0))
-    shown = size > 0
+    shown = size > _AS_MUCH * np.concatenate([np.split(usual, np.cumsum(counts)[:-1])[k] for k in shared])
     a = x[:, shown] / size[shown]
     beta = np.zeros(size.size)
     z, ridge, folds = base.residual / base.scale, np.full(a.shape[1], 1e-3 * len(base)), np.unique(base.fold)

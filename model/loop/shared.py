@@ -1,7 +1,7 @@
 """What the base model's own runs already show of its errors: no news in other runs, and no evidence of a new effect.
 
-A model is never perfect on the runs it was made from: a logged payload that it is not told of, a level that is some
-per cent off. Such terms are found there by held-out runs and added to the prediction, before new runs are traced.
+A model is never perfect on the runs it was made from: turns that it knows nothing of, a level that is some per cent
+off. Such terms are found there by held-out runs and added to the prediction, before new runs are traced.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def shared_errors(base: Residuals | None) -> SharedErrors:
     always = [Term("level", "level", ("",))]
     if base.drive.standing.any():
         always.append(Term("standing", "standing", ("W",)))
-    evidence = Evidence(base, [*always, *_known_forms(base)], level_doubt=_USUAL_DOUBT)
+    evidence = Evidence(base, [*always, *_known_forms()], level_doubt=_USUAL_DOUBT)
     chosen = list(range(len(always)))
     while True:
         error = evidence.held_out(evidence.columns_of(chosen), free=True).sum()
@@ -62,19 +62,15 @@ def shared_errors(base: Residuals | None) -> SharedErrors:
     return SharedErrors(terms, _level_spread(corrected), corrected)
 
 
-def _known_forms(base: Residuals) -> list[Term]:
+def _known_forms() -> list[Term]:
     """What everybody knows to cost energy, one coefficient each."""
-    forms = [
+    return [
         Term("turning", "turning", ("J/rad",), {"limit_radps": None}),
         Term("cross_slope", "cross_slope", ("",), {"power": 1}),
         Term("climbing", "climbing", ("",)),
         Term("braking", "braking", ("",), {"from_grade": None}),
         Term("battery", "battery", ("ohm",)),
     ]
-    carried = base.drive.columns.get("payload")
-    if carried is not None and np.isfinite(carried).any() and np.nanmax(carried) > np.nanmin(carried):
-        forms.append(Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0}))
-    return forms
 
 
 def _level_spread(base: Residuals) -> float:

@@ -1,9 +1,9 @@
 """Trace a residual to the effects that the model lacks: select, test again what remains, until nothing more is found.
 
 Forward: of all effects that chance cannot explain and that help on held-out runs by more than a practical floor, the
-one that helps most is taken; where a physical form does nearly as well as a learned curve, the physical one. Columns
-that answer to the drive (commands, measured attitude) come once nothing else is found. Backward: an effect that the
-others make needless is dropped, and each is put in the best of its forms given the others.
+one that helps most is taken; where a physical form does as well as a learned curve, the physical one. Columns that
+answer to the drive (commands, measured attitude) come once nothing else is found. After each step every effect is
+chosen anew given the others, and one that the others make needless is dropped.
 """
 
 from __future__ import annotations
@@ -28,6 +28,11 @@ _COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
 _SURE, _LITTLE = 0.01, 0.02
 _ROUNDS = 3
+_CURVES = {
+    "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
+    "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",
+    "local_friction": "learned:place",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,7 @@ class _Search:
         self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float]
     ) -> None:
         self.evidence, self.owner, self.floors, self.shared = evidence, owner, floors, shared
+        self._best: dict[tuple[int, ...], list[tuple[Candidate, Verdict]]] = {}
 
     def floor(self, term: int) -> float:
         if self.evidence.terms[term].formula in ("place", "disk"):
@@ -137,19 +143,28 @@ class _Search:
         return price if self.evidence.terms[term].formula == "by_run" else min(price, _MOST)
 
     def best_of_each(self, found: Sequence[Found]) -> list[tuple[Candidate, Verdict]]:
-        """Each candidate's best variant given what was found, best first."""
+        """Each candidate's best variant given what was found, best first. A curve over the very quantity of a named
+        effect that was found is not tried: it would only mend that effect's form."""
+        taken = sorted(f.verdict.term for f in found)
+        if tuple(taken) in self._best:
+            return self._best[tuple(taken)]
         names = {f.candidate.name for f in found}
+        names |= {_CURVES[name] for name in names if name in _CURVES}
         tried = [k for k, c in enumerate(self.owner) if c.name not in names]
         best: dict[str, tuple[Candidate, Verdict]] = {}
-        taken = [f.verdict.term for f in found]
         for verdict in self.evidence.judge(taken, tried):
             candidate = self.owner[verdict.term]
-            if candidate.sign and self.evidence.sign(taken, verdict.term) == -candidate.sign:
+            if self.wrong_sign(taken, verdict.term):
                 verdict = replace(verdict, p_value=1.0, why="its sign makes no sense")
             before = best.get(candidate.name)
             if before is None or self._order(verdict) > self._order(before[1]):
                 best[candidate.name] = candidate, verdict
-        return sorted(best.values(), key=lambda pair: -pair[1].gain)
+        self._best[tuple(taken)] = sorted(best.values(), key=lambda pair: -pair[1].gain)
+        return self._best[tuple(taken)]
+
+    def wrong_sign(self, taken: Sequence[int], term: int) -> bool:
+        sign = self.owner[term].sign
+        return bool(sign) and self.evidence.sign(taken, term) == -sign
 
     def _order(self, verdict: Verdict) -> tuple[bool, float]:
         return verdict.p_value <= ALPHA and self.clears_floor(verdict), self.score(verdict)
@@ -212,7 +227,8 @@ class _Search:
             for k, one in enumerate(before):
                 rest = self.beside(found, found[k])
                 again = self.pick(self.best_of_each(rest), rest)
-                if again is not None and self.better(rest, again, one):
+                others = {f.candidate.name for f in found if f is not found[k]}
+                if again is not None and again.candidate.name not in others and self.better(rest, again, one):
                     found = [*found[:k], again, *found[k + 1 :]]
             least, k = min((self.worth(found, f), k) for k, f in enumerate(found))
             if len(found) > 1 and least < 0.5 * self.floor(found[k].verdict.term):
@@ -233,8 +249,10 @@ class _Search:
         error, *best = min(pairs, default=(np.inf, 0, 0))
         if error > (1.0 + _LITTLE) * self.error([f.verdict.term for f in found]):
             return found
-        verdicts = [self.evidence.judge([b for b in best if b != k], [k])[0] for k in best]
-        if any(v.p_value > ALPHA or not self.clears_floor(v) for v in verdicts):
+        both = [(k, [b for b in best if b != k]) for k in best]
+        verdicts = [self.evidence.judge(other, [k])[0] for k, other in both]
+        senseless = any(self.wrong_sign(other, k) for k, other in both)
+        if senseless or any(v.p_value > ALPHA or not self.clears_floor(v) for v in verdicts):
             return found
         return [Found(self.owner[v.term], v) for v in verdicts]
 

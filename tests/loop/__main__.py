@@ -8,28 +8,18 @@ from __future__ import annotations
 
 import argparse
 import datetime as dt
-import importlib
 import os
 import platform
 import sys
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 from model.field.hidden_draws import EFFECT_NAMES
-from tests.loop.cases import SITES, Calibrator, Outcome, append_outcome, base_model, read_outcomes, try_case
+from tests.loop.cases import append_outcome, read_outcomes
+from tests.loop.many import outcomes
 from tests.loop.table import LEGEND, summary_of, table_of
 
 PAIRS = ("turning+wind", "payload+hotel_load", "terrain_class+turning", "braking+temperature", "drift+cross_slope")
 CALIBRATOR = "tests.loop.calibrators:Joulemap"
-
-
-def find_calibrator(spec: str) -> Calibrator:
-    """`module:name` of a class or a function without arguments that makes a calibrator."""
-    module, _, name = spec.partition(":")
-    made: Calibrator = getattr(importlib.import_module(module), name)()
-    return made
 
 
 def main() -> None:
@@ -64,29 +54,6 @@ def main() -> None:
     print(text)
     if options.write is not None:
         options.write.write_text(document(text, options), encoding="utf-8")
-
-
-def outcomes(todo: list[tuple[str, int]], calibrator: str, work: Path, jobs: int) -> Iterator[Outcome]:
-    """Try cases one by one, or in processes of their own, once every site that they need has its base model."""
-    for site_seed in sorted({seed % SITES for _, seed in todo}):
-        base_model(site_seed, work, anew=True)
-    if jobs <= 1:
-        yield from (try_case(case, seed, find_calibrator(calibrator), work) for case, seed in todo)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
-        yield from pool.map(_try, todo, [calibrator] * len(todo), [work] * len(todo))
-
-
-def _try(key: tuple[str, int], calibrator: str, work: Path) -> Outcome:
-    return try_case(*key, find_calibrator(calibrator), work)
-
-
-def _one_thread() -> None:
-    import numba
-    import torch
-
-    numba.set_num_threads(1)
-    torch.set_num_threads(1)
 
 
 def document(table: str, options: argparse.Namespace) -> str:
