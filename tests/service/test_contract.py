@@ -100,6 +100,7 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
                 run_cases(operation, mode, known, seen.setdefault(f"{operation.method} {operation.path}", set()))
     assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/paths"]
     assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/feasibility"]
+    assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/tours"]
     assert {202, 422} <= seen["post /v1/costmaps"]
     assert {200, 422} <= seen["get /v1/costmaps/{costmap_id}/at"]
     assert {422} <= seen["post /v1/runs"]
@@ -124,6 +125,9 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
             if mode.is_positive and operation.path.endswith(("/paths", "/feasibility")):
                 case.body.update(start=START, goal=GOAL)
                 case.body.pop("path", None)
+                case.body.pop("robot", None)
+            if mode.is_positive and operation.path.endswith("/tours"):
+                case.body.update(stops=[START, GOAL])
                 case.body.pop("robot", None)
         answer = case.call(timeout=60)
         case.validate_response(answer, checks=CHECKS)
