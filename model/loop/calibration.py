@@ -15,7 +15,7 @@ from model.loop.evidence import Verdict
 from model.loop.fitting import Fit, fit_terms
 from model.loop.localise import localised
 from model.loop.residual import Residuals
-from model.loop.shared import SharedErrors, shared_errors
+from model.loop.shared import SharedErrors, most_carried, shared_errors
 from model.loop.trace import ALPHA, Floors, Trace, trace
 
 FloatArray = NDArray[np.float64]
@@ -78,7 +78,7 @@ def calibrate(
     electric : mean voltage, current and power of each row, which no candidate may copy. Of a charge, neither the scale
     nor the zero is known, so that a plane in the base model's traction is fitted first and "before" is its error.
     """
-    shared = shared_errors(None if measured.charge else base)
+    shared = shared_errors(None if measured.charge else base, most_carried(measured))
     plane = _plane_terms(measured)
     if plane:
         first_fit = fit_terms(measured.without_prediction(), plane)

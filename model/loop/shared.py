@@ -16,6 +16,7 @@ from model.loop.evidence import Evidence
 from model.loop.residual import Residuals
 
 _LEAST_GAIN = 0.01
+_FURTHER = 1.5
 _USUAL_DOUBT = 0.05
 _LEAST_DOUBT = 0.035
 
@@ -39,14 +40,14 @@ class SharedErrors:
         return np.maximum(1.0 - np.array(after) / before, 0.0)
 
 
-def shared_errors(base: Residuals | None) -> SharedErrors:
-    """Corrections that hold over the runs the base model was made from."""
+def shared_errors(base: Residuals | None, carried_kg: float = 0.0) -> SharedErrors:
+    """Corrections that hold over the runs the base model was made from. carried_kg : most that the new runs carried."""
     if base is None:
         return SharedErrors()
     always = [Term("level", "level", ("",))]
     if base.drive.standing.any():
         always.append(Term("standing", "standing", ("W",)))
-    evidence = Evidence(base, [*always, *_known_forms()], level_doubt=_USUAL_DOUBT)
+    evidence = Evidence(base, [*always, *_known_forms(base, carried_kg)], level_doubt=_USUAL_DOUBT)
     chosen = list(range(len(always)))
     while True:
         error = evidence.held_out(evidence.columns_of(chosen), free=True).sum()
@@ -62,15 +63,24 @@ def shared_errors(base: Residuals | None) -> SharedErrors:
     return SharedErrors(terms, _level_spread(corrected), corrected)
 
 
-def _known_forms() -> list[Term]:
+def _known_forms(base: Residuals, carried_kg: float) -> list[Term]:
     """What everybody knows to cost energy, one coefficient each."""
-    return [
+    forms = [
         Term("turning", "turning", ("J/rad",), {"limit_radps": None}),
         Term("cross_slope", "cross_slope", ("",), {"power": 1}),
         Term("climbing", "climbing", ("",)),
         Term("braking", "braking", ("",), {"from_grade": None}),
         Term("battery", "battery", ("ohm",)),
     ]
+    if 0.0 < carried_kg <= _FURTHER * most_carried(base):  # what a few kilograms show says little of many
+        forms.append(Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0}))
+    return forms
+
+
+def most_carried(residuals: Residuals) -> float:
+    """The largest payload that was logged [kg], 0 without any."""
+    logged = residuals.drive.columns.get("payload", np.zeros(1))
+    return float(np.max(logged, initial=0.0, where=np.isfinite(logged)))
 
 
 def _level_spread(base: Residuals) -> float:

@@ -13,6 +13,7 @@ from model.energy.predictor import load_predictor
 from model.errors import InputError, ModelError
 from model.frames import GridFrame
 from model.loop.calibrated import CalibratedPredictor, Correction
+from model.loop.effects import Term
 from model.loop.prediction import predict_segments
 from model.loop.record import RECORD_FILE
 from model.robot import Robot
@@ -137,13 +138,14 @@ def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
     assert lattice.robot.turn_j_per_rad == 9.0
 
 
-def test_a_calibration_without_effects_changes_no_prediction_with_payload_or_of_charge(tmp_path):
+def test_a_calibration_without_effects_changes_no_prediction_and_a_payload_is_among_its_terms(tmp_path):
     base = load_predictor("default")
     base.domain = Domain(base.domain.robot, base.domain.resolution_m, base.domain.max_slope_deg, (0.0, 20.0))
     segments = read_segments([drive(tmp_path, "loaded.csv", y=4.0, payload_kg=8.0)], ROBOT, crs=None)[1]
     assert (segments.extras["payload"] == 8.0).all()
     plain = predict_segments(base, waves(), ROBOT, segments)
-    calibrated = CalibratedPredictor(base, Correction((), ()), name="mine", version="1")
+    load = Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0}, {}, (1.0,))
+    calibrated = CalibratedPredictor(base, Correction((load,), (True,)), name="mine", version="1")
     same = predict_segments(calibrated, waves(), ROBOT, segments)
     np.testing.assert_allclose(same.energy_j, plain.energy_j, rtol=0.01)  # its metres are those of the segment
     np.testing.assert_array_equal(same.std_j, plain.std_j)
