@@ -116,7 +116,8 @@ class CalibratedPredictor:
 
     def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
         """(n,) predicted energy of measured segments [J, or A s] from all that is known of them; NaN where the map is
-        unknown. Of a model of charge, joules are ampere seconds times the nominal voltage."""
+        unknown. The base model speaks of the declared robot: what a logged load costs is for the effects to say. Of a
+        model of charge, joules are ampere seconds times the nominal voltage."""
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)
         traction = self.base.segment_traction(heightmap, robot, segments.x, segments.y, segments.heading_rad)

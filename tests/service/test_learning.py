@@ -13,7 +13,6 @@ from model.energy.predictor import load_predictor
 from model.errors import InputError, ModelError
 from model.frames import GridFrame
 from model.loop.calibrated import CalibratedPredictor, Correction
-from model.loop.effects import Term
 from model.loop.prediction import predict_segments
 from model.loop.record import RECORD_FILE
 from model.robot import Robot
@@ -138,16 +137,16 @@ def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
     assert lattice.robot.turn_j_per_rad == 9.0
 
 
-def test_a_calibration_without_effects_changes_no_prediction_and_a_payload_is_among_its_terms(tmp_path):
+def test_a_calibration_without_effects_changes_no_prediction_and_leaves_loads_to_effects(tmp_path):
     base = load_predictor("default")
     base.domain = Domain(base.domain.robot, base.domain.resolution_m, base.domain.max_slope_deg, (0.0, 20.0))
-    segments = read_segments([drive(tmp_path, "loaded.csv", y=4.0, payload_kg=8.0)], ROBOT, crs=None)[1]
-    assert (segments.extras["payload"] == 8.0).all()
-    plain = predict_segments(base, waves(), ROBOT, segments)
-    load = Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0}, {}, (1.0,))
-    calibrated = CalibratedPredictor(base, Correction((load,), (True,)), name="mine", version="1")
-    same = predict_segments(calibrated, waves(), ROBOT, segments)
+    calibrated = CalibratedPredictor(base, Correction((), ()), name="mine", version="1")
+    files = [drive(tmp_path, f"{kg}.csv", y=4.0, payload_kg=kg) for kg in (0.0, 8.0)]
+    empty, loaded = (read_segments([file], ROBOT, crs=None)[1] for file in files)
+    plain, same = (predict_segments(model, waves(), ROBOT, empty) for model in (base, calibrated))
     np.testing.assert_allclose(same.energy_j, plain.energy_j, rtol=0.01)  # its metres are those of the segment
     np.testing.assert_array_equal(same.std_j, plain.std_j)
+    assert (loaded.extras["payload"] == 8.0).all()
+    np.testing.assert_array_equal(predict_segments(calibrated, waves(), ROBOT, loaded).energy_j, same.energy_j)
     charge = CalibratedPredictor(base, Correction((), (), charge=True), name="mine", version="1")
-    assert np.isfinite(predict_segments(charge, waves(), ROBOT, segments).energy_j).all()
+    assert np.isfinite(predict_segments(charge, waves(), ROBOT, loaded).energy_j).all()
