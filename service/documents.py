@@ -27,44 +27,22 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 def upload_body() -> dict[str, Any]:
     """`openapi_extra` of the heightmap upload: a form with a file, or the file itself."""
+    heightmap = {**_FILE, "description": f"the heightmap: {_FORMATS}"}
     fields = UploadOptions.model_json_schema()["properties"]
-    form = {
-        "type": "object",
-        "properties": {"file": {**_FILE, "description": f"the heightmap: {_FORMATS}"}, **fields},
-        "required": ["file"],
-        "additionalProperties": False,
-    }
-    return {
-        "requestBody": {
-            "required": True,
-            "content": {
-                "multipart/form-data": {"schema": form},
-                "application/octet-stream": {"schema": _FILE},
-                "image/tiff": {"schema": _FILE},
-            },
-        }
-    }
+    return _form_or_file({"file": heightmap, **fields}, {"application/octet-stream": _FILE, "image/tiff": _FILE})
 
 
 def runs_body() -> dict[str, Any]:
     """`openapi_extra` of the upload of runs: a form with a file for each, or one file itself."""
     run = {**_FILE, "description": "a measured run: CSV or Parquet"}
-    form = {
-        "type": "object",
-        "properties": {"file": {"type": "array", "items": run, "minItems": 1}},
-        "required": ["file"],
-        "additionalProperties": False,
-    }
-    return {
-        "requestBody": {
-            "required": True,
-            "content": {
-                "multipart/form-data": {"schema": form},
-                "text/csv": {"schema": {"type": "string"}},
-                "application/octet-stream": {"schema": _FILE},
-            },
-        }
-    }
+    files = {"type": "array", "items": run, "minItems": 1}
+    return _form_or_file({"file": files}, {"text/csv": {"type": "string"}, "application/octet-stream": _FILE})
+
+
+def _form_or_file(fields: dict[str, Any], raw: dict[str, Any]) -> dict[str, Any]:
+    form = {"type": "object", "properties": fields, "required": ["file"], "additionalProperties": False}
+    content = {"multipart/form-data": form, **raw}
+    return {"requestBody": {"required": True, "content": {kind: {"schema": body} for kind, body in content.items()}}}
 
 
 def costmap_body() -> dict[str, Any]:
