@@ -133,12 +133,11 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
     yield Candidate("braking", down, "straight down a slope, and straight up it")
     yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
-    j_per_m = f"{unit}/m"
     more = tuple(
-        Term("learned:heading", "heading", (j_per_m,) * (2 * n + level), {"harmonics": n, "level": level})
-        for n in (1, 2, 3)
-        for level in (False, True)
-    )
+        Term("learned:heading", "heading", ("" if share else f"{unit}/m",) * (2 * n + level),
+             {"harmonics": n, "level": level, "of_motion": share})
+        for share in (False, True) for n in (1, 2, 3) for level in (False, True)
+    )  # fmt: skip
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
     yield Candidate("drift", tuple(_drifts(unit)), "the same loop at the start and at the end of a long day")
     losses = Term("battery", "battery", ("ohm",), {"ripple": ripple})

@@ -188,12 +188,13 @@ def wind_constant(drive: Drive) -> FloatArray:
 
 
 @_formula
-def heading(drive: Drive, *, harmonics: int, level: bool = False) -> FloatArray:
-    """J/m. sin and cos of the heading and of its multiples; before them, with `level`, what does not depend on it."""
+def heading(drive: Drive, *, harmonics: int, level: bool = False, of_motion: bool = False) -> FloatArray:
+    """J/m, or with `of_motion` a share of the motion's energy, as ruts take. sin and cos of the heading and of its
+    multiples; before them, with `level`, what does not depend on it."""
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
     waves = [f(angle) for angle in angles for f in (np.sin, np.cos)]
     constant = [np.ones(len(drive))] if level else []
-    return np.stack([*constant, *waves], axis=1) * drive.length_m[:, None]
+    return np.stack([*constant, *waves], axis=1) * (drive.motion_part if of_motion else drive.length_m)[:, None]
 
 
 @_formula
@@ -319,6 +320,16 @@ class Term:
         """Whether slopes, roughness or height of the ground change it; all else it takes from the base and the path."""
         named = (self.formula, *self.settings.values(), *self.where.values())
         return not GROUND.isdisjoint(name for name in named if isinstance(name, str))
+
+    def record(self, drive: Drive) -> FloatArray | None:
+        """(n,) what a log says that the effect goes with: a column, or 1 where a word stands; None without a record."""
+        over = str(self.settings.get("over", ""))
+        if self.formula == "smooth" and over.startswith("column:"):
+            return quantity(drive, over)
+        if self.formula == "words":
+            found = drive.words.get(self.settings["column"], np.full(len(drive), ""))
+            return np.isin(found, self.settings["values"]).astype(np.float64)
+        return None
 
     def energy(self, drive: Drive) -> FloatArray:
         """(n,) [J, or A s] that the effect adds."""
