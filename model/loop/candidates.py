@@ -87,7 +87,7 @@ def find_candidates(
         found += _of_words(key, values[moving], kinds, unit)
     found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
-    for key in ("grade", "cross_slope", "roughness", "elevation", "speed"):
+    for key in ("grade", "cross_slope", "roughness", "elevation", "hollow", "speed"):
         found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
     for key in usable:
         name = f"learned:{key}"
@@ -132,6 +132,10 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     yield Candidate("cross_slope", across, "along a side slope, and beside it on the level", sign=1)
     down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
     yield Candidate("braking", down, "straight down a slope, and straight up it")
+    back = tuple(
+        Term("reversing", "reversing", ("" if of else f"{unit}/m",), {"of_motion": of}) for of in (True, False)
+    )
+    yield Candidate("reversing", back, "the same line forwards and backwards", planner=False, sign=1)
     yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
     more = tuple(
         Term("learned:heading", "heading", ("" if share else f"{unit}/m",) * (2 * n + level),
@@ -176,12 +180,15 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
     drive = residuals.drive
     if "temperature" in usable:
         warm = {"reference": usual["temperature"]}
-        warmth = tuple(
+        warmth = [
             Term("temperature", "temperature", ("" if of else f"{unit}/m",) * begun + ("1/K" if of else f"{unit}/m/K",),
                  warm | {"of_motion": of, "begun": begun})
             for of in (True, False) for begun in (False, True)
-        )  # fmt: skip
-        yield Candidate("temperature", warmth, "the same loop on a cold and on a warm day", sign=-1)
+        ]  # fmt: skip
+        if not residuals.charge:
+            heats = warm | {"of_motion": False, "begun": False, "of_time": True}
+            warmth.append(Term("temperature", "temperature", ("W/K",), heats))
+        yield Candidate("temperature", tuple(warmth), "the same loop on a cold and on a warm day", sign=-1)
     if not _wind_logged(residuals, usable):
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
         yield Candidate("wind", (calm,), "one line to and fro, and one across it")

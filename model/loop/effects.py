@@ -39,6 +39,7 @@ def quantity(drive: Drive, name: str) -> FloatArray:
         "cross_slope": lambda: drive.cross_abs,
         "roughness": lambda: drive.roughness_m,
         "elevation": lambda: drive.elevation_m,
+        "hollow": lambda: drive.hollow_m,
         "speed": lambda: drive.speed_mps,
         "turning": lambda: drive.turned_abs_rad,
         "turn": lambda: drive.turned_rad,
@@ -120,10 +121,12 @@ def payload(drive: Drive, *, column: str | None = None, reference: float = 0.0) 
 
 
 @_formula
-def temperature(drive: Drive, *, reference: float, of_motion: bool, begun: bool = False) -> FloatArray:
-    """1/K, or J/m/K. A share of the motion's energy, or energy, per degree above the reference [degC]; before it, with
-    `begun`, what it takes at the reference already."""
-    amount = drive.motion_part if of_motion else drive.length_m
+def temperature(
+    drive: Drive, *, reference: float, of_motion: bool, begun: bool = False, of_time: bool = False
+) -> FloatArray:
+    """1/K, or J/m/K, or (a heater's) W/K. A share of the motion's energy, or energy, or power, per degree above the
+    reference [degC]; before it, with `begun`, what it takes at the reference already."""
+    amount = drive.duration_s if of_time else drive.motion_part if of_motion else drive.length_m
     return _from_zero(amount, _known(drive, "temperature", reference), begun)
 
 
@@ -149,6 +152,12 @@ def cross_slope(drive: Drive, *, power: int) -> FloatArray:
     """1. Rolling resistance per tangent (to a power) of the slope across the motion."""
     across = drive.cross_abs if power == 1 else drive.cross_sq
     return (drive.robot.weight_n * drive.length_m / drive.unit_j * across)[:, None]
+
+
+@_formula
+def reversing(drive: Drive, *, of_motion: bool) -> FloatArray:
+    """J/m, or a share of the motion's energy, while driving backwards."""
+    return ((drive.motion_part if of_motion else drive.length_m) * drive.backwards)[:, None]
 
 
 @_formula
@@ -290,7 +299,7 @@ def inside(drive: Drive, where: Mapping[str, Any]) -> NDArray[np.bool_]:
     return values > where["above"] if "above" in where else values < where["below"]
 
 
-GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "braking", "climbing"})
+GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "hollow", "braking", "climbing"})
 """Formulas and quantities that read the ground under a drive."""
 
 

@@ -15,7 +15,7 @@ from model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
-_OVER = ("grade", "cross_slope", "roughness", "speed", "turning", "x", "y", "since_start")
+_OVER = ("grade", "cross_slope", "roughness", "hollow", "speed", "turning", "x", "y", "since_start")
 _STEPS = np.linspace(0.1, 0.9, 9)
 _LEAST_PART = 30  # segments on either side of a threshold
 _WORTH = 0.15  # of what the effect explains must come on top

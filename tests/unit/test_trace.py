@@ -45,6 +45,7 @@ def made_up(rng, *, runs=6, each=120, heading=None) -> Drive:
             "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "cross": 0.04 * smooth_noise(rng, each),
             "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)), "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
             "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)), "elevation_m": smooth_noise(rng, each),
+            "hollow_m": 0.05 * smooth_noise(rng, each),
             "since_s": clock - clock[0], "driven_m": np.arange(each) + 1.0, "clock_s": clock,
             "temperature": 15.0 + run + 0.3 * smooth_noise(rng, each),
         })  # fmt: skip
