@@ -35,8 +35,8 @@ def calibrate(
     Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv' --out found`
     """
     from model.terrain.readers import read_heightmap
-    from service.calibrating import calibrate_on_runs
-    from service.calibration_page import report_page
+    from service.loop.calibrating import calibrate_on_runs
+    from service.loop.page import report_page
 
     if (start is None) != (goal is None):
         raise typer.BadParameter("--start and --goal go together")
@@ -109,7 +109,7 @@ def suggest_drive(
     Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv'`
     """
     from model.terrain.readers import read_heightmap
-    from service.calibrating import suggest_next_drive
+    from service.loop.calibrating import suggest_next_drive
 
     answer = Answer(json_file)
     with progress_bar("Tracing") as report:

@@ -15,8 +15,9 @@ from model.loop.calibrated import CalibratedPredictor
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
-from service.calibrating import calibrate_on_runs, load_model
-from service.learning import read_segments
+from service.learning.runs import read_segments
+from service.loop.calibrating import calibrate_on_runs
+from service.models import load_model
 from tests.loop.cases import extra_energy
 
 FloatArray = NDArray[np.float64]

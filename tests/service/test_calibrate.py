@@ -10,7 +10,7 @@ from model.loop.record import read_record
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
 from service.cli import app
-from service.residuals import keep_base_runs, read_calibration_runs
+from service.loop.residuals import keep_base_runs, read_calibration_runs
 
 runner = CliRunner()
 

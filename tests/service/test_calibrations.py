@@ -22,8 +22,8 @@ from model.frames import GridFrame, heading_of
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.writers import write_geotiff
-from service.app import create_app
-from service.calibrating import load_model
+from service.http.app import create_app
+from service.models import load_model
 from tests.service.conftest import settings_for
 from tests.service.test_bad_input import check_problem
 from tests.service.test_restart import SERVE, answers, free_port, wait_until

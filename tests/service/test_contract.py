@@ -29,8 +29,8 @@ from schemathesis.specs.openapi.checks import (
 
 from model.robot import Robot
 from planner.plan import SAMPLING_PLANNERS
-from service.app import create_app, openapi_document
-from service.schemas import RobotIn, RobotOut
+from service.http.app import create_app, openapi_document
+from service.schemas.planning import RobotIn, RobotOut
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
 
@@ -43,7 +43,7 @@ CHECKS = [
 
 def test_document_is_up_to_date() -> None:
     assert json.loads(DOCUMENT.read_text(encoding="utf-8")) == openapi_document(), (
-        "openapi/openapi.json is stale: python -m service.app > openapi/openapi.json"
+        "openapi/openapi.json is stale: make openapi"
     )
     assert openapi_document()["openapi"].startswith("3.1")
 

@@ -17,7 +17,8 @@ from model.loop.prediction import predict_segments
 from model.loop.record import RECORD_FILE
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.learning import read_segments, train_on_runs
+from service.learning.runs import read_segments
+from service.learning.training import train_on_runs
 from service.workflows import make_cost_lattice
 
 ROBOT = Robot(rolling_resistance=0.1)
@@ -52,7 +53,7 @@ def train(files, out, **options):
 
 def test_a_single_run_is_held_out_stretch_by_stretch(tmp_path, monkeypatch):
     kept = []
-    monkeypatch.setattr("service.learning.keep_base_runs", lambda *given: kept.append(given[3]))
+    monkeypatch.setattr("service.learning.training.keep_base_runs", lambda *given: kept.append(given[3]))
     run = drive(tmp_path, "run.csv", y=4.0)
     model = train([run], tmp_path / "model")
     assert model.held_out_runs == ["run.csv"]
