@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from model.loop.drive import Drive
 from model.loop.effects import Term, quantity
+from model.loop.places import field_settings, grid_over
 from model.loop.residual import Residuals
 from model.loop.track import TURN_LIMITS_RADPS
 
@@ -29,7 +29,7 @@ _COPY = 0.95
 _GRADES = (-0.03, 0.0, 0.03)
 _USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
-_MOST_CENTRES = 40
+_MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
 _MOST_RUNS = 12  # that may each have something of their own
 
@@ -329,25 +329,16 @@ def _of_place(residuals: Residuals) -> Iterator[Candidate]:
     unit = max(1.0, extent / 60.0)
     disks = []
     for radius in (3.0 * unit, 5.0 * unit, 8.0 * unit, 12.0 * unit):
-        for cx, cy in _grid(x, y, 0.8 * radius):
+        for cx, cy in grid_over(x, y, 0.8 * radius):
             near = np.hypot(x - cx, y - cy) <= radius
             if near.sum() >= 12 and near.mean() <= 0.5 and np.unique(fold[near]).size >= 2:
                 circle = {"x": round(cx, 2), "y": round(cy, 2), "radius_m": round(radius, 2)}
                 disks.append(Term("local_friction", "disk", ("",), circle))
-    width = max(5.0, extent / 10.0)
-    centres = [[round(cx, 2), round(cy, 2)] for cx, cy in _grid(x, y, 1.3 * width)]
-    centres = [c for c in centres if (np.hypot(x - c[0], y - c[1]) <= width).sum() >= 12][:_MOST_CENTRES]
-    if len(centres) >= 3:
-        settings: dict[str, Any] = {"centres": centres, "width_m": round(width, 2)}
-        some = len(centres)
+    settings = field_settings(drive, max(5.0, extent / 10.0))
+    some = len(settings["centres"])
+    if 3 <= some <= _MOST_CENTRES:
         disks.append(Term("local_friction", "place", ("",) * some, settings | {"of_all": False}))
         share = Term("learned:place", "place", ("",) * some, settings | {"of_all": True})
         yield Candidate("learned:place", (share,), reveals)
     if disks:
         yield Candidate("local_friction", tuple(disks), reveals)
-
-
-def _grid(x: FloatArray, y: FloatArray, spacing: float) -> list[tuple[float, float]]:
-    xs = np.arange(x.min() + 0.25 * spacing, x.max() + 0.25 * spacing, spacing)
-    ys = np.arange(y.min() + 0.25 * spacing, y.max() + 0.25 * spacing, spacing)
-    return [(float(a), float(b)) for a in xs for b in ys]
