@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.loop.bounds import bounded
 from model.loop.candidates import Candidate, find_candidates
 from model.loop.effects import Term
 from model.loop.evidence import Verdict
@@ -26,10 +27,12 @@ _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found, fitted. low, high : 95 % intervals of its coefficients. share : of the residual's
-    squared size that goes with it. planner : stated in what a planner knows beforehand."""
+    """An effect that was found, fitted. coefficients : what is new in these runs; those of the term hold what the base
+    model's own runs show as well. low, high : 95 % intervals. share : of the residual's squared size that goes with it.
+    planner : stated in what a planner knows beforehand."""
 
     term: Term
+    coefficients: FloatArray
     low: FloatArray
     high: FloatArray
     p_value: float
@@ -102,20 +105,26 @@ def calibrate(
     chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
     if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
         silent = [Term("level", "level", ("",))]
-    chosen = localised(start, chosen, silent)
-    fit = fit_terms(start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals)
-    bounded: list[Term] = []
-    if silent and not plane and abs(level := fit.terms[0].coefficients[0]) > shared.level_doubt:
-        bounded = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, level)]))]  # as far as in tracing
-        start = start.corrected(_total(bounded, start))
-        fit = fit_terms(start, chosen, level_doubt=shared.level_doubt, base=shared.residuals)
+    chosen, others = bounded(start, localised(start, chosen, silent), silent)
+
+    def fitted() -> Fit:
+        return fit_terms(
+            start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
+            others=[[*silent, *terms] for terms in others],
+        )  # fmt: skip
+
+    fit, level = fitted(), []
+    if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
+        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as in tracing
+        start = start.corrected(_total(level, start))
+        fit = fitted()
     effects = _effects(traced, fit, len(silent))
     held = start.predicted + fit.held_out if chosen else before_energy
     planner = [e.term for e in effects if e.planner]
     held_planner = start.predicted + fit_terms(start, [*silent, *planner]).held_out if planner else before_energy
     return Calibration(
         effects,
-        (*bounded, *fit.terms[: len(silent)]) if chosen or plane else (),
+        (*level, *fit.terms[: len(silent)]) if chosen or plane else (),
         shared,
         _errors(measured, before_energy),
         _errors(measured, held),
@@ -152,13 +161,13 @@ def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
     chosen = traced.chosen
     out = []
     for k, found in enumerate(traced.found):
+        term, low, high = fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k]
         rest = [c for c in chosen if c != found.verdict.term]
         lost = _error(traced, rest) - _error(traced, chosen)
         out.append(
             Effect(
-                fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k], found.verdict.p_value,
-                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(fit.terms[skip + k]),
-                found.candidate.reveals,
+                term, np.asarray(term.coefficients) - fit.own[skip + k], low, high, found.verdict.p_value,
+                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(term), found.candidate.reveals,
             )
         )  # fmt: skip
     return tuple(out)
