@@ -186,8 +186,11 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
             for of in (True, False) for begun in (False, True)
         ]  # fmt: skip
         if not residuals.charge:
-            heats = warm | {"of_motion": False, "begun": False, "of_time": True}
-            warmth.append(Term("temperature", "temperature", ("W/K",), heats))
+            heats = warm | {"of_motion": False, "of_time": True}
+            warmth += [
+                Term("temperature", "temperature", ("W",) * begun + ("W/K",), heats | {"begun": begun})
+                for begun in (False, True)
+            ]
         yield Candidate("temperature", tuple(warmth), "the same loop on a cold and on a warm day", sign=-1)
     if not _wind_logged(residuals, usable):
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})

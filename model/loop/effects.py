@@ -270,9 +270,13 @@ def smooth(drive: Drive, *, over: str, knots: list[float], of: str, level: bool 
     """J/m (or a share of all that is predicted, or of the motion's part) at the knots of a piecewise linear curve over
     a quantity; it is 0 at the middle one, unless it brings its own level.
 
-    The curve is constant beyond its outer knots; where the quantity is unknown it says what it says at the middle.
+    The curve is constant beyond its outer knots; where the quantity is unknown it says what it says at the middle. So
+    it does of heights far from all that were driven: those are of another place.
     """
     values = quantity(drive, over)
+    if over == "elevation":
+        far = knots[-1] - knots[0]
+        values = np.where((values > knots[0] - far) & (values < knots[-1] + far), values, np.nan)
     amount = {"length": drive.length_m, "all": np.where(drive.standing, 0.0, drive.predicted),
               "motion": drive.motion_part}[of]  # fmt: skip
     middle = len(knots) // 2

@@ -99,6 +99,9 @@ def trace(
         before = {f.candidate.name for f in [*found, taken]}
         found = search.settle([*found, taken])
         needless |= before - {f.candidate.name for f in found}  # or it would be taken and dropped for ever
+        if wrong := search.senseless(found):  # it stood for others, and what was built on it may too: begin anew
+            search.refuse(wrong)
+            found, needless = [], set()
         verdicts = search.best_of_each(found)
         if progress is not None:
             progress(len(found) / MAX_EFFECTS)
@@ -120,7 +123,13 @@ class _Search:
         self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float]
     ) -> None:
         self.evidence, self.owner, self.floors, self.shared = evidence, owner, floors, shared
+        self._refused: set[str] = set()
         self._best: dict[tuple[int, ...], list[tuple[Candidate, Verdict]]] = {}
+
+    def refuse(self, names: set[str]) -> None:
+        """Candidates not to be tried again."""
+        self._refused |= names
+        self._best.clear()
 
     def floor(self, term: int) -> float:
         if self.evidence.terms[term].formula in ("place", "disk"):
@@ -149,7 +158,7 @@ class _Search:
         if tuple(taken) in self._best:
             return self._best[tuple(taken)]
         names = {f.candidate.name for f in found}
-        names |= {_CURVES[name] for name in names if name in _CURVES}
+        names |= self._refused | {_CURVES[name] for name in names if name in _CURVES}
         tried = [k for k, c in enumerate(self.owner) if c.name not in names]
         best: dict[str, tuple[Candidate, Verdict]] = {}
         for verdict in self.evidence.judge(taken, tried):
@@ -165,6 +174,11 @@ class _Search:
     def wrong_sign(self, taken: Sequence[int], term: int) -> bool:
         sign = self.owner[term].sign
         return bool(sign) and self.evidence.sign(taken, term) == -sign
+
+    def senseless(self, found: Sequence[Found]) -> set[str]:
+        """Effects that take the wrong sign once all others speak for themselves."""
+        return {f.candidate.name for f in found
+                if self.wrong_sign([g.verdict.term for g in found if g is not f], f.verdict.term)}  # fmt: skip
 
     def _order(self, verdict: Verdict) -> tuple[bool, float]:
         return verdict.p_value <= ALPHA and self.clears_floor(verdict), self.score(verdict)
@@ -185,9 +199,10 @@ class _Search:
         return next((c for c in above if self.tells_more(taken, c, chosen)), chosen)
 
     def named(self, one: Found) -> bool:
-        """Whether a physical form speaks for an effect: a curve, a drift and coefficients for every run say only that
-        something changes."""
-        return not (one.candidate.learned or one.candidate.name == "drift" or self.by_run(one))
+        """Whether a physical form speaks for an effect: a curve, a drift, a field over the map and coefficients for
+        every run say only that something changes."""
+        field = self.evidence.terms[one.verdict.term].formula == "place"
+        return not (field or one.candidate.learned or one.candidate.name == "drift" or self.by_run(one))
 
     def by_run(self, one: Found) -> bool:
         return self.evidence.own(self.evidence.columns[one.verdict.term])
@@ -285,6 +300,14 @@ class _Search:
         """The most telling first; what answers to the drive comes after what explains it."""
         return sorted(found, key=lambda f: (f.candidate.response, -self.worth(found, f)))
 
+    def contains(self, rival: int, term: int) -> bool:
+        """Whether a rival is the very effect and something more, which shows nothing but the effect again."""
+        its, mine = (self.evidence.x[:, self.evidence.columns[k]] for k in (rival, term))
+        if its.shape[1] <= mine.shape[1]:
+            return False
+        rest = mine - its @ np.linalg.lstsq(its, mine, rcond=None)[0]
+        return bool((rest**2).sum() < 1e-6 * (mine**2).sum())
+
     def rivals(self, found: Sequence[Found], one: Found) -> list[str]:
         """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise."""
         rest = [f.verdict.term for f in found if f is not one]
@@ -294,6 +317,8 @@ class _Search:
         out = []
         for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
             if candidate.name in names or verdict.p_value > ALPHA or not self.clears_floor(verdict):
+                continue
+            if self.contains(verdict.term, one.verdict.term):
                 continue
             its = self.evidence.columns_of([*rest, verdict.term])
             blocks = self.evidence.own(mine) or self.evidence.own(its)
