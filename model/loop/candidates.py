@@ -87,6 +87,8 @@ def find_candidates(
         found += _of_words(key, values[moving], kinds, unit)
     found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
+    bumps = Term("learned:roughness", "roughness", ("1/m",))
+    found.append(Candidate(bumps.name, (bumps,), "the same line while only roughness changes"))
     for key in ("grade", "cross_slope", "roughness", "elevation", "hollow", "speed"):
         found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
     for key in usable:

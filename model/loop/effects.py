@@ -155,6 +155,12 @@ def cross_slope(drive: Drive, *, power: int) -> FloatArray:
 
 
 @_formula
+def roughness(drive: Drive) -> FloatArray:
+    """1/m. Rolling resistance per metre of the ground's roughness."""
+    return (drive.robot.weight_n * drive.length_m / drive.unit_j * drive.roughness_m)[:, None]
+
+
+@_formula
 def reversing(drive: Drive, *, of_motion: bool) -> FloatArray:
     """J/m, or a share of the motion's energy, while driving backwards."""
     return ((drive.motion_part if of_motion else drive.length_m) * drive.backwards)[:, None]

@@ -71,6 +71,7 @@ def _known_forms(base: Residuals, carried_kg: float) -> list[Term]:
         Term("climbing", "climbing", ("",)),
         Term("braking", "braking", ("",), {"from_grade": None}),
         Term("battery", "battery", ("ohm",)),
+        Term("acceleration", "acceleration", ("kg",)),
     ]
     if 0.0 < carried_kg <= _FURTHER * most_carried(base):  # what a few kilograms show says little of many
         forms.append(Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0}))
