@@ -62,6 +62,7 @@ def report_page(made: Calibrated, heightmap: Heightmap) -> str:
     )
     parts = [
         f"<h1>{escape(title)}</h1><p>{lead}</p>",
+        _kept_aside(document, unit),
         "<h2>Effects</h2>" + _effects(document),
         _confounded(document),
         "<h2>A route before and after</h2>" + _route(made, heightmap),
@@ -75,6 +76,27 @@ def report_page(made: Calibrated, heightmap: Heightmap) -> str:
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
         f"<style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
     )
+
+
+def _kept_aside(document: Mapping[str, Any], unit: str) -> str:
+    if "kept_aside" not in document:
+        return ""
+    found = document["kept_aside"]
+    error = found["error"]
+    names = {"before": "before", "after": "after", "after_planner": "after, with what a planner knows"}
+    rows = [
+        [
+            name,
+            f"{error[key]['mean_relative']:.1%}",
+            f"{error[key]['rmse']:.3g} {unit}",
+            f"{error[key]['bias']:+.3g} {unit}",
+        ]
+        for key, name in names.items()
+    ]
+    lead = (
+        f"{found['segments']} segments of {len(error['before']['by_run'])} runs that nothing was sought or fitted in."
+    )
+    return f"<h2>Runs kept aside</h2><p>{lead}</p>" + _table(["", "mean relative", "root mean square", "bias"], rows)
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
