@@ -30,6 +30,7 @@ _COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
 _SURE, _LITTLE = 0.01, 0.02
 _ROUNDS = 3
+_LEFT = 0.85  # of the work, as far as anybody knows, after each judging of all candidates
 _CURVES = {
     "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
     "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",
@@ -89,7 +90,7 @@ def trace(
     """
     owner = [c for c in candidates for _ in c.variants]
     evidence = Evidence(residuals, [v for c in candidates for v in c.variants], level_doubt=level_doubt, seed=seed)
-    search = _Search(evidence, owner, floors or Floors(), shared or (lambda term: 0.0))
+    search = _Search(evidence, owner, floors or Floors(), shared or (lambda term: 0.0), progress)
     ranking = search.best_of_each([])
     found: list[Found] = []
     verdicts = ranking
@@ -102,8 +103,6 @@ def trace(
         found = search.settle(search.with_parts([*found, taken]))
         needless |= before - {f.candidate.name for f in found}  # or it would be taken and dropped for ever
         verdicts = search.best_of_each(found)
-        if progress is not None:
-            progress(len(found) / MAX_EFFECTS)
     found = search.by_worth(search.two_named(found))
     remaining = [v for v in verdicts if v[0].name not in {f.candidate.name for f in found}]
     names = {f.candidate.name: search.rivals(found, f) for f in found}
@@ -124,9 +123,11 @@ class _Search:
     """The moves of the selection on one body of evidence. owner : candidate of each term."""
 
     def __init__(
-        self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float]
-    ) -> None:
+        self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float],
+        progress: Callable[[float], None] | None,
+    ) -> None:  # fmt: skip
         self.evidence, self.owner, self.floors, self.shared = evidence, owner, floors, shared
+        self.progress = progress
         self._best: dict[tuple[int, ...], list[tuple[Candidate, Verdict]]] = {}
 
     def floor(self, term: int) -> float:
@@ -167,6 +168,8 @@ class _Search:
             if before is None or self._order(verdict) > self._order(before[1]):
                 best[candidate.name] = candidate, verdict
         self._best[tuple(taken)] = sorted(best.values(), key=lambda pair: -pair[1].gain)
+        if self.progress is not None:
+            self.progress(1.0 - _LEFT ** len(self._best))
         return self._best[tuple(taken)]
 
     def senseless(self, taken: Sequence[int], term: int) -> bool:

@@ -144,9 +144,11 @@ def _route_words(route: Mapping[str, Any]) -> str:
         return f"not compared: {route['why_not']}"
     (x0, y0), (x1, y1) = route["task"]["start"], route["task"]["goal"]
     old, new = (energy_words(route[key]["energy_j"]) for key in ("before", "after"))
+    old_before, new_before = (energy_words(route[key]["energy_at_old_prices_j"]) for key in ("before", "after"))
+    volts = f"; charge times {route['nominal_voltage_v']:g} V" if "nominal_voltage_v" in route else ""
     return (
-        f"{x0:.1f},{y0:.1f} to {x1:.1f},{y1:.1f} ({route['task']['chosen']}): {old} the old way, {new} the new one, "
-        f"{route['saving_percent']:.1f} % saved"
+        f"{x0:.1f},{y0:.1f} to {x1:.1f},{y1:.1f} ({route['task']['chosen']}): by the new model {old} the old way, "
+        f"{new} the new one, {route['saving_percent']:.1f} % saved; by the old one {old_before} and {new_before}{volts}"
     )
 
 

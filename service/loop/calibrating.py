@@ -78,16 +78,21 @@ def calibrate_on_runs(
         correction = correction_of(found, std)
         version = _write(target, model, predictor, correction)
         after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
-        places = np.column_stack([segments.x, segments.y])
-        try:
-            routes = compare_routes(
-                heightmap, robot, predictor, after, places, task=task, seed=seed,
-                progress=_part(progress, _TRACED, 1.0),
-            )  # fmt: skip
-        except (InfeasibleError, ConflictError) as error:  # no way, or charge without voltage: a report all the same
-            why_not = error.message
+        driven = measured.drive.take(measured.moving)  # on ground that the map knows
+        places = np.column_stack([driven.x, driven.y])
+        why_not = "the runs have no positions"
+        if runs.placed:
+            try:
+                routes = compare_routes(
+                    heightmap, robot, predictor, after, places, task=task, seed=seed,
+                    progress=_part(progress, _TRACED, 1.0),
+                )  # fmt: skip
+            except InfeasibleError as error:  # a report all the same
+                why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
     report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
+    if routes is not None and segments.charge:
+        report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
     if aside is not None:
         report["kept_aside"] = {"segments": int(aside.moving.sum()), "error": found.errors_on(aside)}
     report["runs"] = {
@@ -129,7 +134,7 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
         found.terms,
         tuple(planner),
         charge=found.residuals.charge,
-        turn_j_per_rad=turning / turned if turned > 0 and not found.residuals.charge else 0.0,
+        turn_j_per_rad=drive.unit_j * turning / turned if turned > 0 else 0.0,
         conditions=conditions,
         evidence=[{"name": e.term.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=None

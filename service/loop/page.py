@@ -128,9 +128,12 @@ def _route(made: Calibrated, heightmap: Heightmap) -> str:
     (x0, y0), (x1, y1) = shown.task
     lead = (
         f"From {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} ({escape(route['task']['chosen'])}). At the new prices the old "
-        f"route costs {_energy(route['before'])}, the new one {_energy(route['after'])}: it saves "
-        f"{route['saving_percent']:.1f} %. The old model said {shown.before.energy_j / 1000.0:.2f} kJ of the old route."
+        f"route costs {_energy(route['before'])}, the new one {_energy(route['after'])}: by the new model it saves "
+        f"{route['saving_percent']:.1f} %. The old model said {shown.before.energy_j / 1000.0:.2f} kJ of the old route "
+        f"and would have said {shown.old_j / 1000.0:.2f} kJ of the new one. Nobody has driven either yet."
     )
+    if "nominal_voltage_v" in route:
+        lead += f" No voltage was logged: energy is charge times {route['nominal_voltage_v']:g} V."
     if len(route["tried"]) > 1:
         savings = ", ".join(f"{task['saving_percent']:.1f} %" for task in route["tried"])
         lead += f" Savings of all tasks tried: {savings}."

@@ -19,13 +19,15 @@ from model.terrain.heightmap import Heightmap
 class CalibrationRuns:
     """segments : of the runs to learn from, in joules, or in ampere seconds where no run has a voltage. base : of runs
     in which nothing new is at work. aside : of runs that are neither sought nor fitted in, only judged by. rows : of
-    all files. repairs : by run and rule."""
+    all files. repairs : by run and rule. placed : whether their positions are places, and not only the way that the
+    wheels went."""
 
     segments: Segments
     base: Segments | None
     aside: Segments | None
     rows: int
     repairs: dict[str, dict[str, int]]
+    placed: bool = True
 
 
 def read_calibration_runs(
@@ -65,7 +67,7 @@ def read_odometry_runs(
         for some in (files, base_files, aside_files)
     ]  # fmt: skip
     runs = _cut((files, base_files, aside_files), read, lambda run, charge: cut_travel(run, charge=charge))
-    return runs, flat_heightmap([run for some in read for run in some])
+    return replace(runs, placed=False), flat_heightmap([run for some in read for run in some])
 
 
 def _cut(
