@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.loop.bounds import bounded
 from model.loop.candidates import Candidate, find_candidates
 from model.loop.effects import Term
 from model.loop.evidence import Verdict
@@ -26,11 +27,12 @@ _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found, fitted. low, high : 95 % intervals of its coefficients. share : of the residual's
-    squared size that goes with it, and with the interactions that it is part of. planner : stated in what a planner
-    knows beforehand."""
+    """An effect that was found, fitted. coefficients : what is new in these runs; those of the term hold what the base
+    model's own runs show as well. low, high : 95 % intervals. share : of the residual's squared size that goes with it,
+    and with the interactions that it is part of. planner : stated in what a planner knows beforehand."""
 
     term: Term
+    coefficients: FloatArray
     low: FloatArray
     high: FloatArray
     p_value: float
@@ -117,8 +119,11 @@ def calibrate(
     if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
         silent = [Term("level", "level", ("",))]
     parts = {name for f in traced.found for name in f.candidate.parts}  # their interaction says where they differ
-    chosen = localised(start, chosen, silent, whole=parts)
-    fit = fit_terms(start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals)
+    chosen, others = bounded(start, localised(start, chosen, silent, whole=parts), silent)
+    fit = fit_terms(
+        start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
+        others=[[*silent, *terms] for terms in others],
+    )  # fmt: skip
     effects = _effects(traced, fit, len(silent))
     held = start.predicted + fit.held_out if chosen else before_energy
     planner = [e.term for e in effects if e.planner]
@@ -167,14 +172,14 @@ def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
     total = float(traced.evidence.by_fold[:, -1, -1].sum())
     out = []
     for k, found in enumerate(traced.found):
+        term, low, high = fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k]
         gone = [found, *interactions_of(found, traced.found)]
         rest = [f.verdict.term for f in traced.found if f not in gone]
         lost = _error(traced, rest) - _error(traced, traced.chosen)
         out.append(
             Effect(
-                fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k], found.verdict.p_value,
-                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(fit.terms[skip + k]),
-                found.candidate.reveals,
+                term, np.asarray(term.coefficients) - fit.own[skip + k], low, high, found.verdict.p_value,
+                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(term), found.candidate.reveals,
             )
         )  # fmt: skip
     return tuple(out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -19,7 +19,9 @@ from model.terrain.heightmap import Heightmap
 FloatArray = NDArray[np.float64]
 
 _REACH_M = 0.5  # the square metre that a segment's ground is judged on
-_SIDE = 5  # samples along its sides
+_SIDE = 5  # samples along its sides, and places of a segment
+_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # what each place stands for
+_PLACES = np.linspace(-2.0 * _REACH_M, 2.0 * _REACH_M, 2 * _SIDE - 1)  # half a metre before to half a metre after
 _LEAST_M = 0.1  # between wheels
 _LIKE_OTHER_STANDS = 0.3  # of their power: else the robot did something while it stood
 
@@ -30,7 +32,9 @@ class Drive:
 
     length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
     turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade : tangent of the ground along
-    the heading (> 0 uphill), as the axles feel it along the segment; cross : across it (> 0 down to the right).
+    the heading (> 0 uphill), as the axles feel it along the segment; grades : (n, places) the same over a metre, at
+    evenly spaced places from one end of the segment to the other (as `grade` everywhere, unless given); cross : across
+    it (> 0 down to the right).
     cross_abs, cross_sq : mean of the magnitude and of the square of the tangent across, as the wheels feel it.
     roughness_m : departure of the square metre from its plane. elevation_m. since_s, driven_m : since the start of the
     run; clock_s : since that of the first run. run : number of the run, an index into `runs`, which tells runs apart by
@@ -63,9 +67,18 @@ class Drive:
     words: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     unit_j: float = 1.0
     runs: tuple[str, ...] = ()
+    grades: FloatArray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.grades is None:
+            object.__setattr__(self, "grades", np.repeat(self.grade[:, None], _SIDE, axis=1))
 
     def __len__(self) -> int:
         return int(self.x.size)
+
+    def along(self, of_grade: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """(n,) the mean over a segment of what depends on the slope at every place."""
+        return of_grade(self.grades) @ _ENDS_HALF
 
     def take(self, which: ArrayLike) -> Drive:
         """The rows of a mask or of indices."""
@@ -253,10 +266,14 @@ def _ground(
     climb = 0.5 * (left + right)
     grade = ((climb[:, _SIDE:] - climb[:, :_SIDE]) / length).mean(axis=1)
     cross = -coefficients[:, 2]
+    grade = np.where(np.isfinite(grade), grade, coefficients[:, 1])
+    track = np.mean([heights_at(_PLACES, np.full(_PLACES.size, w)) for w in (-0.5 * width, 0.5 * width)], axis=0)
+    grades = (track[:, _SIDE - 1 :] - track[:, : 1 - _SIDE]) / (2.0 * _REACH_M)
     off_map = ~np.isfinite(roll)  # the wheels reach further than the square metre
     roll = np.where(off_map, cross[:, None], roll)
     return {
-        "grade": np.where(np.isfinite(grade), grade, coefficients[:, 1]),
+        "grade": grade,
+        "grades": np.where(np.isfinite(grades), grades, grade[:, None]),
         "cross": cross,
         "cross_abs": np.abs(roll).mean(axis=1),
         "cross_sq": (roll**2).mean(axis=1),

@@ -157,14 +157,15 @@ def braking(drive: Drive, *, from_grade: float | None) -> FloatArray:
     is left once the rolling resistance is paid."""
     if from_grade is None:
         return (drive.length_m * np.maximum(-drive.traction_per_m, 0.0) / drive.unit_j)[:, None]
-    below = np.maximum(-drive.grade - from_grade, 0.0)
+    below = drive.along(lambda grade: np.maximum(-grade - from_grade, 0.0))
     return (drive.robot.weight_n * drive.length_m * below / drive.unit_j)[:, None]
 
 
 @_formula
 def climbing(drive: Drive) -> FloatArray:
     """1. Share of the energy of climbing that is drawn on top."""
-    return (drive.robot.weight_n * drive.length_m * np.maximum(drive.grade, 0.0) / drive.unit_j)[:, None]
+    above = drive.along(lambda grade: np.maximum(grade, 0.0))
+    return (drive.robot.weight_n * drive.length_m * above / drive.unit_j)[:, None]
 
 
 @_formula
@@ -276,17 +277,19 @@ def _known(drive: Drive, column: str, reference: float) -> FloatArray:
     return np.where(np.isfinite(values), values - reference, 0.0)
 
 
-def inside(drive: Drive, where: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """(n,) the rows of a part of the operating range: {"over": quantity, "above" | "below": value}, {"word": column,
-    "is": value}, {"runs": names} or {} for all of it."""
-    if not where:
-        return np.ones(len(drive), dtype=bool)
+def inside(drive: Drive, where: Mapping[str, Any]) -> FloatArray:
+    """(n,) 0..1, how much of a row lies in a part of the operating range: {"over": quantity, "above" | "below": value},
+    {"word": column, "is": value} or {"runs": names}. A metre over the brow of a hill is partly uphill."""
     if "runs" in where:
-        return np.isin(drive.runs or [""], where["runs"])[drive.run]
+        return np.isin(drive.runs or [""], where["runs"])[drive.run].astype(np.float64)
     if "word" in where:
-        return np.asarray(drive.words.get(where["word"], np.full(len(drive), "")) == where["is"])
-    values = quantity(drive, where["over"])
-    return values > where["above"] if "above" in where else values < where["below"]
+        return np.where(drive.words.get(where["word"], np.full(len(drive), "")) == where["is"], 1.0, 0.0)
+    over = where["over"]
+
+    def beyond(values: FloatArray) -> FloatArray:
+        return np.where(values > where["above"] if "above" in where else values < where["below"], 1.0, 0.0)
+
+    return drive.along(beyond) if over == "grade" else beyond(quantity(drive, over))
 
 
 GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "braking", "climbing"})

@@ -179,7 +179,7 @@ def suggest_next_drive(
     best |= {e.term.name: e.term for e in found.effects}
     name = effect or next(iter(found.trace.confounded), None)
     if name is None and found.effects:
-        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.term.coefficients)))).term.name
+        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
     if name is None:
         raise InputError("these runs show nothing that the model lacks: name the effect that you are in doubt about")
     if name not in best:

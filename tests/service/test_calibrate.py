@@ -156,9 +156,8 @@ def test_hostile_runs_get_a_clear_answer(field, tmp_path):
     assert "copy of the voltage" in report["refused"]["learned:bus"]
     assert report["refused"]["learned:odd_again"] == "identical to odd"
     assert report["runs"]["repairs"]["run_02.csv"]["backward_stamps"] > 0
-    assert calibrate(field, tmp_path / "clean").exit_code == 0
-    clean = json.loads((tmp_path / "clean" / "report.json").read_text())
-    assert {e["name"] for e in report["effects"]} <= {e["name"] for e in clean["effects"]}
+    # equation 5 lacks the bumps and the turns of that field; the clock and the columns bring nothing of their own
+    assert {e["name"] for e in report["effects"]} <= {"learned:roughness", "turning", "speed", "braking", "hotel_load"}
 
 
 def test_wheel_speeds_stand_in_for_positions(tmp_path):

@@ -8,10 +8,12 @@ import pytest
 from scipy.signal import lfilter
 
 from model.errors import ConflictError, ModelError, RunsError
+from model.loop.bounds import bounded
 from model.loop.calibrated import Correction, read_calibrated, save_calibrated
 from model.loop.calibration import calibrate
 from model.loop.drive import Drive
-from model.loop.effects import Term
+from model.loop.effects import Term, inside
+from model.loop.fitting import fit_terms
 from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
@@ -224,6 +226,47 @@ def test_what_the_base_runs_show_too_is_no_news():
     names = tuple(f"run{k}" for k in range(6))
     known = residuals_of(base, noisy(rng, base, EFFECTS["turning"](base)), names, charge=False)
     assert not found_in(new, noisy(rng, new, EFFECTS["turning"](new)), base=known).effects
+
+
+def test_of_an_effect_only_what_the_base_runs_do_not_show_is_stated():
+    """The base model is off by 0.3 along the formula everywhere: 0.9 more of it is what the new runs have."""
+    rng = np.random.default_rng(19)
+    term = Term("speed", "speed", ("",), {"power": 1, "absolute": False})
+    past, drive = made_up(rng), made_up(rng)
+    wrong, more = (c * ROBOT.weight_n for c in (0.3, 0.9))
+    names = tuple(f"run{k}" for k in range(6))
+    base = residuals_of(past, noisy(rng, past, wrong * term.columns(past)[:, 0]), names, charge=False)
+    new = residuals_of(drive, noisy(rng, drive, (wrong + more) * term.columns(drive)[:, 0]), names, charge=False)
+    fit = fit_terms(new, [term], base=base)
+    assert fit.terms[0].coefficients[0] == pytest.approx(wrong + more, rel=0.15)
+    assert fit.own[0][0] == pytest.approx(wrong, rel=0.3)
+    assert fit.low[0][0] < more < fit.high[0][0]
+    assert not fit_terms(new, [term]).own[0].any()
+
+
+def test_where_an_effect_begins_is_fitted_and_in_doubt():
+    rng = np.random.default_rng(23)
+    drive = made_up(rng)
+    uphill = replace(drive, grades=drive.grades + np.linspace(-0.03, 0.03, 5))
+    truth = Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {"over": "grade", "above": 0.02}, (30.0,))
+    new = residuals_of(
+        uphill, noisy(rng, uphill, truth.energy(uphill)), tuple(f"run{k}" for k in range(6)), charge=False
+    )
+    (term,), others = bounded(new, [replace(truth, where={"over": "grade", "above": 0.0})], [])
+    assert term.where["above"] == pytest.approx(0.02, abs=0.015)
+    alone, fit = fit_terms(new, [term]), fit_terms(new, [term], others=others)
+    assert fit.low[0][0] < 30.0 < fit.high[0][0]
+    assert others
+    assert fit.high[0][0] - fit.low[0][0] > alone.high[0][0] - alone.low[0][0]
+
+
+def test_a_metre_over_the_brow_is_partly_uphill_and_partly_downhill():
+    drive = replace(made_up(np.random.default_rng(2), each=40), grades=None)
+    brow = replace(drive, grades=np.tile([0.04, 0.02, 0.0, -0.02, -0.04], (len(drive), 1)))
+    assert inside(brow, {"over": "grade", "above": 0.01}) == pytest.approx(0.375)  # trapezoids over a quarter metre
+    down = Term("braking", "braking", ("",), {"from_grade": 0.0}, {}, (1.0,))
+    assert down.energy(brow) == pytest.approx(ROBOT.weight_n * 0.01)
+    assert down.energy(drive) == pytest.approx(ROBOT.weight_n * np.maximum(-drive.grade, 0.0))
 
 
 def test_a_calibration_is_kept_whole_and_never_changed(tmp_path):
