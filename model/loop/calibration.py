@@ -72,13 +72,18 @@ class Calibration:
 
     def errors_on(self, others: Residuals) -> dict[str, Any]:
         """Errors before, after and after_planner on runs of the same base model that had no part in this."""
-        start = others.without_prediction() if others.charge else others
+        predicted = np.zeros(len(others)) if others.charge else others.predicted
 
         def error(terms: Sequence[Term]) -> dict[str, Any]:
-            return _errors(others, start.predicted + _total(terms, others))
+            return _errors(others, predicted + _total(terms, others))
 
-        after = self.terms if self.effects else self.first_terms
-        return {"before": error(self.first_terms), "after": error(after), "after_planner": error(self.planner_terms)}
+        before = error(self.first_terms) if others.charge else _errors(others, _said(others))
+        known = any(e.planner for e in self.effects)
+        return {
+            "before": before,
+            "after": error(self.terms) if self.effects else before,
+            "after_planner": error(self.planner_terms) if known else before,
+        }
 
 
 def calibrate(
@@ -103,7 +108,7 @@ def calibrate(
         before_energy = first_fit.held_out
         residuals = measured.without_prediction().corrected(_total(first_fit.terms, measured))
     else:
-        before_energy = measured.predicted
+        before_energy = _said(measured)
         residuals = measured.corrected(_total(shared.terms, measured))
     candidates, refused = find_candidates(residuals, electric or {}, usual=_usual(base))
     terms = [v for c in candidates for v in c.variants]
@@ -120,10 +125,18 @@ def calibrate(
         silent = [Term("level", "level", ("",))]
     parts = {name for f in traced.found for name in f.candidate.parts}  # their interaction says where they differ
     chosen, others = bounded(start, localised(start, chosen, silent, whole=parts), silent)
-    fit = fit_terms(
-        start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
-        others=[[*silent, *terms] for terms in others],
-    )  # fmt: skip
+
+    def fitted() -> Fit:
+        return fit_terms(
+            start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
+            others=[[*silent, *terms] for terms in others],
+        )  # fmt: skip
+
+    fit, level = fitted(), []
+    if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
+        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as in tracing
+        start = start.corrected(_total(level, start))
+        fit = fitted()
     effects = _effects(traced, fit, len(silent))
     held = start.predicted + fit.held_out if chosen else before_energy
     planner = [e.term for e in effects if e.planner]
@@ -131,10 +144,10 @@ def calibrate(
     if planner:
         known_before = fit_terms(start, [*silent, *planner])
         held_planner = start.predicted + known_before.held_out
-        planner_terms = (*shared.terms, *known_before.terms)
+        planner_terms = (*shared.terms, *level, *known_before.terms)
     return Calibration(
         effects,
-        fit.terms[: len(silent)] if chosen or plane else (),
+        (*level, *fit.terms[: len(silent)]) if chosen or plane else (),
         shared,
         _errors(measured, before_energy),
         _errors(measured, held),
@@ -153,6 +166,13 @@ def calibrate(
 
 def _total(terms: Sequence[Term], residuals: Residuals) -> FloatArray:
     return np.sum([t.energy(residuals.drive) for t in terms], axis=0) if terms else np.zeros(len(residuals))
+
+
+def _said(measured: Residuals) -> FloatArray:
+    """(n,) what the base model said of all that it was told; its prediction where that is not known."""
+    if measured.told is None:
+        return measured.predicted
+    return np.where(np.isfinite(measured.told), measured.told, measured.predicted)
 
 
 def _plane_terms(measured: Residuals) -> tuple[Term, ...]:
