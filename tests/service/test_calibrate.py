@@ -125,7 +125,7 @@ def test_runs_kept_aside_are_judged_by_and_nothing_else(field, tmp_path):
 
 
 def hostile(source, target, number):
-    """A run whose clock goes back, one that leaps over a day, one that leaves the map; copies of the meters, and a column
+    """A clock that goes back, one that leaps over a day, a run that leaves the map; copies of the meters, and a column
     given twice."""
     head, *rows = (line.split(",") for line in source.read_text().splitlines())
     at = {name: k for k, name in enumerate(head)}
