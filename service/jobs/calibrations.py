@@ -9,7 +9,7 @@ import secrets
 import shutil
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -24,6 +24,7 @@ from service.jobs.steps import Step, Steps
 from service.loop.calibrating import calibrate_on_runs
 from service.loop.page import report_page
 from service.loop.rerouting import Task
+from service.loop.runs import read_calibration_runs
 from service.storage.store import Store
 
 REPORT, PAGE = "report.json", "report.html"
@@ -40,6 +41,7 @@ class _Work:
     robot: Robot
     files: list[Path]
     base_files: list[Path]
+    aside_files: list[Path]
     task: Task | None
     seed: int
     out: Path
@@ -64,8 +66,9 @@ class Calibrator:
             heightmap=self._store.heightmap_path(row.heightmap_id),
             name=self._store.heightmap(row.heightmap_id).name,
             robot=Robot.from_mapping(asked["robot"]),
-            files=[file for runs in asked["runs"] for file in self._store.run_files(runs)],
-            base_files=[file for runs in asked["base_runs"] for file in self._store.run_files(runs)],
+            files=self._files(asked["runs"]),
+            base_files=self._files(asked["base_runs"]),
+            aside_files=self._files(asked.get("aside_runs", [])),
             task=None if asked["start"] is None else (tuple(asked["start"][:2]), tuple(asked["goal"][:2])),
             seed=asked["seed"],
             out=out,
@@ -84,6 +87,9 @@ class Calibrator:
         self._store.finish(row.id, {"report": document, "model": usable})
         if self._store.status(row.id) is None:  # deleted meanwhile
             self.discard(row.id)
+
+    def _files(self, sent: Sequence[str]) -> list[Path]:
+        return [file for runs in sent for file in self._store.run_files(runs)]
 
     def rest(self) -> None:
         """Nothing is held between jobs."""
@@ -133,10 +139,12 @@ def _work(work: _Work, there: Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         heightmap = read_heightmap(work.heightmap, filename=work.name)
+        runs = read_calibration_runs(
+            work.files, work.robot, crs=heightmap.frame.crs, base_files=work.base_files, aside_files=work.aside_files
+        )
         made = calibrate_on_runs(
-            work.model, heightmap, work.robot, work.files, out=work.out, base_files=work.base_files, task=work.task,
-            seed=work.seed, progress=there.send,
-        )  # fmt: skip
+            work.model, heightmap, work.robot, runs, out=work.out, task=work.task, seed=work.seed, progress=there.send
+        )
         work.out.mkdir(parents=True, exist_ok=True)
         (work.out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
         (work.out / PAGE).write_text(report_page(made, heightmap), encoding="utf-8")
