@@ -191,7 +191,8 @@ class _Search:
     def turned(self, found: Sequence[Found]) -> set[str]:
         """Effects that make no sense once all others speak for themselves."""
         return {f.candidate.name for f in found
-                if self.senseless([g.verdict.term for g in found if g is not f], f.verdict.term)}  # fmt: skip
+                if f.candidate.name not in self._refused
+                and self.senseless([g.verdict.term for g in found if g is not f], f.verdict.term)}  # fmt: skip
 
     def _order(self, verdict: Verdict) -> tuple[bool, float]:
         return verdict.p_value <= ALPHA and self.clears_floor(verdict), self.score(verdict)
