@@ -89,6 +89,8 @@ def calibrate(
         residuals = measured.without_prediction().corrected(_total(first_fit.terms, measured))
     else:
         before_energy = measured.predicted
+        if measured.told is not None:
+            before_energy = np.where(np.isfinite(measured.told), measured.told, before_energy)
         residuals = measured.corrected(_total(shared.terms, measured))
     candidates, refused = find_candidates(residuals, electric or {}, usual=_usual(base))
     terms = [v for c in candidates for v in c.variants]
@@ -104,17 +106,25 @@ def calibrate(
     if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
         silent = [Term("level", "level", ("",))]
     chosen, others = bounded(start, localised(start, chosen, silent), silent)
-    fit = fit_terms(
-        start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
-        others=[[*silent, *terms] for terms in others],
-    )  # fmt: skip
+
+    def fitted() -> Fit:
+        return fit_terms(
+            start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
+            others=[[*silent, *terms] for terms in others],
+        )  # fmt: skip
+
+    fit, level = fitted(), []
+    if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
+        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as in tracing
+        start = start.corrected(_total(level, start))
+        fit = fitted()
     effects = _effects(traced, fit, len(silent))
     held = start.predicted + fit.held_out if chosen else before_energy
     planner = [e.term for e in effects if e.planner]
     held_planner = start.predicted + fit_terms(start, [*silent, *planner]).held_out if planner else before_energy
     return Calibration(
         effects,
-        fit.terms[: len(silent)] if chosen or plane else (),
+        (*level, *fit.terms[: len(silent)]) if chosen or plane else (),
         shared,
         _errors(measured, before_energy),
         _errors(measured, held),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from model.loop.drive import Drive
 from model.loop.effects import Term, quantity
+from model.loop.places import field_settings, grid_over
 from model.loop.residual import Residuals
 from model.loop.track import TURN_LIMITS_RADPS
 
@@ -29,7 +29,7 @@ _COPY = 0.95
 _GRADES = (-0.03, 0.0, 0.03)
 _USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
-_MOST_CENTRES = 40
+_MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
 _MOST_RUNS = 12  # that may each have something of their own
 
@@ -87,7 +87,7 @@ def find_candidates(
         found += _of_words(key, values[moving], kinds, unit)
     found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
-    for key in ("grade", "cross_slope", "roughness", "elevation", "speed"):
+    for key in ("grade", "cross_slope", "roughness", "elevation", "hollow", "speed"):
         found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
     for key in usable:
         name = f"learned:{key}"
@@ -132,13 +132,16 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     yield Candidate("cross_slope", across, "along a side slope, and beside it on the level", sign=1)
     down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
     yield Candidate("braking", down, "straight down a slope, and straight up it")
-    yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
-    j_per_m = f"{unit}/m"
-    more = tuple(
-        Term("learned:heading", "heading", (j_per_m,) * (2 * n + level), {"harmonics": n, "level": level})
-        for n in (1, 2, 3)
-        for level in (False, True)
+    back = tuple(
+        Term("reversing", "reversing", ("" if of else f"{unit}/m",), {"of_motion": of}) for of in (True, False)
     )
+    yield Candidate("reversing", back, "the same line forwards and backwards", planner=False, sign=1)
+    yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
+    more = tuple(
+        Term("learned:heading", "heading", ("" if share else f"{unit}/m",) * (2 * n + level),
+             {"harmonics": n, "level": level, "of_motion": share})
+        for share in (False, True) for n in (1, 2, 3) for level in (False, True)
+    )  # fmt: skip
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
     yield Candidate("drift", tuple(_drifts(unit)), "the same loop at the start and at the end of a long day")
     losses = Term("battery", "battery", ("ohm",), {"ripple": ripple})
@@ -177,12 +180,15 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
     drive = residuals.drive
     if "temperature" in usable:
         warm = {"reference": usual["temperature"]}
-        warmth = tuple(
+        warmth = [
             Term("temperature", "temperature", ("" if of else f"{unit}/m",) * begun + ("1/K" if of else f"{unit}/m/K",),
                  warm | {"of_motion": of, "begun": begun})
             for of in (True, False) for begun in (False, True)
-        )  # fmt: skip
-        yield Candidate("temperature", warmth, "the same loop on a cold and on a warm day", sign=-1)
+        ]  # fmt: skip
+        if not residuals.charge:
+            heats = warm | {"of_motion": False, "begun": False, "of_time": True}
+            warmth.append(Term("temperature", "temperature", ("W/K",), heats))
+        yield Candidate("temperature", tuple(warmth), "the same loop on a cold and on a warm day", sign=-1)
     if not _wind_logged(residuals, usable):
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
         yield Candidate("wind", (calm,), "one line to and fro, and one across it")
@@ -323,25 +329,16 @@ def _of_place(residuals: Residuals) -> Iterator[Candidate]:
     unit = max(1.0, extent / 60.0)
     disks = []
     for radius in (3.0 * unit, 5.0 * unit, 8.0 * unit, 12.0 * unit):
-        for cx, cy in _grid(x, y, 0.8 * radius):
+        for cx, cy in grid_over(x, y, 0.8 * radius):
             near = np.hypot(x - cx, y - cy) <= radius
             if near.sum() >= 12 and near.mean() <= 0.5 and np.unique(fold[near]).size >= 2:
                 circle = {"x": round(cx, 2), "y": round(cy, 2), "radius_m": round(radius, 2)}
                 disks.append(Term("local_friction", "disk", ("",), circle))
-    width = max(5.0, extent / 10.0)
-    centres = [[round(cx, 2), round(cy, 2)] for cx, cy in _grid(x, y, 1.3 * width)]
-    centres = [c for c in centres if (np.hypot(x - c[0], y - c[1]) <= width).sum() >= 12][:_MOST_CENTRES]
-    if len(centres) >= 3:
-        settings: dict[str, Any] = {"centres": centres, "width_m": round(width, 2)}
-        some = len(centres)
+    settings = field_settings(drive, max(5.0, extent / 10.0))
+    some = len(settings["centres"])
+    if 3 <= some <= _MOST_CENTRES:
         disks.append(Term("local_friction", "place", ("",) * some, settings | {"of_all": False}))
         share = Term("learned:place", "place", ("",) * some, settings | {"of_all": True})
         yield Candidate("learned:place", (share,), reveals)
     if disks:
         yield Candidate("local_friction", tuple(disks), reveals)
-
-
-def _grid(x: FloatArray, y: FloatArray, spacing: float) -> list[tuple[float, float]]:
-    xs = np.arange(x.min() + 0.25 * spacing, x.max() + 0.25 * spacing, spacing)
-    ys = np.arange(y.min() + 0.25 * spacing, y.max() + 0.25 * spacing, spacing)
-    return [(float(a), float(b)) for a in xs for b in ys]

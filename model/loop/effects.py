@@ -39,6 +39,7 @@ def quantity(drive: Drive, name: str) -> FloatArray:
         "cross_slope": lambda: drive.cross_abs,
         "roughness": lambda: drive.roughness_m,
         "elevation": lambda: drive.elevation_m,
+        "hollow": lambda: drive.hollow_m,
         "speed": lambda: drive.speed_mps,
         "turning": lambda: drive.turned_abs_rad,
         "turn": lambda: drive.turned_rad,
@@ -120,10 +121,12 @@ def payload(drive: Drive, *, column: str | None = None, reference: float = 0.0) 
 
 
 @_formula
-def temperature(drive: Drive, *, reference: float, of_motion: bool, begun: bool = False) -> FloatArray:
-    """1/K, or J/m/K. A share of the motion's energy, or energy, per degree above the reference [degC]; before it, with
-    `begun`, what it takes at the reference already."""
-    amount = drive.motion_part if of_motion else drive.length_m
+def temperature(
+    drive: Drive, *, reference: float, of_motion: bool, begun: bool = False, of_time: bool = False
+) -> FloatArray:
+    """1/K, or J/m/K, or (a heater's) W/K. A share of the motion's energy, or energy, or power, per degree above the
+    reference [degC]; before it, with `begun`, what it takes at the reference already."""
+    amount = drive.duration_s if of_time else drive.motion_part if of_motion else drive.length_m
     return _from_zero(amount, _known(drive, "temperature", reference), begun)
 
 
@@ -149,6 +152,12 @@ def cross_slope(drive: Drive, *, power: int) -> FloatArray:
     """1. Rolling resistance per tangent (to a power) of the slope across the motion."""
     across = drive.cross_abs if power == 1 else drive.cross_sq
     return (drive.robot.weight_n * drive.length_m / drive.unit_j * across)[:, None]
+
+
+@_formula
+def reversing(drive: Drive, *, of_motion: bool) -> FloatArray:
+    """J/m, or a share of the motion's energy, while driving backwards."""
+    return ((drive.motion_part if of_motion else drive.length_m) * drive.backwards)[:, None]
 
 
 @_formula
@@ -189,12 +198,13 @@ def wind_constant(drive: Drive) -> FloatArray:
 
 
 @_formula
-def heading(drive: Drive, *, harmonics: int, level: bool = False) -> FloatArray:
-    """J/m. sin and cos of the heading and of its multiples; before them, with `level`, what does not depend on it."""
+def heading(drive: Drive, *, harmonics: int, level: bool = False, of_motion: bool = False) -> FloatArray:
+    """J/m, or with `of_motion` a share of the motion's energy, as ruts take. sin and cos of the heading and of its
+    multiples; before them, with `level`, what does not depend on it."""
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
     waves = [f(angle) for angle in angles for f in (np.sin, np.cos)]
     constant = [np.ones(len(drive))] if level else []
-    return np.stack([*constant, *waves], axis=1) * drive.length_m[:, None]
+    return np.stack([*constant, *waves], axis=1) * (drive.motion_part if of_motion else drive.length_m)[:, None]
 
 
 @_formula
@@ -292,7 +302,7 @@ def inside(drive: Drive, where: Mapping[str, Any]) -> FloatArray:
     return drive.along(beyond) if over == "grade" else beyond(quantity(drive, over))
 
 
-GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "braking", "climbing"})
+GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "hollow", "braking", "climbing"})
 """Formulas and quantities that read the ground under a drive."""
 
 
@@ -322,6 +332,16 @@ class Term:
         """Whether slopes, roughness or height of the ground change it; all else it takes from the base and the path."""
         named = (self.formula, *self.settings.values(), *self.where.values())
         return not GROUND.isdisjoint(name for name in named if isinstance(name, str))
+
+    def record(self, drive: Drive) -> FloatArray | None:
+        """(n,) what a log says that the effect goes with: a column, or 1 where a word stands; None without a record."""
+        over = str(self.settings.get("over", ""))
+        if self.formula == "smooth" and over.startswith("column:"):
+            return quantity(drive, over)
+        if self.formula == "words":
+            found = drive.words.get(self.settings["column"], np.full(len(drive), ""))
+            return np.isin(found, self.settings["values"]).astype(np.float64)
+        return None
 
     def energy(self, drive: Drive) -> FloatArray:
         """(n,) [J, or A s] that the effect adds."""

@@ -26,7 +26,8 @@ class Residuals:
     """Measured and predicted energy of the rows of a drive (stands last, in driving order before).
 
     measured, predicted : (n,) [J, or A s]; predicted may hold corrections on top of `drive.predicted`. runs : names by
-    number. charge : whether the energy is charge, of which neither the scale nor the zero is known.
+    number. charge : whether the energy is charge, of which neither the scale nor the zero is known. told : (n,) what
+    the model says of each row with the turns and loads that it learned of, where that is another thing (NaN of stands).
     """
 
     drive: Drive
@@ -34,6 +35,7 @@ class Residuals:
     predicted: FloatArray
     runs: tuple[str, ...]
     charge: bool = False
+    told: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.drive)

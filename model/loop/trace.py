@@ -239,15 +239,16 @@ class _Search:
 
     def two_named(self, found: list[Found]) -> list[Found]:
         """Instead of two effects of which one is a mere curve, two with a physical form that do as well together, if
-        there are such: taken one by one, the first may have stood for both."""
-        if len(found) != 2 or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
+        there are such, or that do better than a curve alone: taken one by one, the first may have stood for both."""
+        if len(found) not in (1, 2) or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
             return found
+        most = 1.0 + _LITTLE if len(found) == 2 else 1.0 - self.floors.learned
         single = [k for k, c in enumerate(self.owner) if self.evidence.columns[k].size == 1 and not c.learned]
         single = [k for k in single if self.evidence.terms[k].formula not in ("disk", "turning")]
         pairs = [(self.error([j, k]), j, k) for j in single for k in single
                  if j < k and self.owner[j].name != self.owner[k].name]  # fmt: skip
         error, *best = min(pairs, default=(np.inf, 0, 0))
-        if error > (1.0 + _LITTLE) * self.error([f.verdict.term for f in found]):
+        if error > most * self.error([f.verdict.term for f in found]):
             return found
         both = [(k, [b for b in best if b != k]) for k in best]
         verdicts = [self.evidence.judge(other, [k])[0] for k, other in both]

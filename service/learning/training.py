@@ -119,8 +119,9 @@ def train_on_runs(
     else:
         net, passes = work.fit(options, seed, progress)
     apart, said = work.held_out()
-    turn = _turning(apart, said.energy_j)
-    predicted = said.energy_j + turn * np.abs(apart.heading_change_rad)
+    turned = np.abs(apart.heading_change_rad) - work.domain.turned_rad
+    turn = _turning(apart, said.energy_j, turned)
+    predicted = said.energy_j + turn * turned
     known = np.isfinite(predicted)
     held_out = errors(predicted[known], apart.energy_j[known], apart.run[known])
     spread = Spread()
@@ -187,6 +188,7 @@ class _Training:
         self.domain = replace(self.examples.domain(), payload_kg=carried)
         if learned is not None:
             self.domain = learned.joined(self.domain)
+        self.domain = replace(self.domain, turned_rad=round(float(np.abs(s.heading_change_rad).mean()), 5))
         self._said: list[tuple[NDArray[np.int64], Prediction]] = []  # of segments by networks that had not seen them
 
     def artifact(self, net: Network) -> Artifact:
@@ -251,12 +253,12 @@ def _parts(segments: Segments) -> NDArray[np.int64]:
     return np.arange(len(segments)) * _STRETCHES // max(len(segments), 1)
 
 
-def _turning(segments: Segments, predicted_j: NDArray[np.float64]) -> float:
+def _turning(segments: Segments, predicted_j: NDArray[np.float64], turned: NDArray[np.float64]) -> float:
     """Energy of turning [J/rad] beyond what straight driving explains, at least 0: the least-squares slope of what is
-    left, over the square of the prediction. The idle power of the time that turns take longer is in it."""
-    turned = np.abs(segments.heading_change_rad)
+    left, over the square of the prediction. turned : (n,) by how much more than straight segments do. The idle power of
+    the time that turns take longer is in it."""
     rest = segments.energy_j - predicted_j
-    use = np.isfinite(rest) & (turned >= MAX_TURN_RAD)
+    use = np.isfinite(rest) & (np.abs(segments.heading_change_rad) >= MAX_TURN_RAD)
     if use.sum() < FEWEST:
         return 0.0
     rest = rest[use] - np.nanmedian(rest[~use]) if (~use).any() else rest[use]

@@ -72,10 +72,11 @@ def residuals_on(
         "energy": segments.energy_j,
         "ripple": segments.ripple,
         "std_j": std,
+        "told": said.energy_j,
     }
     residuals, kept = _residuals(heightmap, robot, segments, said.traction_per_m, beside)
-    believed = kept.pop("std_j")
-    return residuals, kept, believed
+    believed, told = kept.pop("std_j"), kept.pop("told")
+    return replace(residuals, told=told), kept, believed
 
 
 def _residuals(

@@ -94,7 +94,7 @@ def test_the_deviation_is_that_of_what_remained():
 
 def test_who_reads_the_ground_says_so():
     """Of every formula and quantity: those whose code reads the ground of a drive are listed, and no others."""
-    fields = ("grade", "along", "cross_abs", "cross_sq", "cross", "roughness_m", "elevation_m")
+    fields = ("grade", "along", "cross_abs", "cross_sq", "cross", "roughness_m", "elevation_m", "hollow_m")
     for name, formula in FORMULAS.items():
         reads = any(f"drive.{field}" in inspect.getsource(formula) for field in fields)
         assert reads == (name in GROUND), name

@@ -17,6 +17,7 @@ from model.loop.fitting import fit_terms
 from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
+from model.loop.steps import step_chance
 from model.loop.track import TURN_LIMITS_RADPS
 from model.robot import Robot
 
@@ -46,6 +47,7 @@ def made_up(rng, *, runs=6, each=120, heading=None) -> Drive:
             "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "cross": 0.04 * smooth_noise(rng, each),
             "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)), "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
             "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)), "elevation_m": smooth_noise(rng, each),
+            "hollow_m": 0.05 * smooth_noise(rng, each),
             "since_s": clock - clock[0], "driven_m": np.arange(each) + 1.0, "clock_s": clock,
             "temperature": 15.0 + run + 0.3 * smooth_noise(rng, each),
         })  # fmt: skip
@@ -145,6 +147,35 @@ def test_a_wind_nobody_logged_is_a_diagnosis_and_acts_in_these_runs_only():
     np.testing.assert_allclose(energy, 14.0 * np.cos(drive.heading_rad - 1.0), atol=4.0)
     elsewhere = replace(drive, runs=tuple(f"later{k}@0" for k in range(6)))
     assert not effect.term.energy(elsewhere).any()
+
+
+def test_ruts_that_scale_the_motion_are_no_wind():
+    rng = np.random.default_rng(6)
+    drive = made_up(rng)
+    drive = replace(drive, traction_per_m=np.maximum(drive.traction_per_m, 0.0))
+    found = found_in(drive, noisy(rng, drive, 0.4 * np.cos(drive.heading_rad - 1.0) * drive.motion_part))
+    assert found.effects[0].term.name == "learned:heading"
+    assert found.effects[0].term.settings["of_motion"]
+    assert found.effects[0].term.coefficients == pytest.approx([0.4 * np.sin(1.0), 0.4 * np.cos(1.0)], abs=0.06)
+
+
+def test_a_word_that_changes_once_is_told_by_the_step_from_what_differs_between_runs():
+    rng = np.random.default_rng(8)
+    drive = made_up(rng)
+    sand = np.arange(len(drive)) > 4.5 * 120  # halfway through the fifth run of six
+    drive = replace(drive, words={"terrain": np.where(sand, "sand", "grass")})
+    found = found_in(drive, noisy(rng, drive, 0.4 * drive.motion_part * sand))
+    assert found.effects[0].term.name == "terrain_class"
+
+
+def test_a_step_is_judged_by_the_jumps_of_all_other_places():
+    rng = np.random.default_rng(2)
+    run, state = np.repeat(np.arange(6), 120), np.repeat([0.0, 0.0, 0.0, 0.0, 1.0, 1.0], 120)
+    state[4 * 120 : 4 * 120 + 60] = 0.0
+    quiet = [step_chance(rng.standard_normal(720), state, run) for _ in range(200)]
+    assert np.mean(np.array(quiet) < 0.05) < 0.09  # 0.05 and two standard errors of 200 tries
+    assert step_chance(rng.standard_normal(720) + 3.0 * state, state, run) < 1e-4
+    assert step_chance(3.0 * state, (run > 3).astype(float), run) == 1.0  # changes between runs only
 
 
 def test_cost_that_grows_with_warmth_is_not_called_temperature():
