@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.drive import Drive
+from model.loop.columns import usable_columns
 from model.loop.effects import Term, quantity
 from model.loop.places import field_settings, grid_over
 from model.loop.residual import Residuals
@@ -20,12 +21,9 @@ FloatArray = NDArray[np.float64]
 PLANNER_COLUMNS = frozenset({"temperature", "wind_speed", "wind_from", "payload", "humidity", "rain"})
 """Logged columns that are known before a drive."""
 
-_OF_POSITION = frozenset({"heading", "gps_course", "gps_error", "speed", "gps_speed", "z", "lat", "lon"})
-_MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
 _RESPONSE = re.compile(
     r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|wheel|odom|duty|pwm|rpm|torque|slip"
 )
-_COPY = 0.95
 _GRADES = (-0.03, 0.0, 0.03)
 _USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
@@ -41,6 +39,8 @@ class Candidate:
     variants : ways in which it may act. planner : stated in what a planner knows beforehand. response : a column that
     answers to the drive (a command, a measured attitude), tried once nothing else is found. reveals : the drive that
     shows it. sign : that its (last) coefficient must have, 0 where either makes sense: no robot has a negative drag.
+    most : above it its size makes none. parts : of an interaction, the effect that it
+    modifies, and the one by which.
     """
 
     name: str
@@ -49,6 +49,8 @@ class Candidate:
     planner: bool = True
     response: bool = False
     sign: int = 0
+    most: float = math.inf
+    parts: tuple[str, ...] = ()
 
     @property
     def learned(self) -> bool:
@@ -77,7 +79,7 @@ def find_candidates(
     )  # fmt: skip
     if not residuals.charge:
         found += _of_level()
-    usable = _usable(residuals, columns, refused)
+    usable = usable_columns(residuals, columns, refused)
     found += _of_weather(residuals, usable, _USUAL | dict(usual or {}), unit)
     for key, values in sorted(drive.words.items()):
         kinds = [w for w in np.unique(values[moving]) if w and (values[moving] == w).sum() >= 10]
@@ -145,7 +147,7 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
     yield Candidate("drift", tuple(_drifts(unit)), "the same loop at the start and at the end of a long day")
     losses = Term("battery", "battery", ("ohm",), {"ripple": ripple})
-    yield Candidate("battery", (losses,), "hard climbs and easy ground at equal charge", sign=1)
+    yield Candidate("battery", (losses,), "hard climbs and easy ground at equal charge", sign=1, most=5.0)
 
 
 def _ripple(residuals: Residuals, measured: FloatArray | None) -> float:
@@ -234,69 +236,10 @@ def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -
         for some in (others, *([str(w)] for w in kinds))
     )  # fmt: skip
     yield Candidate(name, variants, "the same manoeuvres on each kind of ground", planner=False)
-    turns = Term(
-        f"turning x {name}", "turning_words", (f"{unit}/rad",) * len(others), {"column": key, "values": others}
-    )
-    yield Candidate(turns.name, (turns,), "curves of several radii on each kind of ground", planner=False)
-
-
-def _usable(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
-    """Logged columns that vary, copy no other column, and are no part of the measurement."""
-    drive, moving = residuals.drive, residuals.moving
-    only = drive.take(moving)
-    meters = {key: values for key, values in electric.items() if key != "ripple"}
-    kept: dict[str, FloatArray] = {}
-    for key, every in sorted(drive.columns.items()):
-        values = every[moving]
-        known = np.isfinite(values)
-        if key in _OF_POSITION:
-            continue
-        if _MEASUREMENT.search(key):
-            refused[f"learned:{key}"] = "it is part of the measurement itself"
-        elif known.mean() < 0.5:
-            refused[f"learned:{key}"] = f"recorded on {known.mean():.0%} of the segments only"
-        elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
-            refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
-        elif copied := next((m for m, e in meters.items() if _alike(values, e[moving], only)), None):
-            refused[f"learned:{key}"] = f"a copy of the {copied}, which is part of the measurement itself"
-        elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
-            refused[f"learned:{key}"] = f"identical to {twin}"
-        elif residuals.charge and _constant_in_runs(values, drive.run[moving]):
-            refused[f"learned:{key}"] = "constant within every run, whose level is not known either"
-        else:
-            kept[key] = values
-    return list(kept)
-
-
-def _alike(values: FloatArray, electric: FloatArray, drive: Drive) -> bool:
-    """Whether a column follows a reading of the battery from segment to segment: what both have of a day's slow course
-    (a voltage sinks while the air warms) makes no copy, so that each run's straight line in time is taken out."""
-    both = np.isfinite(values) & np.isfinite(electric)
-    if both.sum() < 10:
-        return False
-    run, since = drive.run[both], drive.since_s[both]
-    a, b = (_without_lines(v[both], run, since) for v in (values, electric))
-    least = 1e-9 * max(1.0, float(np.abs(values[both]).max()))
-    return bool(a.std() > least and b.std() > 1e-9 and abs(np.corrcoef(a, b)[0, 1]) > _COPY)
-
-
-def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray) -> FloatArray:
-    out = values.copy()
-    for k in np.unique(run):
-        mine = run == k
-        line = np.stack([np.ones(mine.sum()), since[mine] - since[mine].mean()], axis=1)
-        out[mine] -= line @ np.linalg.lstsq(line, values[mine], rcond=None)[0]
-    return out
-
-
-def _same(a: FloatArray, b: FloatArray) -> bool:
-    both = np.isfinite(a) & np.isfinite(b)
-    return bool(both.any() and a[both].std() > 0 and abs(np.corrcoef(a[both], b[both])[0, 1]) > 1.0 - 1e-9)
-
-
-def _constant_in_runs(values: FloatArray, run: NDArray[np.int64]) -> bool:
-    known = np.isfinite(values)
-    return all(np.ptp(values[mine]) < 1e-9 for k in np.unique(run) if (mine := known & (run == k)).any())
+    turns = [Term(f"turning x {name}", "turning_words", (f"{unit}/rad",) * len(some), {"column": key, "values": some})
+             for some in (others, [str(w) for w in kinds])]  # fmt: skip
+    yield Candidate(turns[0].name, tuple(turns), "curves of several radii on each kind of ground", planner=False,
+                    parts=("turning", name))  # fmt: skip
 
 
 def _smooth(

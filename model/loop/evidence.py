@@ -137,12 +137,12 @@ class Evidence:
         right = self.by_fold[:, active, -1][keep].sum(axis=0)
         return np.asarray(np.linalg.solve(left, right) / self.size[active])
 
-    def sign(self, chosen: Sequence[int], k: int) -> int:
-        """Of the last coefficient of a term, given the chosen ones; 0 where it has several of equal rank."""
+    def size_of(self, chosen: Sequence[int], k: int) -> float:
+        """The last coefficient of a term, given the chosen ones; 0 where it has several of equal rank."""
         if self.columns[k].size > 1 and not self.terms[k].settings.get("begun"):
-            return 0
+            return 0.0
         level = self.nuisance[: 0 if self.moves_level([*chosen, k]) else None]
-        return int(np.sign(self.coefficients(np.concatenate([level, self.columns_of([*chosen, k])]))[-1]))
+        return float(self.coefficients(np.concatenate([level, self.columns_of([*chosen, k])]))[-1])
 
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
         """A verdict on each tried term, given the chosen ones."""

@@ -3,7 +3,7 @@ these runs can draw."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,9 +27,15 @@ _EVERYWHERE = frozenset({"disk", "place", "words", "by_run", "smooth", "drift"})
 
 
 def localised(
-    residuals: Residuals, terms: Sequence[Term], silent: Sequence[Term], *, progress: Callable[[], None] | None = None
+    residuals: Residuals,
+    terms: Sequence[Term],
+    silent: Sequence[Term],
+    *,
+    whole: Collection[str] = (),
+    progress: Callable[[], None] | None = None,
 ) -> list[Term]:
-    """Each term, restricted to the part where it acts if it plainly does so in one part only.
+    """Each term, restricted to the part where it acts if it plainly does so in one part only. whole : names of those
+    that are left as they are.
 
     A part is taken where the held-out squared error falls by a good share of what the effect explains at all, in most
     folds, and where the effect is nearly absent outside. Of all thresholds over all quantities the best is tried.
@@ -38,7 +44,7 @@ def localised(
     for k, term in enumerate(out):
         if term.formula == "place":
             out[k] = _sharpest(residuals, term, [*silent, *out[:k], *out[k + 1 :]])
-        if term.formula in _EVERYWHERE or term.where:
+        if term.formula in _EVERYWHERE or term.where or term.name in whole:
             continue
         parts = [replace(term, where=where) for where in _parts(residuals)]
         if not parts:

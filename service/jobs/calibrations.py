@@ -24,6 +24,7 @@ from service.jobs.steps import Step, Steps
 from service.loop.calibrating import calibrate_on_runs
 from service.loop.page import report_page
 from service.loop.rerouting import Task
+from service.loop.runs import read_calibration_runs
 from service.storage.store import Store
 
 REPORT, PAGE = "report.json", "report.html"
@@ -133,10 +134,10 @@ def _work(work: _Work, there: Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         heightmap = read_heightmap(work.heightmap, filename=work.name)
+        runs = read_calibration_runs(work.files, work.robot, crs=heightmap.frame.crs, base_files=work.base_files)
         made = calibrate_on_runs(
-            work.model, heightmap, work.robot, work.files, out=work.out, base_files=work.base_files, task=work.task,
-            seed=work.seed, progress=there.send,
-        )  # fmt: skip
+            work.model, heightmap, work.robot, runs, out=work.out, task=work.task, seed=work.seed, progress=there.send
+        )
         work.out.mkdir(parents=True, exist_ok=True)
         (work.out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
         (work.out / PAGE).write_text(report_page(made, heightmap), encoding="utf-8")

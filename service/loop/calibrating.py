@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.loop.rerouting import Comparison, Task, compare_routes
-from service.loop.residuals import base_residuals, read_calibration_runs, residuals_on
+from service.loop.residuals import base_residuals, residuals_on
+from service.loop.runs import CalibrationRuns
 from service.models import load_model
 
 FloatArray = NDArray[np.float64]
@@ -48,28 +49,28 @@ def calibrate_on_runs(
     model: str | Path,
     heightmap: Heightmap,
     robot: Robot,
-    files: Sequence[Path],
+    runs: CalibrationRuns,
     *,
     out: Path,
-    base_files: Sequence[Path] = (),
     task: Task | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Calibrated:
     """Trace what a model lacks on measured runs and write `out/model`: the base and its effects.
 
-    base_files : runs without the effect, where the model's folder does not keep its own. task : start and goal whose
-    routes before and after are compared, as `compare_routes`. Raises InputError, RunsError, ModelError, and
-    ConflictError where `out/model` is there already: a model version is never changed.
+    runs : as `service.loop.runs` reads them; those of the model's folder stand for `base` where it has none. task :
+    start and goal whose routes before and after are compared, as `compare_routes`. Raises InputError, RunsError,
+    ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
     """
     target = out / "model"
     if target.exists():
         raise ConflictError(f"{target} is there already: a model version is never changed", path=str(target))
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
-    segments, repairs = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
+    segments = runs.segments
     measured, electric, std = residuals_on(predictor, heightmap, robot, segments)
-    base = base_residuals(model, predictor, heightmap, robot, base_files)
+    base = base_residuals(model, predictor, heightmap, robot, runs.base)
+    aside = None if runs.aside is None else residuals_on(predictor, heightmap, robot, runs.aside, least=1)[0]
     _tell(progress, _READ)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=_part(progress, _READ, _TRACED))
     version, routes, why_not = None, None, "nothing was found that changes a route"
@@ -77,17 +78,26 @@ def calibrate_on_runs(
         correction = correction_of(found, std)
         version = _write(target, model, predictor, correction)
         after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
-        places = np.column_stack([segments.x, segments.y])
-        try:
-            routes = compare_routes(
-                heightmap, robot, predictor, after, places, task=task, seed=seed,
-                progress=_part(progress, _TRACED, 1.0),
-            )  # fmt: skip
-        except (InfeasibleError, ConflictError) as error:  # no way, or charge without voltage: a report all the same
-            why_not = error.message
+        driven = measured.drive.take(measured.moving)  # on ground that the map knows
+        places = np.column_stack([driven.x, driven.y])
+        why_not = "the runs have no positions"
+        if runs.placed:
+            try:
+                routes = compare_routes(
+                    heightmap, robot, predictor, after, places, task=task, seed=seed,
+                    progress=_part(progress, _TRACED, 1.0),
+                )  # fmt: skip
+            except InfeasibleError as error:  # a report all the same
+                why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
     report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
-    report["runs"] = {"names": list(segments.runs), "repairs": repairs, "left_out": segments.left_out}
+    if routes is not None and segments.charge:
+        report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
+    if aside is not None:
+        report["kept_aside"] = {"segments": int(aside.moving.sum()), "error": found.errors_on(aside)}
+    report["runs"] = {
+        "names": list(segments.runs), "rows": runs.rows, "repairs": runs.repairs, "left_out": segments.left_out,
+    }  # fmt: skip
     report["warnings"] = predictor.warnings(heightmap, robot)
     _tell(progress, 1.0)
     return Calibrated(report, found, routes)
@@ -124,7 +134,7 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
         found.terms,
         tuple(planner),
         charge=found.residuals.charge,
-        turn_j_per_rad=turning / turned if turned > 0 and not found.residuals.charge else 0.0,
+        turn_j_per_rad=drive.unit_j * turning / turned if turned > 0 else 0.0,
         conditions=conditions,
         evidence=[{"name": e.term.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=None
@@ -149,10 +159,9 @@ def suggest_next_drive(
     model: str | Path,
     heightmap: Heightmap,
     robot: Robot,
-    files: Sequence[Path],
+    runs: CalibrationRuns,
     *,
     effect: str | None = None,
-    base_files: Sequence[Path] = (),
     length_m: float = 200.0,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
@@ -163,9 +172,8 @@ def suggest_next_drive(
     InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
     """
     predictor = load_model(model)
-    segments, _ = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
-    measured, electric, _ = residuals_on(predictor, heightmap, robot, segments)
-    base = base_residuals(model, predictor, heightmap, robot, base_files)
+    measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
+    base = base_residuals(model, predictor, heightmap, robot, runs.base)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
     best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
     best |= {e.term.name: e.term for e in found.effects}

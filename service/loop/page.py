@@ -62,6 +62,7 @@ def report_page(made: Calibrated, heightmap: Heightmap) -> str:
     )
     parts = [
         f"<h1>{escape(title)}</h1><p>{lead}</p>",
+        _kept_aside(document, unit),
         "<h2>Effects</h2>" + _effects(document),
         _confounded(document),
         "<h2>A route before and after</h2>" + _route(made, heightmap),
@@ -75,6 +76,27 @@ def report_page(made: Calibrated, heightmap: Heightmap) -> str:
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
         f"<style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
     )
+
+
+def _kept_aside(document: Mapping[str, Any], unit: str) -> str:
+    if "kept_aside" not in document:
+        return ""
+    found = document["kept_aside"]
+    error = found["error"]
+    names = {"before": "before", "after": "after", "after_planner": "after, with what a planner knows"}
+    rows = [
+        [
+            name,
+            f"{error[key]['mean_relative']:.1%}",
+            f"{error[key]['rmse']:.3g} {unit}",
+            f"{error[key]['bias']:+.3g} {unit}",
+        ]
+        for key, name in names.items()
+    ]
+    lead = (
+        f"{found['segments']} segments of {len(error['before']['by_run'])} runs that nothing was sought or fitted in."
+    )
+    return f"<h2>Runs kept aside</h2><p>{lead}</p>" + _table(["", "mean relative", "root mean square", "bias"], rows)
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -106,9 +128,12 @@ def _route(made: Calibrated, heightmap: Heightmap) -> str:
     (x0, y0), (x1, y1) = shown.task
     lead = (
         f"From {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} ({escape(route['task']['chosen'])}). At the new prices the old "
-        f"route costs {_energy(route['before'])}, the new one {_energy(route['after'])}: it saves "
-        f"{route['saving_percent']:.1f} %. The old model said {shown.before.energy_j / 1000.0:.2f} kJ of the old route."
+        f"route costs {_energy(route['before'])}, the new one {_energy(route['after'])}: by the new model it saves "
+        f"{route['saving_percent']:.1f} %. The old model said {shown.before.energy_j / 1000.0:.2f} kJ of the old route "
+        f"and would have said {shown.old_j / 1000.0:.2f} kJ of the new one. Nobody has driven either yet."
     )
+    if "nominal_voltage_v" in route:
+        lead += f" No voltage was logged: energy is charge times {route['nominal_voltage_v']:g} V."
     if len(route["tried"]) > 1:
         savings = ", ".join(f"{task['saving_percent']:.1f} %" for task in route["tried"])
         lead += f" Savings of all tasks tried: {savings}."

@@ -32,12 +32,14 @@ _CELLS = 250_000  # about as many has the lattice that routes are compared on
 @dataclass(frozen=True, eq=False, repr=False)
 class Rerouted:
     """One task. before : the old prices' way at the old prices; repriced : the same way at the new ones; after : the
-    new prices' way. std_j : standard deviations of `repriced` and `after`, None where they are not known."""
+    new prices' way at the new ones; old_j : its energy at the old ones. std_j : standard deviations of `repriced` and
+    `after`, None where they are not known."""
 
     task: Task
     before: Route
     repriced: Route
     after: Route
+    old_j: float
     std_j: tuple[float | None, float | None]
 
     @property
@@ -75,7 +77,7 @@ class Comparison:
         return {
             "task": {"start": list(shown.task[0]), "goal": list(shown.task[1]), "chosen": self.chosen},
             "before": _route(shown.repriced, shown.std_j[0]) | {"energy_at_old_prices_j": shown.before.energy_j},
-            "after": _route(shown.after, shown.std_j[1]),
+            "after": _route(shown.after, shown.std_j[1]) | {"energy_at_old_prices_j": shown.old_j},
             "saving_j": shown.saving_j,
             "saving_percent": 100.0 * shown.saving_share,
             "turn_j_per_rad": {"before": self.turn_j_per_rad[0], "after": self.turn_j_per_rad[1]},
@@ -139,7 +141,8 @@ def _reroute(planners: tuple[RoutePlanner, RoutePlanner], task: Task) -> Reroute
     if after.energy_j > repriced.energy_j:  # the any-angle step is no exact search
         after = repriced
     along = [std_along(lattice, [route]) for route in (repriced, after)]
-    return Rerouted(task, before, repriced, after, (_last(along[0]), _last(along[1])))
+    old_j = price_route(planners[0].lattice, after.points).energy_j
+    return Rerouted(task, before, repriced, after, old_j, (_last(along[0]), _last(along[1])))
 
 
 def _last(std_j: NDArray[np.float64] | None) -> float | None:

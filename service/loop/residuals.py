@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +15,8 @@ from model.loop.calibrated import assumed_std
 from model.loop.drive import describe_segments
 from model.loop.prediction import predict_segments
 from model.loop.record import read_record, save_record
-from model.loop.residual import Residuals, residuals_of
-from model.loop.runs import read_run
-from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
+from model.loop.residual import LEAST_SEGMENTS, Residuals, residuals_of
+from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -26,39 +24,12 @@ FloatArray = NDArray[np.float64]
 _MARK = "beside "  # of columns that only go along
 
 
-def read_calibration_runs(
-    files: Sequence[Path], robot: Robot, *, crs: str | None
-) -> tuple[Segments, dict[str, dict[str, int]]]:
-    """The segments of all runs, in joules, or in ampere seconds where a run has no voltage; and the repairs by run.
-
-    Raises RunsError for no run, or for runs of which only some have a voltage.
-    """
-    if not files:
-        raise RunsError("there is no run to read: no file has such a name")
-    names = Counter(file.name for file in files)
-    runs = [read_run(file, crs=crs) for file in files]
-    runs = [
-        replace(run, name=f"{file.parent.name}/{run.name}") if names[file.name] > 1 else run
-        for run, file in zip(runs, files, strict=True)
-    ]
-    without = [run.name for run in runs if run.voltage_v is None]
-    if without and len(without) < len(runs):
-        raise RunsError(
-            f"{len(without)} of {len(runs)} runs have no voltage (the first is {without[0]}): calibrate them apart",
-            run=without[0],
-        )
-    segments = driven_only(
-        concatenate([cut_segments(run, charge=bool(without), max_speed_mps=CARRIED * robot.speed_mps) for run in runs])
-    )
-    return segments, {run.name: run.repairs for run in runs if run.repairs}
-
-
 def residuals_on(
-    predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments
+    predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments, *, least: int = LEAST_SEGMENTS
 ) -> tuple[Residuals, dict[str, FloatArray], FloatArray]:
     """Residuals of segments against a model; of each row what the battery's meters said (means of voltage, current and
     power, energy, the current's ripple), which no effect may copy; and (n,) the standard deviation [J] that the model
-    believes in. Raises RunsError."""
+    believes in. Raises RunsError where fewer than `least` segments are usable."""
     if len(segments) == 0:
         raise RunsError("the runs hold no segment of 1 m: did the robot move, and is its position recorded?")
     said = predict_segments(predictor, heightmap, robot, segments)
@@ -74,7 +45,7 @@ def residuals_on(
         "std_j": std,
         "told": said.energy_j,
     }
-    residuals, kept = _residuals(heightmap, robot, segments, said.traction_per_m, beside)
+    residuals, kept = _residuals(heightmap, robot, segments, said.traction_per_m, beside, least=least)
     believed, told = kept.pop("std_j"), kept.pop("told")
     return replace(residuals, told=told), kept, believed
 
@@ -85,13 +56,15 @@ def _residuals(
     segments: Segments,
     traction: FloatArray,
     beside: Mapping[str, FloatArray],
+    *,
+    least: int = LEAST_SEGMENTS,
 ) -> tuple[Residuals, dict[str, FloatArray]]:
     """Residuals, and the rows of `beside`, (n,) of the segments each, that go with them (NaN of stands)."""
-    drive, measured = describe_segments(segments, heightmap, robot, traction)
+    drive, measured = describe_segments(segments, heightmap, robot, traction, with_stands=not segments.charge)
     rest = np.full(len(drive) - len(segments), np.nan)
     marked = {_MARK + key: np.concatenate([values, rest]) for key, values in beside.items()}
     found = residuals_of(
-        replace(drive, columns=drive.columns | marked), measured, segments.runs, charge=segments.charge
+        replace(drive, columns=drive.columns | marked), measured, segments.runs, charge=segments.charge, least=least
     )
     columns = dict(found.drive.columns)
     kept = {key: columns.pop(_MARK + key) for key in beside}
@@ -113,10 +86,9 @@ def keep_base_runs(folder: Path, heightmap: Heightmap, robot: Robot, segments: S
 
 
 def base_residuals(
-    model: str | Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path]
+    model: str | Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: Segments | None
 ) -> Residuals | None:
     """The base model's own runs: those given, or those kept in its folder."""
-    if not files:
+    if runs is None:
         return None if model in MODEL_NAMES else read_record(model)
-    segments, _ = read_calibration_runs(files, robot, crs=heightmap.frame.crs)
-    return residuals_on(predictor, heightmap, robot, segments)[0]
+    return residuals_on(predictor, heightmap, robot, runs)[0]

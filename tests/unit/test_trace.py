@@ -195,6 +195,47 @@ def test_one_or_two_runs_cannot_show_a_shift_of_whole_runs(runs):
     assert not [e for e in found.effects if e.p_value < 0.05]
 
 
+def on_two_grounds(rng):
+    """A drive over grass and loam in long stretches."""
+    drive = made_up(rng)
+    loam = np.concatenate([np.roll(np.arange(120) // 30 % 2, 15 * k) for k in range(6)]).astype(bool)
+    return replace(drive, words={"terrain": np.where(loam, "loam", "grass")}), loam
+
+
+def test_an_interaction_is_found_with_the_effects_that_it_joins():
+    rng = np.random.default_rng(12)
+    drive, loam = on_two_grounds(rng)
+    turned = drive.turned_abs_rad
+    found = found_in(drive, noisy(rng, drive, 30.0 * turned + 12.0 * loam + 50.0 * turned * loam))
+    effects = {e.term.name: e for e in found.effects}
+    assert set(effects) == {"turning", "terrain_class", "turning x terrain_class"}
+    for effect in effects.values():
+        assert effect.p_value < 0.05
+        assert effect.share > 0.02
+        assert not effect.term.where  # where they differ is the interaction's to say
+    both = sum(e.term.energy(drive) for e in found.effects)
+    rad = np.array([both[(turned > 0.5) & where].sum() / turned[(turned > 0.5) & where].sum()
+                    for where in (loam, ~loam)])  # fmt: skip
+    np.testing.assert_allclose(rad[0] - rad[1], 50.0 + 12.0 / turned[(turned > 0.5) & loam].mean(), rtol=0.25)
+
+
+def test_an_interaction_alone_brings_no_ground_along():
+    rng = np.random.default_rng(13)
+    drive, loam = on_two_grounds(rng)
+    found = found_in(drive, noisy(rng, drive, 80.0 * drive.turned_abs_rad * loam))
+    names = [e.term.name for e in found.effects]
+    assert names
+    assert set(names) <= {"turning", "turning x terrain_class"}
+
+
+def test_a_battery_has_no_thousand_ohms():
+    rng = np.random.default_rng(14)
+    drive = made_up(rng)
+    amps = drive.predicted / drive.duration_s / ROBOT.nominal_voltage_v
+    found = found_in(drive, noisy(rng, drive, 40.0 * amps**2 * drive.duration_s))
+    assert "battery" not in [e.term.name for e in found.effects]
+
+
 def test_one_direction_only_says_nothing_of_wind():
     rng = np.random.default_rng(9)
     drive = made_up(rng, heading=1.0)
