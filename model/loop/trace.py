@@ -30,7 +30,7 @@ _COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
 _SURE, _LITTLE = 0.01, 0.02
 _ROUNDS = 3
-_LEFT = 0.85  # of the work, as far as anybody knows, after each judging of all candidates
+_LEFT = 0.75  # of the work, as far as anybody knows, after each judging of all candidates
 _CURVES = {
     "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
     "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",

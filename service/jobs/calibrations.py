@@ -9,7 +9,7 @@ import secrets
 import shutil
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -41,6 +41,7 @@ class _Work:
     robot: Robot
     files: list[Path]
     base_files: list[Path]
+    aside_files: list[Path]
     task: Task | None
     seed: int
     out: Path
@@ -65,8 +66,9 @@ class Calibrator:
             heightmap=self._store.heightmap_path(row.heightmap_id),
             name=self._store.heightmap(row.heightmap_id).name,
             robot=Robot.from_mapping(asked["robot"]),
-            files=[file for runs in asked["runs"] for file in self._store.run_files(runs)],
-            base_files=[file for runs in asked["base_runs"] for file in self._store.run_files(runs)],
+            files=self._files(asked["runs"]),
+            base_files=self._files(asked["base_runs"]),
+            aside_files=self._files(asked.get("aside_runs", [])),
             task=None if asked["start"] is None else (tuple(asked["start"][:2]), tuple(asked["goal"][:2])),
             seed=asked["seed"],
             out=out,
@@ -85,6 +87,9 @@ class Calibrator:
         self._store.finish(row.id, {"report": document, "model": usable})
         if self._store.status(row.id) is None:  # deleted meanwhile
             self.discard(row.id)
+
+    def _files(self, sent: Sequence[str]) -> list[Path]:
+        return [file for runs in sent for file in self._store.run_files(runs)]
 
     def rest(self) -> None:
         """Nothing is held between jobs."""
@@ -134,7 +139,9 @@ def _work(work: _Work, there: Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         heightmap = read_heightmap(work.heightmap, filename=work.name)
-        runs = read_calibration_runs(work.files, work.robot, crs=heightmap.frame.crs, base_files=work.base_files)
+        runs = read_calibration_runs(
+            work.files, work.robot, crs=heightmap.frame.crs, base_files=work.base_files, aside_files=work.aside_files
+        )
         made = calibrate_on_runs(
             work.model, heightmap, work.robot, runs, out=work.out, task=work.task, seed=work.seed, progress=there.send
         )

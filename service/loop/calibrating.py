@@ -103,7 +103,7 @@ def calibrate_on_runs(
     return Calibrated(report, found, routes)
 
 
-_READ, _TRACED = 0.1, 0.85  # of the work
+_READ, _TRACED = 0.3, 0.8  # of the work
 
 
 def _tell(progress: Callable[[float], None] | None, share: float) -> None:

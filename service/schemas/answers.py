@@ -92,6 +92,7 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
         heightmap_id=row.heightmap_id,
         runs=asked["runs"],
         base_runs=asked["base_runs"],
+        aside_runs=asked.get("aside_runs", []),
         robot=RobotOut(**asked["robot"]),
         model=asked["model"],
         calibrated_model=summary.get("model"),

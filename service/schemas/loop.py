@@ -47,6 +47,11 @@ class CalibrationRequest(Request):
         default=[], max_length=100,
         description="ids of runs in which nothing new is at work; default: those the model keeps of its training",
     )  # fmt: skip
+    aside_runs: list[Annotated[str, Field(max_length=100)]] = Field(
+        default=[], max_length=100,
+        description="ids of runs (also of `runs`) that nothing is sought or fitted in; the report has the error on "
+        "them before and after",
+    )  # fmt: skip
     model: str = Field(
         default=DEFAULT_MODEL, max_length=100, description="`physics`, `default`, or the id of a trained model",
         examples=["physics"],
@@ -76,6 +81,7 @@ class CalibrationOut(Answer):
     heightmap_id: str = Field(examples=["hm-5f0c2a9d41be"])
     runs: list[str] = Field(description="ids of the runs")
     base_runs: list[str] = Field(description="ids of the runs that they were held against")
+    aside_runs: list[str] = Field(description="ids of the runs that it was only judged by")
     robot: RobotOut
     model: str = Field(description="the model that was calibrated", examples=["physics"])
     calibrated_model: str | None = Field(

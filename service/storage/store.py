@@ -193,7 +193,8 @@ class Store:
         row = self.runs(runs_id)
         with self._sessions.begin() as session:
             made = session.execute(select(CalibrationRow.id, CalibrationRow.request)).all()
-            users = sorted(job_id for job_id, request in made if runs_id in (*request["runs"], *request["base_runs"]))
+            kinds = ("runs", "base_runs", "aside_runs")
+            users = sorted(job_id for job_id, asked in made if any(runs_id in asked.get(kind, []) for kind in kinds))
             if users:
                 raise ConflictError(
                     f"runs {runs_id} are used by {len(users)} calibration(s), {', '.join(users[:5])}: "

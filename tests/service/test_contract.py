@@ -139,7 +139,7 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
 
 def point_towards_the_map(body: dict[str, Any], known: dict[str, str]) -> None:
     """Random places are nearly always outside: put the well-formed ones on the map. Time limits stay short."""
-    for key in ("runs", "base_runs"):
+    for key in ("runs", "base_runs", "aside_runs"):
         if isinstance(body.get(key), list) and body[key] and all(isinstance(v, str) for v in body[key]):
             body[key] = [known["runs_id"]]
     if isinstance(body.get("heightmap_id"), str):

@@ -219,6 +219,16 @@ def test_an_interaction_is_found_with_the_effects_that_it_joins():
     np.testing.assert_allclose(rad[0] - rad[1], 50.0 + 12.0 / turned[(turned > 0.5) & loam].mean(), rtol=0.25)
 
 
+def test_progress_moves_with_every_round_and_ends_at_one():
+    rng = np.random.default_rng(12)
+    drive, loam = on_two_grounds(rng)
+    told = []
+    found_in(drive, noisy(rng, drive, (30.0 + 50.0 * loam) * drive.turned_abs_rad), progress=told.append)
+    assert len(told) > 3
+    assert told == sorted(told)
+    assert (told[0] > 0.0, told[-1]) == (True, 1.0)
+
+
 def test_an_interaction_alone_brings_no_ground_along():
     rng = np.random.default_rng(13)
     drive, loam = on_two_grounds(rng)

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Response
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 
-from model.errors import TooLargeError
+from model.errors import InputError, TooLargeError
 from model.robot import Robot
 from service.http.documents import problems
 from service.http.routes.heightmaps import Limit, Offset
@@ -86,7 +86,11 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     """Raises what can be known to be wrong without calibrating: NotFoundError, RobotError, ModelError, InputError,
     TooLargeError, and BusyError."""
     heightmap = service.store.heightmap(wanted.heightmap_id)
-    sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*wanted.runs, *wanted.base_runs])]
+    aside = list(dict.fromkeys(wanted.aside_runs))
+    runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in aside]
+    if not runs:
+        raise InputError("all runs are kept aside: there is none to learn from", field="aside_runs")
+    sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*runs, *wanted.base_runs, *aside])]
     settings = service.settings
     for key, limit in (("rows", settings.max_calibration_rows), ("segments", settings.max_calibration_segments)):
         count = sum(run[key] for row in sent for run in row.stats)
@@ -100,7 +104,7 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     refuse_calibrated(wanted.model, predictor)
     service.jobs.check_room(CALIBRATION)
     asked = wanted.model_dump(include={"model", "start", "goal", "seed"})
-    asked |= {"runs": list(dict.fromkeys(wanted.runs)), "base_runs": list(dict.fromkeys(wanted.base_runs))}
+    asked |= {"runs": runs, "base_runs": list(dict.fromkeys(wanted.base_runs)), "aside_runs": aside}
     row = service.store.add_calibration(heightmap.id, {"robot": robot.as_dict(), **asked})
     service.jobs.submit()
     return row
