@@ -117,7 +117,7 @@ def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) 
 
 
 def request_id(request: Request) -> str | None:
-    """The id that `service.limits` gave the request."""
+    """The id that `service.http.limits` gave the request."""
     return request.scope.get("state", {}).get("request_id")
 
 

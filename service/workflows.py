@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -13,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.energy.predictor import MODEL_NAMES, Predictor
-from model.errors import InputError, ModelError, NoRouteError, TooLargeError
+from model.energy.predictor import Predictor
+from model.errors import InputError, NoRouteError, TooLargeError
 from model.frames import GridFrame, heading_bins
 from model.loop.runs import run_of
 from model.loop.segments import cut_segments
@@ -29,29 +28,8 @@ from planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
 from planner.plan import PLANNERS, RoutePlanner
 from planner.route import Route, price_route
 from planner.tiles import Tiling
-from service.calibrating import load_model
-from service.rerouting import planning_robot
+from service.models import DEFAULT_MODEL, find_predictor, planning_robot
 from service.spreads import std_along
-
-DEFAULT_MODEL = "default"
-_MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-
-
-def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Predictor:
-    """The predictor called `model`: "physics", "default", or a trained one.
-
-    With `models_dir` a trained model is an id inside that folder and nothing else (what a stranger may ask for);
-    without, it is the path of a model's folder. Raises ModelError.
-    """
-    if models_dir is None or model in MODEL_NAMES:
-        return load_model(model)
-    trained = sorted(p.name for p in models_dir.iterdir() if p.is_dir()) if models_dir.is_dir() else []
-    if not _MODEL_ID.fullmatch(str(model)) or str(model) not in trained:
-        known = [*MODEL_NAMES, *trained]
-        raise ModelError(
-            f"there is no model {str(model)[:100]!r}: known are {', '.join(known)}", model=str(model)[:100], known=known
-        )
-    return load_model(models_dir / str(model))
 
 
 def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> Tiling:

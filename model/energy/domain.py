@@ -31,13 +31,15 @@ class Domain:
 
     robot : by the keys of `ROBOT_KEYS` and "hotel_over_weight" (idle energy per metre over m g). resolution_m : of the
     heightmaps. max_slope_deg : steepest ground. payload_kg : logged on top of the robot's mass; a model accounts for a
-    logged payload as far as this range, and beyond it only when a calibration has found it to matter.
+    logged payload as far as this range, and beyond it only when a calibration has found it to matter. turned_rad : mean
+    turn of its own straight segments: nobody drives quite straight, and what that took is in its prices.
     """
 
     robot: dict[str, tuple[float, float]]
     resolution_m: tuple[float, float]
     max_slope_deg: float
     payload_kg: tuple[float, float] = (0.0, 0.0)
+    turned_rad: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -49,7 +51,10 @@ class Domain:
             robot = {str(k): (float(v[0]), float(v[1])) for k, v in values["robot"].items()}
             low, high = values["resolution_m"]
             least, most = values.get("payload_kg", (0.0, 0.0))
-            return cls(robot, (float(low), float(high)), float(values["max_slope_deg"]), (float(least), float(most)))
+            return cls(
+                robot, (float(low), float(high)), float(values["max_slope_deg"]), (float(least), float(most)),
+                float(values.get("turned_rad", 0.0)),
+            )  # fmt: skip
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise ModelError(f"the model does not say what it learned from: {error!r}") from error
 
@@ -64,7 +69,7 @@ class Domain:
             max(self.resolution_m[1], other.resolution_m[1]),
         )
         payload = min(self.payload_kg[0], other.payload_kg[0]), max(self.payload_kg[1], other.payload_kg[1])
-        return Domain(robot, resolution, max(self.max_slope_deg, other.max_slope_deg), payload)
+        return Domain(robot, resolution, max(self.max_slope_deg, other.max_slope_deg), payload, self.turned_rad)
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """One sentence for every value outside: the value, and the limits."""

@@ -176,20 +176,17 @@ class CalibratedPredictor:
         self, heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray,
         traction: NDArray[Any],
     ) -> FloatArray:  # fmt: skip
-        """Traction whose price is the calibrated one.
+        """Traction whose price is the calibrated one; of a charge, ampere seconds times the nominal voltage.
 
         Where the effects leave less than nothing of the motion, the price says so as far as regeneration does.
         """
-        if self.correction.charge:
-            raise ConflictError(
-                f"the model {self.name} was calibrated on charge without voltage: it predicts ampere seconds, and "
-                "joules of a plan would need the battery's voltage"
-            )
         drive = planned_drive(
             heightmap, robot, x, y, heading_rad, traction, self.correction.conditions,
             with_ground=any(term.reads_ground for term in self.correction.terms),
         )  # fmt: skip
-        motion = self.correction.predict(drive, planner_only=True) - drive.hotel_part
+        if self.correction.charge:
+            drive = replace(drive, unit_j=robot.nominal_voltage_v)
+        motion = drive.unit_j * (self.correction.predict(drive, planner_only=True) - drive.hotel_part)
         down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)
         return np.where(motion >= 0, motion, down)
 

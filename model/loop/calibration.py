@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from model.loop.bounds import bounded
 from model.loop.candidates import Candidate, find_candidates
 from model.loop.effects import Term
 from model.loop.evidence import Verdict
@@ -16,7 +17,7 @@ from model.loop.fitting import Fit, fit_terms
 from model.loop.localise import localised
 from model.loop.residual import Residuals
 from model.loop.shared import SharedErrors, most_carried, shared_errors
-from model.loop.trace import ALPHA, Floors, Trace, trace
+from model.loop.trace import ALPHA, Floors, Trace, interactions_of, trace
 
 FloatArray = NDArray[np.float64]
 
@@ -26,10 +27,12 @@ _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found, fitted. low, high : 95 % intervals of its coefficients. share : of the residual's
-    squared size that goes with it. planner : stated in what a planner knows beforehand."""
+    """An effect that was found, fitted. coefficients : what is new in these runs; those of the term hold what the base
+    model's own runs show as well. low, high : 95 % intervals. share : of the residual's squared size that goes with it,
+    and with the interactions that it is part of. planner : stated in what a planner knows beforehand."""
 
     term: Term
+    coefficients: FloatArray
     low: FloatArray
     high: FloatArray
     p_value: float
@@ -43,7 +46,8 @@ class Calibration:
     """effects : found, the most telling first. silent : what was refitted without being an effect (the level).
     shared : corrections known from the base model's own runs. before, after, after_planner : errors on held-out runs
     (mean_relative, rmse, bias). residuals : as traced. held_out : (n,) prediction of each row by a fit without its
-    run; held_out_planner : the same from what a planner knows."""
+    run; held_out_planner : the same from what a planner knows. first_terms, planner_terms : what is added to the base
+    prediction before, and with what a planner knows."""
 
     effects: tuple[Effect, ...]
     silent: tuple[Term, ...]
@@ -58,11 +62,28 @@ class Calibration:
     first: FloatArray = field(repr=False)
     held_out: FloatArray = field(repr=False)
     held_out_planner: FloatArray = field(repr=False)
+    first_terms: tuple[Term, ...]
+    planner_terms: tuple[Term, ...]
 
     @property
     def terms(self) -> tuple[Term, ...]:
         """Everything on top of the base prediction: shared corrections, the level, the effects."""
         return (*self.shared.terms, *self.silent, *(e.term for e in self.effects))
+
+    def errors_on(self, others: Residuals) -> dict[str, Any]:
+        """Errors before, after and after_planner on runs of the same base model that had no part in this."""
+        predicted = np.zeros(len(others)) if others.charge else others.predicted
+
+        def error(terms: Sequence[Term]) -> dict[str, Any]:
+            return _errors(others, predicted + _total(terms, others))
+
+        before = error(self.first_terms) if others.charge else _errors(others, _said(others))
+        known = any(e.planner for e in self.effects)
+        return {
+            "before": before,
+            "after": error(self.terms) if self.effects else before,
+            "after_planner": error(self.planner_terms) if known else before,
+        }
 
 
 def calibrate(
@@ -80,12 +101,14 @@ def calibrate(
     """
     shared = shared_errors(None if measured.charge else base, most_carried(measured))
     plane = _plane_terms(measured)
+    first_terms: tuple[Term, ...] = ()
     if plane:
         first_fit = fit_terms(measured.without_prediction(), plane)
+        first_terms = first_fit.terms
         before_energy = first_fit.held_out
         residuals = measured.without_prediction().corrected(_total(first_fit.terms, measured))
     else:
-        before_energy = measured.predicted
+        before_energy = _said(measured)
         residuals = measured.corrected(_total(shared.terms, measured))
     candidates, refused = find_candidates(residuals, electric or {}, usual=_usual(base))
     terms = [v for c in candidates for v in c.variants]
@@ -100,15 +123,31 @@ def calibrate(
     chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
     if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
         silent = [Term("level", "level", ("",))]
-    chosen = localised(start, chosen, silent)
-    fit = fit_terms(start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals)
+    parts = {name for f in traced.found for name in f.candidate.parts}  # their interaction says where they differ
+    chosen, others = bounded(start, localised(start, chosen, silent, whole=parts), silent)
+
+    def fitted() -> Fit:
+        return fit_terms(
+            start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
+            others=[[*silent, *terms] for terms in others],
+        )  # fmt: skip
+
+    fit, level = fitted(), []
+    if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
+        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as in tracing
+        start = start.corrected(_total(level, start))
+        fit = fitted()
     effects = _effects(traced, fit, len(silent))
     held = start.predicted + fit.held_out if chosen else before_energy
     planner = [e.term for e in effects if e.planner]
-    held_planner = start.predicted + fit_terms(start, [*silent, *planner]).held_out if planner else before_energy
+    held_planner, planner_terms = before_energy, first_terms
+    if planner:
+        known_before = fit_terms(start, [*silent, *planner])
+        held_planner = start.predicted + known_before.held_out
+        planner_terms = (*shared.terms, *level, *known_before.terms)
     return Calibration(
         effects,
-        fit.terms[: len(silent)] if chosen or plane else (),
+        (*level, *fit.terms[: len(silent)]) if chosen or plane else (),
         shared,
         _errors(measured, before_energy),
         _errors(measured, held),
@@ -120,11 +159,20 @@ def calibrate(
         before_energy,
         held,
         held_planner,
+        first_terms,
+        planner_terms,
     )
 
 
 def _total(terms: Sequence[Term], residuals: Residuals) -> FloatArray:
     return np.sum([t.energy(residuals.drive) for t in terms], axis=0) if terms else np.zeros(len(residuals))
+
+
+def _said(measured: Residuals) -> FloatArray:
+    """(n,) what the base model said of all that it was told; its prediction where that is not known."""
+    if measured.told is None:
+        return measured.predicted
+    return np.where(np.isfinite(measured.told), measured.told, measured.predicted)
 
 
 def _plane_terms(measured: Residuals) -> tuple[Term, ...]:
@@ -142,16 +190,16 @@ def _usual(base: Residuals | None) -> dict[str, float]:
 
 def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
     total = float(traced.evidence.by_fold[:, -1, -1].sum())
-    chosen = traced.chosen
     out = []
     for k, found in enumerate(traced.found):
-        rest = [c for c in chosen if c != found.verdict.term]
-        lost = _error(traced, rest) - _error(traced, chosen)
+        term, low, high = fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k]
+        gone = [found, *interactions_of(found, traced.found)]
+        rest = [f.verdict.term for f in traced.found if f not in gone]
+        lost = _error(traced, rest) - _error(traced, traced.chosen)
         out.append(
             Effect(
-                fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k], found.verdict.p_value,
-                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(fit.terms[skip + k]),
-                found.candidate.reveals,
+                term, np.asarray(term.coefficients) - fit.own[skip + k], low, high, found.verdict.p_value,
+                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(term), found.candidate.reveals,
             )
         )  # fmt: skip
     return tuple(out)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.drive import Drive
+from model.loop.columns import usable_columns
 from model.loop.effects import Term, quantity
+from model.loop.places import field_settings, grid_over
 from model.loop.residual import Residuals
 from model.loop.track import TURN_LIMITS_RADPS
 
@@ -20,16 +21,13 @@ FloatArray = NDArray[np.float64]
 PLANNER_COLUMNS = frozenset({"temperature", "wind_speed", "wind_from", "payload", "humidity", "rain"})
 """Logged columns that are known before a drive."""
 
-_OF_POSITION = frozenset({"heading", "gps_course", "gps_error", "speed", "gps_speed", "z", "lat", "lon"})
-_MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
 _RESPONSE = re.compile(
     r"ref$|cmd|command|steer|throttle|drive|stick|roll|pitch|yaw|gyro|acc|imu|wheel|odom|duty|pwm|rpm|torque|slip"
 )
-_COPY = 0.95
 _GRADES = (-0.03, 0.0, 0.03)
 _USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
-_MOST_CENTRES = 40
+_MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
 _MOST_RUNS = 12  # that may each have something of their own
 
@@ -41,6 +39,8 @@ class Candidate:
     variants : ways in which it may act. planner : stated in what a planner knows beforehand. response : a column that
     answers to the drive (a command, a measured attitude), tried once nothing else is found. reveals : the drive that
     shows it. sign : that its (last) coefficient must have, 0 where either makes sense: no robot has a negative drag.
+    most : above it its size makes none. parts : of an interaction, the effect that it
+    modifies, and the one by which.
     """
 
     name: str
@@ -49,6 +49,8 @@ class Candidate:
     planner: bool = True
     response: bool = False
     sign: int = 0
+    most: float = math.inf
+    parts: tuple[str, ...] = ()
 
     @property
     def learned(self) -> bool:
@@ -77,7 +79,7 @@ def find_candidates(
     )  # fmt: skip
     if not residuals.charge:
         found += _of_level()
-    usable = _usable(residuals, columns, refused)
+    usable = usable_columns(residuals, columns, refused)
     found += _of_weather(residuals, usable, _USUAL | dict(usual or {}), unit)
     for key, values in sorted(drive.words.items()):
         kinds = [w for w in np.unique(values[moving]) if w and (values[moving] == w).sum() >= 10]
@@ -87,7 +89,7 @@ def find_candidates(
         found += _of_words(key, values[moving], kinds, unit)
     found += _of_each_run(residuals, usable, unit)
     found += _of_place(residuals)
-    for key in ("grade", "cross_slope", "roughness", "elevation", "speed"):
+    for key in ("grade", "cross_slope", "roughness", "elevation", "hollow", "speed"):
         found += _smooth(residuals, key, f"learned:{key}", unit, planner=True)
     for key in usable:
         name = f"learned:{key}"
@@ -132,17 +134,20 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     yield Candidate("cross_slope", across, "along a side slope, and beside it on the level", sign=1)
     down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
     yield Candidate("braking", down, "straight down a slope, and straight up it")
-    yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
-    j_per_m = f"{unit}/m"
-    more = tuple(
-        Term("learned:heading", "heading", (j_per_m,) * (2 * n + level), {"harmonics": n, "level": level})
-        for n in (1, 2, 3)
-        for level in (False, True)
+    back = tuple(
+        Term("reversing", "reversing", ("" if of else f"{unit}/m",), {"of_motion": of}) for of in (True, False)
     )
+    yield Candidate("reversing", back, "the same line forwards and backwards", planner=False, sign=1)
+    yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
+    more = tuple(
+        Term("learned:heading", "heading", ("" if share else f"{unit}/m",) * (2 * n + level),
+             {"harmonics": n, "level": level, "of_motion": share})
+        for share in (False, True) for n in (1, 2, 3) for level in (False, True)
+    )  # fmt: skip
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
     yield Candidate("drift", tuple(_drifts(unit)), "the same loop at the start and at the end of a long day")
     losses = Term("battery", "battery", ("ohm",), {"ripple": ripple})
-    yield Candidate("battery", (losses,), "hard climbs and easy ground at equal charge", sign=1)
+    yield Candidate("battery", (losses,), "hard climbs and easy ground at equal charge", sign=1, most=5.0)
 
 
 def _ripple(residuals: Residuals, measured: FloatArray | None) -> float:
@@ -177,12 +182,15 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
     drive = residuals.drive
     if "temperature" in usable:
         warm = {"reference": usual["temperature"]}
-        warmth = tuple(
+        warmth = [
             Term("temperature", "temperature", ("" if of else f"{unit}/m",) * begun + ("1/K" if of else f"{unit}/m/K",),
                  warm | {"of_motion": of, "begun": begun})
             for of in (True, False) for begun in (False, True)
-        )  # fmt: skip
-        yield Candidate("temperature", warmth, "the same loop on a cold and on a warm day", sign=-1)
+        ]  # fmt: skip
+        if not residuals.charge:
+            heats = warm | {"of_motion": False, "begun": False, "of_time": True}
+            warmth.append(Term("temperature", "temperature", ("W/K",), heats))
+        yield Candidate("temperature", tuple(warmth), "the same loop on a cold and on a warm day", sign=-1)
     if not _wind_logged(residuals, usable):
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
         yield Candidate("wind", (calm,), "one line to and fro, and one across it")
@@ -228,69 +236,10 @@ def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -
         for some in (others, *([str(w)] for w in kinds))
     )  # fmt: skip
     yield Candidate(name, variants, "the same manoeuvres on each kind of ground", planner=False)
-    turns = Term(
-        f"turning x {name}", "turning_words", (f"{unit}/rad",) * len(others), {"column": key, "values": others}
-    )
-    yield Candidate(turns.name, (turns,), "curves of several radii on each kind of ground", planner=False)
-
-
-def _usable(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
-    """Logged columns that vary, copy no other column, and are no part of the measurement."""
-    drive, moving = residuals.drive, residuals.moving
-    only = drive.take(moving)
-    meters = {key: values for key, values in electric.items() if key != "ripple"}
-    kept: dict[str, FloatArray] = {}
-    for key, every in sorted(drive.columns.items()):
-        values = every[moving]
-        known = np.isfinite(values)
-        if key in _OF_POSITION:
-            continue
-        if _MEASUREMENT.search(key):
-            refused[f"learned:{key}"] = "it is part of the measurement itself"
-        elif known.mean() < 0.5:
-            refused[f"learned:{key}"] = f"recorded on {known.mean():.0%} of the segments only"
-        elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
-            refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
-        elif copied := next((m for m, e in meters.items() if _alike(values, e[moving], only)), None):
-            refused[f"learned:{key}"] = f"a copy of the {copied}, which is part of the measurement itself"
-        elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
-            refused[f"learned:{key}"] = f"identical to {twin}"
-        elif residuals.charge and _constant_in_runs(values, drive.run[moving]):
-            refused[f"learned:{key}"] = "constant within every run, whose level is not known either"
-        else:
-            kept[key] = values
-    return list(kept)
-
-
-def _alike(values: FloatArray, electric: FloatArray, drive: Drive) -> bool:
-    """Whether a column follows a reading of the battery from segment to segment: what both have of a day's slow course
-    (a voltage sinks while the air warms) makes no copy, so that each run's straight line in time is taken out."""
-    both = np.isfinite(values) & np.isfinite(electric)
-    if both.sum() < 10:
-        return False
-    run, since = drive.run[both], drive.since_s[both]
-    a, b = (_without_lines(v[both], run, since) for v in (values, electric))
-    least = 1e-9 * max(1.0, float(np.abs(values[both]).max()))
-    return bool(a.std() > least and b.std() > 1e-9 and abs(np.corrcoef(a, b)[0, 1]) > _COPY)
-
-
-def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray) -> FloatArray:
-    out = values.copy()
-    for k in np.unique(run):
-        mine = run == k
-        line = np.stack([np.ones(mine.sum()), since[mine] - since[mine].mean()], axis=1)
-        out[mine] -= line @ np.linalg.lstsq(line, values[mine], rcond=None)[0]
-    return out
-
-
-def _same(a: FloatArray, b: FloatArray) -> bool:
-    both = np.isfinite(a) & np.isfinite(b)
-    return bool(both.any() and a[both].std() > 0 and abs(np.corrcoef(a[both], b[both])[0, 1]) > 1.0 - 1e-9)
-
-
-def _constant_in_runs(values: FloatArray, run: NDArray[np.int64]) -> bool:
-    known = np.isfinite(values)
-    return all(np.ptp(values[mine]) < 1e-9 for k in np.unique(run) if (mine := known & (run == k)).any())
+    turns = [Term(f"turning x {name}", "turning_words", (f"{unit}/rad",) * len(some), {"column": key, "values": some})
+             for some in (others, [str(w) for w in kinds])]  # fmt: skip
+    yield Candidate(turns[0].name, tuple(turns), "curves of several radii on each kind of ground", planner=False,
+                    parts=("turning", name))  # fmt: skip
 
 
 def _smooth(
@@ -323,25 +272,16 @@ def _of_place(residuals: Residuals) -> Iterator[Candidate]:
     unit = max(1.0, extent / 60.0)
     disks = []
     for radius in (3.0 * unit, 5.0 * unit, 8.0 * unit, 12.0 * unit):
-        for cx, cy in _grid(x, y, 0.8 * radius):
+        for cx, cy in grid_over(x, y, 0.8 * radius):
             near = np.hypot(x - cx, y - cy) <= radius
             if near.sum() >= 12 and near.mean() <= 0.5 and np.unique(fold[near]).size >= 2:
                 circle = {"x": round(cx, 2), "y": round(cy, 2), "radius_m": round(radius, 2)}
                 disks.append(Term("local_friction", "disk", ("",), circle))
-    width = max(5.0, extent / 10.0)
-    centres = [[round(cx, 2), round(cy, 2)] for cx, cy in _grid(x, y, 1.3 * width)]
-    centres = [c for c in centres if (np.hypot(x - c[0], y - c[1]) <= width).sum() >= 12][:_MOST_CENTRES]
-    if len(centres) >= 3:
-        settings: dict[str, Any] = {"centres": centres, "width_m": round(width, 2)}
-        some = len(centres)
+    settings = field_settings(drive, max(5.0, extent / 10.0))
+    some = len(settings["centres"])
+    if 3 <= some <= _MOST_CENTRES:
         disks.append(Term("local_friction", "place", ("",) * some, settings | {"of_all": False}))
         share = Term("learned:place", "place", ("",) * some, settings | {"of_all": True})
         yield Candidate("learned:place", (share,), reveals)
     if disks:
         yield Candidate("local_friction", tuple(disks), reveals)
-
-
-def _grid(x: FloatArray, y: FloatArray, spacing: float) -> list[tuple[float, float]]:
-    xs = np.arange(x.min() + 0.25 * spacing, x.max() + 0.25 * spacing, spacing)
-    ys = np.arange(y.min() + 0.25 * spacing, y.max() + 0.25 * spacing, spacing)
-    return [(float(a), float(b)) for a in xs for b in ys]

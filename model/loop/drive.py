@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -19,8 +19,12 @@ from model.terrain.heightmap import Heightmap
 FloatArray = NDArray[np.float64]
 
 _REACH_M = 0.5  # the square metre that a segment's ground is judged on
-_SIDE = 5  # samples along its sides
+_SIDE = 5  # samples along its sides, and places of a segment
+_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # what each place stands for
+_PLACES = np.linspace(-2.0 * _REACH_M, 2.0 * _REACH_M, 2 * _SIDE - 1)  # half a metre before to half a metre after
 _LEAST_M = 0.1  # between wheels
+_AROUND_M = 2.5  # what a hollow lies in: several times the robot, and less than a hill
+_BEARINGS = 8
 _LIKE_OTHER_STANDS = 0.3  # of their power: else the robot did something while it stood
 
 
@@ -30,9 +34,12 @@ class Drive:
 
     length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
     turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade : tangent of the ground along
-    the heading (> 0 uphill), as the axles feel it along the segment; cross : across it (> 0 down to the right).
+    the heading (> 0 uphill), as the axles feel it along the segment; grades : (n, places) the same over a metre, at
+    evenly spaced places from one end of the segment to the other (as `grade` everywhere, unless given); cross : across
+    it (> 0 down to the right).
     cross_abs, cross_sq : mean of the magnitude and of the square of the tangent across, as the wheels feel it.
-    roughness_m : departure of the square metre from its plane. elevation_m. since_s, driven_m : since the start of the
+    roughness_m : departure of the square metre from its plane. elevation_m. hollow_m : how much lower than the ground
+    around it, within 2.5 m (< 0 on a rise). since_s, driven_m : since the start of the
     run; clock_s : since that of the first run. run : number of the run, an index into `runs`, which tells runs apart by
     name and first stamp. columns, words (in small letters) : what else was logged (NaN, "" : not recorded). robot : as
     declared. unit_j : joules of one unit of energy here (1, or the nominal voltage for charge in ampere seconds).
@@ -56,6 +63,7 @@ class Drive:
     cross_sq: FloatArray
     roughness_m: FloatArray
     elevation_m: FloatArray
+    hollow_m: FloatArray
     since_s: FloatArray
     driven_m: FloatArray
     clock_s: FloatArray
@@ -63,9 +71,18 @@ class Drive:
     words: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     unit_j: float = 1.0
     runs: tuple[str, ...] = ()
+    grades: FloatArray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.grades is None:
+            object.__setattr__(self, "grades", np.repeat(self.grade[:, None], _SIDE, axis=1))
 
     def __len__(self) -> int:
         return int(self.x.size)
+
+    def along(self, of_grade: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """(n,) the mean over a segment of what depends on the slope at every place."""
+        return of_grade(self.grades) @ _ENDS_HALF
 
     def take(self, which: ArrayLike) -> Drive:
         """The rows of a mask or of indices."""
@@ -86,6 +103,12 @@ class Drive:
         """Mean speed over a segment; the robot's own for a stand."""
         moving = ~self.standing & (self.duration_s > 0)
         return np.where(moving, self.length_m / np.where(moving, self.duration_s, 1.0), self.robot.speed_mps)
+
+    @property
+    def backwards(self) -> NDArray[np.bool_]:
+        """Whether the compass pointed against the way that was driven; False without a compass."""
+        compass = np.radians(self.columns.get("heading", np.full(len(self), np.nan)))
+        return ~self.standing & (np.cos(compass - self.heading_rad) < 0.0)
 
     @property
     def odometer_m(self) -> FloatArray:
@@ -193,7 +216,8 @@ def planned_drive(
 
 
 def _with_stands(drive: Drive, run: NDArray[np.int64], seconds: FloatArray) -> Drive:
-    """Stands after the segments: they take time and have no path, no ground and no logged column."""
+    """Stands after the segments: they take time and have no path and no ground; of what else was logged, their run's
+    mean."""
     m = run.size
 
     def longer(values: FloatArray) -> FloatArray:
@@ -204,9 +228,19 @@ def _with_stands(drive: Drive, run: NDArray[np.int64], seconds: FloatArray) -> D
     }
     changed["run"] = np.concatenate([drive.run, run])
     changed["duration_s"] = np.concatenate([drive.duration_s, seconds])
-    changed["columns"] = {key: np.concatenate([v, np.full(m, np.nan)]) for key, v in drive.columns.items()}
+    changed["columns"] = {
+        key: np.concatenate([v, _means_of_runs(v, drive.run)[run]]) for key, v in drive.columns.items()
+    }
     changed["words"] = {key: np.concatenate([v, np.full(m, "")]) for key, v in drive.words.items()}
     return replace(drive, **changed)
+
+
+def _means_of_runs(values: FloatArray, run: NDArray[np.int64]) -> FloatArray:
+    """Mean of a column by number of the run; NaN where it has none."""
+    known = np.isfinite(values)
+    count = np.bincount(run[known], minlength=run.max(initial=0) + 1)
+    total = np.bincount(run[known], weights=values[known], minlength=count.size)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def concatenate_drives(parts: Sequence[Drive]) -> Drive:
@@ -223,7 +257,7 @@ def concatenate_drives(parts: Sequence[Drive]) -> Drive:
     return replace(parts[0], **changed)
 
 
-_GROUND = ("grade", "cross", "cross_abs", "cross_sq", "roughness_m", "elevation_m")
+_GROUND = ("grade", "cross", "cross_abs", "cross_sq", "roughness_m", "elevation_m", "hollow_m")
 
 
 def _ground(
@@ -253,13 +287,30 @@ def _ground(
     climb = 0.5 * (left + right)
     grade = ((climb[:, _SIDE:] - climb[:, :_SIDE]) / length).mean(axis=1)
     cross = -coefficients[:, 2]
+    grade = np.where(np.isfinite(grade), grade, coefficients[:, 1])
+    track = np.mean([heights_at(_PLACES, np.full(_PLACES.size, w)) for w in (-0.5 * width, 0.5 * width)], axis=0)
+    grades = (track[:, _SIDE - 1 :] - track[:, : 1 - _SIDE]) / (2.0 * _REACH_M)
     off_map = ~np.isfinite(roll)  # the wheels reach further than the square metre
     roll = np.where(off_map, cross[:, None], roll)
     return {
-        "grade": np.where(np.isfinite(grade), grade, coefficients[:, 1]),
+        "grade": grade,
+        "grades": np.where(np.isfinite(grades), grades, grade[:, None]),
         "cross": cross,
         "cross_abs": np.abs(roll).mean(axis=1),
         "cross_sq": (roll**2).mean(axis=1),
         "roughness_m": np.sqrt(np.mean(rest**2, axis=1)),
         "elevation_m": coefficients[:, 0],
+        "hollow_m": _around(heightmap, x, y) - coefficients[:, 0],
     }
+
+
+def _around(heightmap: Heightmap, x: FloatArray, y: FloatArray) -> FloatArray:
+    """(n,) mean height of the known ground on a circle and on one of half its radius around each centre (topographic
+    position: Weiss 2001); NaN where none is known."""
+    dx, dy = heading_vector(np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False))
+    total, count = np.zeros(x.size), np.zeros(x.size)
+    for radius in (0.5 * _AROUND_M, _AROUND_M):
+        heights = heightmap.sample(x[:, None] + radius * dx, y[:, None] + radius * dy)
+        total += np.nansum(heights, axis=1)
+        count += np.isfinite(heights).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -39,6 +39,7 @@ def quantity(drive: Drive, name: str) -> FloatArray:
         "cross_slope": lambda: drive.cross_abs,
         "roughness": lambda: drive.roughness_m,
         "elevation": lambda: drive.elevation_m,
+        "hollow": lambda: drive.hollow_m,
         "speed": lambda: drive.speed_mps,
         "turning": lambda: drive.turned_abs_rad,
         "turn": lambda: drive.turned_rad,
@@ -120,10 +121,12 @@ def payload(drive: Drive, *, column: str | None = None, reference: float = 0.0) 
 
 
 @_formula
-def temperature(drive: Drive, *, reference: float, of_motion: bool, begun: bool = False) -> FloatArray:
-    """1/K, or J/m/K. A share of the motion's energy, or energy, per degree above the reference [degC]; before it, with
-    `begun`, what it takes at the reference already."""
-    amount = drive.motion_part if of_motion else drive.length_m
+def temperature(
+    drive: Drive, *, reference: float, of_motion: bool, begun: bool = False, of_time: bool = False
+) -> FloatArray:
+    """1/K, or J/m/K, or (a heater's) W/K. A share of the motion's energy, or energy, or power, per degree above the
+    reference [degC]; before it, with `begun`, what it takes at the reference already."""
+    amount = drive.duration_s if of_time else drive.motion_part if of_motion else drive.length_m
     return _from_zero(amount, _known(drive, "temperature", reference), begun)
 
 
@@ -152,19 +155,26 @@ def cross_slope(drive: Drive, *, power: int) -> FloatArray:
 
 
 @_formula
+def reversing(drive: Drive, *, of_motion: bool) -> FloatArray:
+    """J/m, or a share of the motion's energy, while driving backwards."""
+    return ((drive.motion_part if of_motion else drive.length_m) * drive.backwards)[:, None]
+
+
+@_formula
 def braking(drive: Drive, *, from_grade: float | None) -> FloatArray:
     """1. Share of the energy released downhill that is drawn on top; all that is steeper than a grade, or (None) what
     is left once the rolling resistance is paid."""
     if from_grade is None:
         return (drive.length_m * np.maximum(-drive.traction_per_m, 0.0) / drive.unit_j)[:, None]
-    below = np.maximum(-drive.grade - from_grade, 0.0)
+    below = drive.along(lambda grade: np.maximum(-grade - from_grade, 0.0))
     return (drive.robot.weight_n * drive.length_m * below / drive.unit_j)[:, None]
 
 
 @_formula
 def climbing(drive: Drive) -> FloatArray:
     """1. Share of the energy of climbing that is drawn on top."""
-    return (drive.robot.weight_n * drive.length_m * np.maximum(drive.grade, 0.0) / drive.unit_j)[:, None]
+    above = drive.along(lambda grade: np.maximum(grade, 0.0))
+    return (drive.robot.weight_n * drive.length_m * above / drive.unit_j)[:, None]
 
 
 @_formula
@@ -188,12 +198,13 @@ def wind_constant(drive: Drive) -> FloatArray:
 
 
 @_formula
-def heading(drive: Drive, *, harmonics: int, level: bool = False) -> FloatArray:
-    """J/m. sin and cos of the heading and of its multiples; before them, with `level`, what does not depend on it."""
+def heading(drive: Drive, *, harmonics: int, level: bool = False, of_motion: bool = False) -> FloatArray:
+    """J/m, or with `of_motion` a share of the motion's energy, as ruts take. sin and cos of the heading and of its
+    multiples; before them, with `level`, what does not depend on it."""
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
     waves = [f(angle) for angle in angles for f in (np.sin, np.cos)]
     constant = [np.ones(len(drive))] if level else []
-    return np.stack([*constant, *waves], axis=1) * drive.length_m[:, None]
+    return np.stack([*constant, *waves], axis=1) * (drive.motion_part if of_motion else drive.length_m)[:, None]
 
 
 @_formula
@@ -276,20 +287,22 @@ def _known(drive: Drive, column: str, reference: float) -> FloatArray:
     return np.where(np.isfinite(values), values - reference, 0.0)
 
 
-def inside(drive: Drive, where: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """(n,) the rows of a part of the operating range: {"over": quantity, "above" | "below": value}, {"word": column,
-    "is": value}, {"runs": names} or {} for all of it."""
-    if not where:
-        return np.ones(len(drive), dtype=bool)
+def inside(drive: Drive, where: Mapping[str, Any]) -> FloatArray:
+    """(n,) 0..1, how much of a row lies in a part of the operating range: {"over": quantity, "above" | "below": value},
+    {"word": column, "is": value} or {"runs": names}. A metre over the brow of a hill is partly uphill."""
     if "runs" in where:
-        return np.isin(drive.runs or [""], where["runs"])[drive.run]
+        return np.isin(drive.runs or [""], where["runs"])[drive.run].astype(np.float64)
     if "word" in where:
-        return np.asarray(drive.words.get(where["word"], np.full(len(drive), "")) == where["is"])
-    values = quantity(drive, where["over"])
-    return values > where["above"] if "above" in where else values < where["below"]
+        return np.where(drive.words.get(where["word"], np.full(len(drive), "")) == where["is"], 1.0, 0.0)
+    over = where["over"]
+
+    def beyond(values: FloatArray) -> FloatArray:
+        return np.where(values > where["above"] if "above" in where else values < where["below"], 1.0, 0.0)
+
+    return drive.along(beyond) if over == "grade" else beyond(quantity(drive, over))
 
 
-GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "braking", "climbing"})
+GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "hollow", "braking", "climbing"})
 """Formulas and quantities that read the ground under a drive."""
 
 
@@ -319,6 +332,16 @@ class Term:
         """Whether slopes, roughness or height of the ground change it; all else it takes from the base and the path."""
         named = (self.formula, *self.settings.values(), *self.where.values())
         return not GROUND.isdisjoint(name for name in named if isinstance(name, str))
+
+    def record(self, drive: Drive) -> FloatArray | None:
+        """(n,) what a log says that the effect goes with: a column, or 1 where a word stands; None without a record."""
+        over = str(self.settings.get("over", ""))
+        if self.formula == "smooth" and over.startswith("column:"):
+            return quantity(drive, over)
+        if self.formula == "words":
+            found = drive.words.get(self.settings["column"], np.full(len(drive), ""))
+            return np.isin(found, self.settings["values"]).astype(np.float64)
+        return None
 
     def energy(self, drive: Drive) -> FloatArray:
         """(n,) [J, or A s] that the effect adds."""

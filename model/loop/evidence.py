@@ -23,6 +23,7 @@ from scipy.stats import t as student
 
 from model.loop.effects import FORMULAS, Term
 from model.loop.residual import Residuals
+from model.loop.steps import step_chance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -136,12 +137,12 @@ class Evidence:
         right = self.by_fold[:, active, -1][keep].sum(axis=0)
         return np.asarray(np.linalg.solve(left, right) / self.size[active])
 
-    def sign(self, chosen: Sequence[int], k: int) -> int:
-        """Of the last coefficient of a term, given the chosen ones; 0 where it has several of equal rank."""
+    def size_of(self, chosen: Sequence[int], k: int) -> float:
+        """The last coefficient of a term, given the chosen ones; 0 where it has several of equal rank."""
         if self.columns[k].size > 1 and not self.terms[k].settings.get("begun"):
-            return 0
+            return 0.0
         level = self.nuisance[: 0 if self.moves_level([*chosen, k]) else None]
-        return int(np.sign(self.coefficients(np.concatenate([level, self.columns_of([*chosen, k])]))[-1]))
+        return float(self.coefficients(np.concatenate([level, self.columns_of([*chosen, k])]))[-1])
 
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
         """A verdict on each tried term, given the chosen ones."""
@@ -208,6 +209,8 @@ class Evidence:
             )  # effects on the level are near copies of each other
         if within:
             p_values |= self._by_shifts(basis, runs, within)
+            steps = self._by_steps(level_basis, runs, [k for k, _ in within])
+            p_values |= {k: min(p_values[k], p) for k, p in steps.items()}
         return p_values, reasons
 
     def _by_shifts(self, basis: FloatArray, runs: IntArray, within: list[tuple[int, FloatArray]]) -> dict[int, float]:
@@ -232,6 +235,24 @@ class Evidence:
         surprise = (np.cbrt(stat / mean) - (1.0 - third)) / np.sqrt(third)  # comparable between terms
         largest = surprise[:, 1:].max(axis=0)
         return {k: float((1 + (largest >= surprise[i, 0]).sum()) / (SHIFTS + 1)) for i, (k, _) in enumerate(within)}
+
+    def _by_steps(self, basis: FloatArray, runs: IntArray, tried: Sequence[int]) -> dict[int, float]:
+        """p of the terms that follow a record which changes seldom, times the number of different records."""
+        z = self.z[self.moving]
+        z = z - basis @ (basis.T @ z)
+        chances: dict[int, float] = {}
+        of_state: dict[bytes, float] = {}
+        for k in tried:
+            state = self.terms[k].record(self.residuals.drive)
+            if state is None or self.columns[k].size > 1:
+                continue
+            mine = np.nan_to_num(state[self.moving])
+            key = mine.tobytes()
+            if key not in of_state:
+                of_state[key] = step_chance(z, mine, runs)
+            chances[k] = of_state[key]
+        asked = max(1, sum(p < 1.0 for p in of_state.values()))
+        return {k: min(1.0, p * asked) for k, p in chances.items()}
 
     def _by_runs(self, chosen: Sequence[int], k: int) -> float:
         """p of a t-test over left-out runs for a term of one coefficient."""

@@ -1,8 +1,9 @@
-"""Where an effect acts: everywhere, or only in a part of the operating range or of the map."""
+"""Where an effect acts: everywhere, or only in a part of the operating range or of the map; and how fine a map of it
+these runs can draw."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,29 +12,39 @@ from numpy.typing import NDArray
 
 from model.loop.effects import Term, inside, quantity
 from model.loop.evidence import Evidence
+from model.loop.places import field_settings
 from model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
-_OVER = ("grade", "cross_slope", "roughness", "speed", "turning", "x", "y", "since_start")
+_OVER = ("grade", "cross_slope", "roughness", "hollow", "speed", "turning", "x", "y", "since_start")
 _STEPS = np.linspace(0.1, 0.9, 9)
 _LEAST_PART = 30  # segments on either side of a threshold
 _WORTH = 0.15  # of what the effect explains must come on top
 _OUTSIDE = 0.3  # of its strength inside is as good as none outside
+_FINER = (0.7, 0.5)
 _EVERYWHERE = frozenset({"disk", "place", "words", "by_run", "smooth", "drift"})
 
 
 def localised(
-    residuals: Residuals, terms: Sequence[Term], silent: Sequence[Term], *, progress: Callable[[], None] | None = None
+    residuals: Residuals,
+    terms: Sequence[Term],
+    silent: Sequence[Term],
+    *,
+    whole: Collection[str] = (),
+    progress: Callable[[], None] | None = None,
 ) -> list[Term]:
-    """Each term, restricted to the part where it acts if it plainly does so in one part only.
+    """Each term, restricted to the part where it acts if it plainly does so in one part only. whole : names of those
+    that are left as they are.
 
     A part is taken where the held-out squared error falls by a good share of what the effect explains at all, in most
     folds, and where the effect is nearly absent outside. Of all thresholds over all quantities the best is tried.
     """
     out = list(terms)
     for k, term in enumerate(out):
-        if term.formula in _EVERYWHERE or term.where:
+        if term.formula == "place":
+            out[k] = _sharpest(residuals, term, [*silent, *out[:k], *out[k + 1 :]])
+        if term.formula in _EVERYWHERE or term.where or term.name in whole:
             continue
         parts = [replace(term, where=where) for where in _parts(residuals)]
         if not parts:
@@ -55,6 +66,19 @@ def localised(
         if progress is not None:
             progress()
     return out
+
+
+def _sharpest(residuals: Residuals, term: Term, others: Sequence[Term]) -> Term:
+    """A field as fine as held-out runs bear: found by the coarsest, which cannot follow what lies beside a place."""
+    drive = residuals.drive.take(residuals.moving)
+    fields = [term]
+    for finer in _FINER:
+        settings = {**term.settings, **field_settings(drive, term.settings["width_m"] * finer)}
+        fields.append(replace(term, settings=settings, units=(term.units[0],) * len(settings["centres"])))
+    evidence = Evidence(residuals, [*others, *fields], level_doubt=0.0)
+    fixed = np.concatenate([evidence.nuisance[:0], *evidence.columns[: len(others)]]).astype(np.int64)
+    errors = [evidence.held_out(np.concatenate([fixed, c])).sum() for c in evidence.columns[len(others) :]]
+    return fields[int(np.argmin(errors))]
 
 
 def _parts(residuals: Residuals) -> Iterator[Mapping[str, Any]]:

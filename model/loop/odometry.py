@@ -6,8 +6,9 @@ the sides, not the measured one. Positions drift over minutes; on level ground o
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,62 +19,55 @@ from model.frames import GridFrame
 from model.loop.runs import Run, run_of
 from model.loop.segments import Segments
 from model.loop.table import read_table
-from model.loop.track import TURN_LIMITS_RADPS
+from model.loop.track import TURN_LIMITS_RADPS, find_stands
 from model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
-HUSKY_TRACK_M = 1.07
-"""Effective track of a Clearpath Husky A200: wheel_separation 0.571 m times wheel_separation_multiplier 1.875.
-Source: husky_control/config/control.yaml of the robot's ROS packages."""
+_SIDES = ("speed_left", "speed_right")
+_OTHER_NAMES = {
+    "time": "t", "velL": "speed_left", "velR": "speed_right", "curL": "current_left", "curR": "current_right",
+}  # fmt: skip
+"""Of columns in the logs of BorealTC (LaRocque et al., IROS 2024)."""
 
 _LONGEST_GAP_S = 0.75
 _STAND_S = 1.0
 _STANDING_MPS = 0.02
+_NUMBERED = re.compile(r"[\W_]*\d*$")
 
 
-@dataclass(frozen=True)
-class OdometryColumns:
-    """Names in the log: time [s], speed of each side's wheels [m/s], currents [A] whose magnitudes are summed."""
-
-    time: str = "time"
-    left: str = "velL"
-    right: str = "velR"
-    currents: tuple[str, ...] = ("curL", "curR")
-
-
-def read_odometry(
-    path: str | Path, *, track_m: float = HUSKY_TRACK_M, terrain: str | None = None,
-    columns: OdometryColumns | None = None,
-) -> Run:  # fmt: skip
+def read_odometry(path: str | Path, *, track_m: float, terrain: str | None = None) -> Run:
     """Read a log (CSV or Parquet) of wheel speeds as a run that starts at (0, 0) and heads north.
 
-    terrain : what the ground is called, for a log without such a column. The rules of `model.loop.runs` hold. Adds the
-    columns heading [deg], speed, speed_left and speed_right [m/s]. Raises RunsError, naming the column that is missing.
+    Its columns: t [s], speed_left and speed_right [m/s], current or several current_* [A] whose magnitudes are summed
+    (or the names of `_OTHER_NAMES`); optionally voltage [V] and any further one. terrain : what the ground is called,
+    for a log without such a column. The rules of `model.loop.runs` hold. Adds heading [deg] and speed [m/s]. Raises
+    RunsError, naming the column that is missing.
     """
     path = Path(path)
-    if not track_m > 0:
+    if not (math.isfinite(track_m) and track_m > 0):
         raise InputError(f"the track must be positive, got {track_m} m", track_m=str(track_m))
-    wanted = columns or OdometryColumns()
     try:
         content = path.read_bytes()
     except OSError as error:
         raise RunsError(f"run {path}: {error}", path=str(path)) from error
     repairs: dict[str, int] = {}
     numbers, texts = read_table(content, path.name, repairs)
-    for column in (wanted.time, wanted.left, wanted.right, *wanted.currents):
+    numbers = {_OTHER_NAMES.get(key, key): values for key, values in numbers.items()}
+    for column in ("t", *_SIDES):
         if column not in numbers:
             raise RunsError(f"run {path.name}: there is no column {column!r} of numbers", run=path.name, column=column)
-    t = numbers.pop(wanted.time)
-    left, right = (_without_blanks(numbers.pop(name)) for name in (wanted.left, wanted.right))
-    x, y, heading = integrate(t, left, right, track_m=track_m)
-    currents = {f"current_{k}": numbers.pop(name) for k, name in enumerate(wanted.currents)}
+    left, right = (_without_blanks(numbers[name]) for name in _SIDES)
+    x, y, heading = integrate(numbers["t"], left, right, track_m=track_m)
     motion = {"heading": np.degrees(heading) % 360.0, "speed": (left + right) / 2}
-    sides = {"speed_left": left, "speed_right": right}
     if terrain is not None and "terrain" not in texts:
-        texts["terrain"] = np.full(t.size, terrain)
-    every = {"t": t, "x": x, "y": y, **numbers, **currents, **motion, **sides}
-    return run_of(every, texts, name=path.name, repairs=repairs)
+        texts["terrain"] = np.full(x.size, terrain)
+    return run_of(numbers | {"x": x, "y": y} | motion, texts, name=path.name, repairs=repairs)
+
+
+def terrain_in_name(path: Path) -> str | None:
+    """What a file's name says of the ground: snow_02.csv was driven on "snow"."""
+    return _NUMBERED.sub("", path.stem) or None
 
 
 def integrate(
@@ -96,23 +90,32 @@ def integrate(
     return x, y, heading
 
 
-def cut_travel(run: Run, *, length_m: float = 1.0) -> Segments:
-    """Segments of charge [A s] by what the wheels roll, mean of both sides, so that turning on the spot counts too.
+def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segments:
+    """Segments by what the wheels roll, mean of both sides, so that turning on the spot counts too; of energy [J], or
+    (`charge`) of charge [A s].
 
     `run` is one of `read_odometry`. driven_m is what the wheels rolled, heading_rad where the robot points in the
-    middle; gaps and stands of a second or more divide a run, ends of pieces shorter than a segment are left out.
+    middle; gaps and stands of a second or more divide a run, ends of pieces shorter than a segment are left out. Raises
+    RunsError where the voltage is missing and `charge` is not asked for.
     """
+    if run.voltage_v is None and not charge:
+        raise RunsError(f"run {run.name}: no voltage was recorded; ask for charge [A s] instead", run=run.name)
     t = run.t
-    sides = np.stack([_without_blanks(run.extras[name]) for name in ("speed_left", "speed_right")])
+    sides = np.stack([_without_blanks(run.extras[name]) for name in _SIDES])
     rolling = np.abs(sides).mean(axis=0)
     gap = np.diff(t) > _LONGEST_GAP_S
     dt = np.where(gap, 0.0, np.diff(t))
     travel = _summed(0.5 * (rolling[1:] + rolling[:-1]) * dt)
-    starts, ends, remainders = _ends(t, travel, _pieces(t, rolling, gap), length_m)
+    pieces = _pieces(t, rolling, gap)
+    starts, ends, remainders = _ends(t, travel, pieces, length_m)
+    piece = np.zeros(t.size, dtype=np.int64)
+    for number, (first, last) in enumerate(pieces, start=1):
+        piece[first : last + 1] = number
     heading = np.unwrap(np.radians(run.extras["heading"]))
     step = np.diff(heading)
     speed = sides.mean(axis=0)
-    charge = _summed(0.5 * (run.current_a[1:] + run.current_a[:-1]) * dt)
+    power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
+    energy = _summed(0.5 * (power[1:] + power[:-1]) * dt)
     middle = (starts + ends) / 2
     row = np.clip(np.searchsorted(t, middle), 0, t.size - 1)
 
@@ -123,11 +126,12 @@ def cut_travel(run: Run, *, length_m: float = 1.0) -> Segments:
         return between(_summed(0.5 * (values[1:] + values[:-1]) * dt)) / np.maximum(ends - starts, 1e-9)
 
     usable = np.isfinite(run.x)
+    logged = {key: _without_blanks(values) for key, values in run.extras.items() if key not in _SIDES}
     return Segments(
         x=np.interp(middle, t[usable], run.x[usable]),
         y=np.interp(middle, t[usable], run.y[usable]),
         heading_rad=np.mod(np.interp(middle, t, heading), 2.0 * np.pi),
-        energy_j=between(charge),
+        energy_j=between(energy),
         duration_s=ends - starts,
         driven_m=np.full(starts.size, length_m),
         heading_change_rad=between(heading),
@@ -136,16 +140,18 @@ def cut_travel(run: Run, *, length_m: float = 1.0) -> Segments:
             [between(_summed(np.minimum(np.abs(step), limit * dt))) for limit in TURN_LIMITS_RADPS], axis=1
         ),
         gained_m2ps2=between(_summed(np.maximum(np.diff(0.5 * speed**2), 0.0))),
-        voltage_v=np.full(starts.size, np.nan),
+        voltage_v=np.full(starts.size, np.nan) if run.voltage_v is None else mean(run.voltage_v),
         current_a=mean(run.current_a),
         ripple=np.ones(starts.size),
         t0=starts,
         run=np.zeros(starts.size, dtype=np.int64),
         runs=(run.name,),
         length_m=length_m,
-        charge=True,
-        extras={"heading": np.degrees(np.interp(middle, t, heading)) % 360.0, "speed": mean(speed)},
+        charge=charge,
+        extras={key: mean(values) for key, values in logged.items()}
+        | {"heading": np.degrees(np.interp(middle, t, heading)) % 360.0, "speed": mean(speed)},
         texts={key: words[row] for key, words in run.texts.items()},
+        stands=find_stands(t, run.x, run.y, piece, t, power, rolling),
         left_out={"remainders": remainders} if remainders else {},
     )
 

@@ -48,7 +48,10 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 
 
 def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
-    """What the model says of every segment, driven at the robot's declared speed along the track's length."""
+    """What the model says of every segment, driven at the robot's declared speed along the track's length.
+
+    A network's own turning counts from the turn that its straight segments had: what those took is in its prices.
+    """
     base = predictor.base if isinstance(predictor, CalibratedPredictor) else predictor
     traction, std = base.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     factor = payload_factor(base, robot, segments)
@@ -57,6 +60,8 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
     if isinstance(predictor, CalibratedPredictor):  # its effects know more of a log than a plan could
         energy = predictor.segment_energy(segments, heightmap, robot)
         return Prediction(energy, std, traction, np.zeros(len(segments)))
-    turning_robot = base.robot_with_turning(robot) if isinstance(base, Learned) else robot
-    turning = turning_robot.turn_j_per_rad * np.abs(segments.heading_change_rad)
+    turned = np.abs(segments.heading_change_rad)
+    turning = robot.turn_j_per_rad * turned
+    if isinstance(base, Learned):
+        turning = turning + base.turn_j_per_rad * (turned - base.domain.turned_rad)
     return Prediction(robot.price_per_m(traction * factor) * segments.driven_m + turning, std, traction, turning)

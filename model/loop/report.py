@@ -51,7 +51,7 @@ def _effect(effect: Effect) -> dict[str, Any]:
         "coefficients": [
             {"name": name, "value": value, "unit": unit, "ci95": [float(low), float(high)]}
             for name, value, unit, low, high in zip(
-                names, effect.term.coefficients, effect.term.units, effect.low, effect.high, strict=True
+                names, effect.coefficients.tolist(), effect.term.units, effect.low, effect.high, strict=True
             )
         ],
         "p_value": effect.p_value,

@@ -26,7 +26,8 @@ class Residuals:
     """Measured and predicted energy of the rows of a drive (stands last, in driving order before).
 
     measured, predicted : (n,) [J, or A s]; predicted may hold corrections on top of `drive.predicted`. runs : names by
-    number. charge : whether the energy is charge, of which neither the scale nor the zero is known.
+    number. charge : whether the energy is charge, of which neither the scale nor the zero is known. told : (n,) what
+    the model says of each row with the turns and loads that it learned of, where that is another thing (NaN of stands).
     """
 
     drive: Drive
@@ -34,6 +35,7 @@ class Residuals:
     predicted: FloatArray
     runs: tuple[str, ...]
     charge: bool = False
+    told: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.drive)
@@ -102,19 +104,22 @@ class Residuals:
         return Residuals(self.drive, self.measured, self.predicted + energy, self.runs, self.charge)
 
 
-def residuals_of(drive: Drive, measured: FloatArray, runs: tuple[str, ...], *, charge: bool) -> Residuals:
-    """Residuals of the rows whose ground the heightmap knows and whose reading is not broken. Raises RunsError."""
+def residuals_of(
+    drive: Drive, measured: FloatArray, runs: tuple[str, ...], *, charge: bool, least: int = LEAST_SEGMENTS
+) -> Residuals:
+    """Residuals of the rows whose ground the heightmap knows and whose reading is not broken. Raises RunsError where
+    fewer than `least` segments are left."""
     known = drive.standing | (np.isfinite(drive.traction_per_m) & np.isfinite(drive.grade))
     predicted = drive.predicted
     if not charge:  # of a charge the scale is not known yet
         usual = np.median(predicted[known & ~drive.standing]) if (known & ~drive.standing).any() else 0.0
         known &= np.abs(measured - np.nan_to_num(predicted)) <= _FAR * np.maximum(np.nan_to_num(predicted), usual)
     kept = int((known & ~drive.standing).sum())
-    if kept < LEAST_SEGMENTS:
+    if kept < least:
         driven = int((~drive.standing).sum())
         raise RunsError(
             f"only {kept} of {driven} segments of 1 m lie on ground that the heightmap knows and have a usable energy; "
-            f"at least {LEAST_SEGMENTS} are needed. Do the runs and the heightmap belong together?",
-            segments=kept, limit=LEAST_SEGMENTS,
+            f"at least {least} are needed. Do the runs and the heightmap belong together?",
+            segments=kept, limit=least,
         )  # fmt: skip
     return Residuals(drive.take(known), measured[known], predicted[known], runs, charge)

@@ -2,12 +2,14 @@
 
 Forward: of all effects that chance cannot explain and that help on held-out runs by more than a practical floor, the
 one that helps most is taken; where a physical form does as well as a learned curve, the physical one. Columns that
-answer to the drive (commands, measured attitude) come once nothing else is found. After each step every effect is
-chosen anew given the others, and one that the others make needless is dropped.
+answer to the drive (commands, measured attitude) come once nothing else is found. An interaction brings along those of
+the effects it joins that show themselves beside it. After each step every effect is chosen anew given the others, and
+one that the others make needless is dropped.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -28,6 +30,7 @@ _COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
 _SURE, _LITTLE = 0.01, 0.02
 _ROUNDS = 3
+_LEFT = 0.75  # of the work, as far as anybody knows, after each judging of all candidates
 _CURVES = {
     "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
     "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",
@@ -87,7 +90,7 @@ def trace(
     """
     owner = [c for c in candidates for _ in c.variants]
     evidence = Evidence(residuals, [v for c in candidates for v in c.variants], level_doubt=level_doubt, seed=seed)
-    search = _Search(evidence, owner, floors or Floors(), shared or (lambda term: 0.0))
+    search = _Search(evidence, owner, floors or Floors(), shared or (lambda term: 0.0), progress)
     ranking = search.best_of_each([])
     found: list[Found] = []
     verdicts = ranking
@@ -97,11 +100,9 @@ def trace(
         if taken is None:
             break
         before = {f.candidate.name for f in [*found, taken]}
-        found = search.settle([*found, taken])
+        found = search.settle(search.with_parts([*found, taken]))
         needless |= before - {f.candidate.name for f in found}  # or it would be taken and dropped for ever
         verdicts = search.best_of_each(found)
-        if progress is not None:
-            progress(len(found) / MAX_EFFECTS)
     found = search.by_worth(search.two_named(found))
     remaining = [v for v in verdicts if v[0].name not in {f.candidate.name for f in found}]
     names = {f.candidate.name: search.rivals(found, f) for f in found}
@@ -113,13 +114,20 @@ def trace(
     return Trace(found, ranking, {k: v for k, v in names.items() if v}, remaining, least, evidence)
 
 
+def interactions_of(one: Found, found: Sequence[Found]) -> list[Found]:
+    """The interactions found that an effect is part of: they do not stand without it."""
+    return [f for f in found if one.candidate.name in f.candidate.parts]
+
+
 class _Search:
     """The moves of the selection on one body of evidence. owner : candidate of each term."""
 
     def __init__(
-        self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float]
-    ) -> None:
+        self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float],
+        progress: Callable[[float], None] | None,
+    ) -> None:  # fmt: skip
         self.evidence, self.owner, self.floors, self.shared = evidence, owner, floors, shared
+        self.progress = progress
         self._best: dict[tuple[int, ...], list[tuple[Candidate, Verdict]]] = {}
 
     def floor(self, term: int) -> float:
@@ -135,7 +143,7 @@ class _Search:
 
     def score(self, verdict: Verdict) -> float:
         """Gain less a price for every coefficient: of two that help alike the simpler one."""
-        return verdict.gain - self.price(verdict.term)
+        return round(verdict.gain - self.price(verdict.term), 6)  # some are one and the same on these runs
 
     def price(self, term: int) -> float:
         """Of the coefficients of a term beyond the first, as a share of the error."""
@@ -154,17 +162,22 @@ class _Search:
         best: dict[str, tuple[Candidate, Verdict]] = {}
         for verdict in self.evidence.judge(taken, tried):
             candidate = self.owner[verdict.term]
-            if self.wrong_sign(taken, verdict.term):
-                verdict = replace(verdict, p_value=1.0, why="its sign makes no sense")
+            if self.senseless(taken, verdict.term):
+                verdict = replace(verdict, p_value=1.0, why="its sign or its size makes no sense")
             before = best.get(candidate.name)
             if before is None or self._order(verdict) > self._order(before[1]):
                 best[candidate.name] = candidate, verdict
         self._best[tuple(taken)] = sorted(best.values(), key=lambda pair: -pair[1].gain)
+        if self.progress is not None:
+            self.progress(1.0 - _LEFT ** len(self._best))
         return self._best[tuple(taken)]
 
-    def wrong_sign(self, taken: Sequence[int], term: int) -> bool:
-        sign = self.owner[term].sign
-        return bool(sign) and self.evidence.sign(taken, term) == -sign
+    def senseless(self, taken: Sequence[int], term: int) -> bool:
+        sign, most = self.owner[term].sign, self.owner[term].most
+        if not sign and math.isinf(most):
+            return False
+        size = self.evidence.size_of(taken, term)
+        return sign * size < 0 or abs(size) > most
 
     def _order(self, verdict: Verdict) -> tuple[bool, float]:
         return verdict.p_value <= ALPHA and self.clears_floor(verdict), self.score(verdict)
@@ -219,18 +232,48 @@ class _Search:
         back = self.evidence.judge([*taken, column.verdict.term], [other.verdict.term])[0]
         return back.p_value > ALPHA or min(back.gain, back.net) < _LITTLE
 
+    def with_parts(self, found: list[Found]) -> list[Found]:
+        """With the main effects of every interaction, or it would speak for them too (marginality: Nelder 1977): the
+        one that it modifies where that shows itself without it, the other where it shows itself beside it as well. The
+        interaction is then what comes on top, if anything does."""
+        for one in [f for f in found if f.candidate.parts]:
+            modified, other = one.candidate.parts
+            rest = [f for f in found if f is not one]
+            rest += self.shown(modified, rest)
+            if modified in {f.candidate.name for f in rest}:
+                found = rest + self.shown(one.candidate.name, rest)
+            found += self.shown(other, rest, found)
+        return found
+
+    def shown(self, name: str, *beside: Sequence[Found]) -> list[Found]:
+        """The best variant of an effect that shows itself beside each of some choices, best by the first; none if it is
+        among them. It is asked alone, and known to matter: a little gain is enough."""
+        tried = [k for k, c in enumerate(self.owner) if c.name == name]
+        kept: dict[int, Verdict] = {}
+        for found in reversed(beside):
+            if name in {f.candidate.name for f in found}:
+                return []
+            taken = [f.verdict.term for f in found]
+            verdicts = [v for v in self.evidence.judge(taken, tried) if not self.senseless(taken, v.term)]
+            kept = {v.term: v for v in verdicts if v.p_value <= ALPHA and min(v.gain, v.net) >= _LITTLE}
+            tried = list(kept)
+        best = max(kept.values(), key=self.score, default=None)
+        return [] if best is None else [Found(self.owner[best.term], best)]
+
     def settle(self, found: list[Found]) -> list[Found]:
         """Each effect as it would be taken given the others, which may put another in its place; without those that the
         others make needless (sequential replacement: Miller 2002, section 3.7)."""
         for _ in range(_ROUNDS):
             before = list(found)
             for k, one in enumerate(before):
+                if interactions_of(one, found):
+                    continue
                 rest = self.beside(found, found[k])
                 again = self.pick(self.best_of_each(rest), rest)
                 others = {f.candidate.name for f in found if f is not found[k]}
                 if again is not None and again.candidate.name not in others and self.better(rest, again, one):
                     found = [*found[:k], again, *found[k + 1 :]]
-            least, k = min((self.worth(found, f), k) for k, f in enumerate(found))
+            least, k = min((self.worth(found, f), k) for k, f in enumerate(found) if not interactions_of(f, found))
             if len(found) > 1 and least < 0.5 * self.floor(found[k].verdict.term):
                 found = found[:k] + found[k + 1 :]
             if found == before:
@@ -239,20 +282,21 @@ class _Search:
 
     def two_named(self, found: list[Found]) -> list[Found]:
         """Instead of two effects of which one is a mere curve, two with a physical form that do as well together, if
-        there are such: taken one by one, the first may have stood for both."""
-        if len(found) != 2 or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
+        there are such, or that do better than a curve alone: taken one by one, the first may have stood for both."""
+        if len(found) not in (1, 2) or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
             return found
+        most = 1.0 + _LITTLE if len(found) == 2 else 1.0 - self.floors.learned
         single = [k for k, c in enumerate(self.owner) if self.evidence.columns[k].size == 1 and not c.learned]
         single = [k for k in single if self.evidence.terms[k].formula not in ("disk", "turning")]
         pairs = [(self.error([j, k]), j, k) for j in single for k in single
                  if j < k and self.owner[j].name != self.owner[k].name]  # fmt: skip
         error, *best = min(pairs, default=(np.inf, 0, 0))
-        if error > (1.0 + _LITTLE) * self.error([f.verdict.term for f in found]):
+        if error > most * self.error([f.verdict.term for f in found]):
             return found
         both = [(k, [b for b in best if b != k]) for k in best]
         verdicts = [self.evidence.judge(other, [k])[0] for k, other in both]
-        senseless = any(self.wrong_sign(other, k) for k, other in both)
-        if senseless or any(v.p_value > ALPHA or not self.clears_floor(v) for v in verdicts):
+        absurd = any(self.senseless(other, k) for k, other in both)
+        if absurd or any(v.p_value > ALPHA or not self.clears_floor(v) for v in verdicts):
             return found
         return [Found(self.owner[v.term], v) for v in verdicts]
 
@@ -261,7 +305,7 @@ class _Search:
         taken = [f.verdict.term for f in rest]
         new, old = (self.error([*taken, f.verdict.term]) for f in (again, one))
         if again.candidate.name == one.candidate.name:
-            return new < old
+            return new < (1.0 - 1e-6) * old  # variants may be one and the same on these runs
         named = self.named(again) and not self.named(one)
         return new < (1.0 + _LITTLE if named else 1.0 - _LITTLE) * old
 
@@ -270,15 +314,18 @@ class _Search:
         return float(self.evidence.held_out(self.evidence.columns_of(chosen)).sum())
 
     def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
-        """The effects that an effect must hold its own against: what answers to the drive makes nothing needless that
-        explains it, for a measured tilt may say the same as a slope, and say it better."""
-        return [f for f in found if f is not one and (one.candidate.response or not f.candidate.response)]
+        """The effects that an effect must hold its own against: not an interaction that it is part of; and what answers
+        to the drive makes nothing needless that explains it, for a measured tilt may say the same as a slope, and say
+        it better."""
+        others = [f for f in found if f is not one and one.candidate.name not in f.candidate.parts]
+        return [f for f in others if one.candidate.response or not f.candidate.response]
 
     def worth(self, found: Sequence[Found], one: Found) -> float:
-        """Share by which the held-out error would grow without an effect."""
+        """Share by which the held-out error would grow without an effect, and the interactions that it is part of."""
         rest = [f.verdict.term for f in self.beside(found, one)]
+        its = [f.verdict.term for f in (one, *interactions_of(one, found))]
         without = self.error(rest)
-        return (without - self.error([*rest, one.verdict.term])) / max(without, 1e-12)
+        return (without - self.error([*rest, *its])) / max(without, 1e-12)
 
     def by_worth(self, found: list[Found]) -> list[Found]:
         """The most telling first; what answers to the drive comes after what explains it."""

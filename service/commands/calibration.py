@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,17 +11,49 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from service.commands.options import BaseRuns, HeightmapFile, ModelName, RobotFile, Runs, find_runs, robot_of
+from service.commands.options import (
+    BaseRuns,
+    HeightmapFile,
+    MaybeHeightmap,
+    ModelName,
+    RobotFile,
+    Runs,
+    find_runs,
+    robot_of,
+)
 from service.commands.words import energy_words
+
+_SHOWN = 4  # coefficients of an effect
 
 
 def calibrate(
-    heightmap: HeightmapFile,
     runs: Runs,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report.json, report.html and model/.")],
+    heightmap: MaybeHeightmap = None,
     model: ModelName = "default",
     robot: RobotFile = None,
     base_runs: BaseRuns = None,
+    keep_aside: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--keep-aside",
+            metavar="GLOB",
+            help="Runs (also of `--runs`) that nothing is sought or fitted in: the report has the error on them before "
+            "and after.",
+        ),
+    ] = None,
+    odometry: Annotated[
+        float | None,
+        typer.Option(
+            metavar="TRACK",
+            help="The runs have no positions: integrate speed_left and speed_right on level ground (no `--heightmap`), "
+            "for wheels whose sides are so far apart as the robot turns [m].",
+        ),
+    ] = None,
+    terrain_from_name: Annotated[
+        bool,
+        typer.Option("--terrain-from-name", help="With `--odometry`: snow_02.csv was driven on snow."),
+    ] = False,
     start: Annotated[
         Any, typer.Option(metavar="X,Y", parser=parse_point, help="Task whose route is compared before and after [m].")
     ] = None,
@@ -35,44 +68,59 @@ def calibrate(
     Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv' --out found`
     """
     from model.terrain.readers import read_heightmap
-    from service.calibrating import calibrate_on_runs
-    from service.calibration_page import report_page
+    from service.loop.calibrating import calibrate_on_runs
+    from service.loop.page import report_page
+    from service.loop.runs import read_calibration_runs, read_odometry_runs
 
     if (start is None) != (goal is None):
         raise typer.BadParameter("--start and --goal go together")
-    answer = Answer(json_file)
-    ground = read_heightmap(heightmap)
+    if (heightmap is None) == (odometry is None):
+        raise typer.BadParameter("give either --heightmap, or --odometry for runs without positions")
+    if terrain_from_name and odometry is None:
+        raise typer.BadParameter("--terrain-from-name goes with --odometry")
+    answer, began, driven_by = Answer(json_file), time.perf_counter(), robot_of(robot)
+    aside = find_runs(keep_aside or [])
+    files = [file for file in find_runs(runs) if file not in aside]
+    more = {"base_files": find_runs(base_runs or []), "aside_files": aside}
+    if odometry is not None:
+        read, ground = read_odometry_runs(files, track_m=odometry, terrain_from_name=terrain_from_name, **more)
+    else:
+        assert heightmap is not None
+        ground = read_heightmap(heightmap)
+        read = read_calibration_runs(files, driven_by, crs=ground.frame.crs, **more)
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
-            model, ground, robot_of(robot), find_runs(runs), base_files=find_runs(base_runs or []), out=out,
-            task=None if start is None else (start, goal), seed=seed, progress=report,
+            model, ground, driven_by, read, out=out, task=None if start is None else (start, goal), seed=seed,
+            progress=report,
         )  # fmt: skip
     write_file(out / "report.json", (json.dumps(made.document, indent=2, allow_nan=False) + "\n").encode())
     write_file(out / "report.html", report_page(made, ground).encode())
     _say(answer, made.document, out)
+    count = len(read.segments.runs) + (0 if read.aside is None else len(read.aside.runs))
+    answer.say(f"{count} runs, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
+               f"{time.perf_counter() - began:.0f} s")  # fmt: skip
     answer.warn(made.document["warnings"])
     answer.document(made.document)
 
 
 def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
-    error, unit = document["error"], "A s" if document["target"] == "charge_as" else "J"
+    unit = "A s" if document["target"] == "charge_as" else "J"
     names = ", ".join(effect["name"] for effect in document["effects"])
     answer.say(f"[bold]Found {names}[/]" if names else "[bold]Nothing found[/] that the model lacks")
     rows = {}
     for effect in document["effects"]:
-        first = effect["coefficients"][:2]
+        shown = effect["coefficients"][:_SHOWN]
         values = ", ".join(
-            f"{c['value']:.4g} {c['unit']} ({c['ci95'][0]:.4g} to {c['ci95'][1]:.4g})".replace("  ", " ") for c in first
+            f"{c['name'] + ' ' if len(shown) > 1 else ''}{c['value']:.4g} {c['unit']} "
+            f"({c['ci95'][0]:.4g} to {c['ci95'][1]:.4g})".replace("  ", " ")
+            for c in shown
         )
-        more = f" and {len(effect['coefficients']) - 2} more" if len(effect["coefficients"]) > 2 else ""
+        more = f" and {len(effect['coefficients']) - _SHOWN} more" if len(effect["coefficients"]) > _SHOWN else ""
         plans = "" if effect["in_plans"] else "; a diagnosis, not in plans"
         rows[effect["name"]] = f"{values}{more}, p = {effect['p_value']:.2g}, {effect['where']}{plans}"
-    for key in ("mean_relative", "rmse"):
-        scale, suffix = (100.0, " %") if key == "mean_relative" else (1.0, f" {unit}")
-        rows[f"{key.replace('_', ' ')} error"] = (
-            f"{scale * error['before'][key]:.3g}{suffix} before, {scale * error['after'][key]:.3g}{suffix} after, "
-            f"{scale * error['after_planner'][key]:.3g}{suffix} with what a planner knows"
-        )
+    rows |= _error_words(document["error"], unit, "")
+    if "kept_aside" in document:
+        rows |= _error_words(document["kept_aside"]["error"], unit, ", kept aside")
     for group in document["confounded"]:
         rows[f"like {group[0]}"] = f"these runs cannot tell it from {', '.join(group[1:])}"
     rows["a route"] = _route_words(document["route"])
@@ -80,14 +128,27 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
     answer.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
 
 
+def _error_words(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
+    rows = {}
+    for key in ("mean_relative", "rmse"):
+        scale, suffix = (100.0, " %") if key == "mean_relative" else (1.0, f" {unit}")
+        rows[f"{key.replace('_', ' ')} error{where}"] = (
+            f"{scale * error['before'][key]:.3g}{suffix} before, {scale * error['after'][key]:.3g}{suffix} after, "
+            f"{scale * error['after_planner'][key]:.3g}{suffix} with what a planner knows"
+        )
+    return rows
+
+
 def _route_words(route: Mapping[str, Any]) -> str:
     if "why_not" in route:
         return f"not compared: {route['why_not']}"
     (x0, y0), (x1, y1) = route["task"]["start"], route["task"]["goal"]
     old, new = (energy_words(route[key]["energy_j"]) for key in ("before", "after"))
+    old_before, new_before = (energy_words(route[key]["energy_at_old_prices_j"]) for key in ("before", "after"))
+    volts = f"; charge times {route['nominal_voltage_v']:g} V" if "nominal_voltage_v" in route else ""
     return (
-        f"{x0:.1f},{y0:.1f} to {x1:.1f},{y1:.1f} ({route['task']['chosen']}): {old} the old way, {new} the new one, "
-        f"{route['saving_percent']:.1f} % saved"
+        f"{x0:.1f},{y0:.1f} to {x1:.1f},{y1:.1f} ({route['task']['chosen']}): by the new model {old} the old way, "
+        f"{new} the new one, {route['saving_percent']:.1f} % saved; by the old one {old_before} and {new_before}{volts}"
     )
 
 
@@ -109,14 +170,18 @@ def suggest_drive(
     Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv'`
     """
     from model.terrain.readers import read_heightmap
-    from service.calibrating import suggest_next_drive
+    from service.loop.calibrating import suggest_next_drive
+    from service.loop.runs import read_calibration_runs
 
     answer = Answer(json_file)
+    ground, driven_by = read_heightmap(heightmap), robot_of(robot)
+    read = read_calibration_runs(
+        find_runs(runs), driven_by, crs=ground.frame.crs, base_files=find_runs(base_runs or [])
+    )
     with progress_bar("Tracing") as report:
         found, rivals = suggest_next_drive(
-            model, read_heightmap(heightmap), robot_of(robot), find_runs(runs), base_files=find_runs(base_runs or []),
-            effect=effect, length_m=length, progress=report,
-        )  # fmt: skip
+            model, ground, driven_by, read, effect=effect, length_m=length, progress=report
+        )
     corners = [[round(float(x), 2), round(float(y), 2)] for x, y in found.points]
     answer.say(f"[bold]Drive {found.kind}[/] to learn about {found.effect}")
     shown = corners if len(corners) <= 9 else corners[:: len(corners) // 8]

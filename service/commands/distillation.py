@@ -41,7 +41,7 @@ def distill(
 
     from model.terrain.readers import read_heightmap
     from service.commands.models import folder_of
-    from service.distilling import distil_on_runs
+    from service.learning.distilling import distil_on_runs
 
     answer = Answer(json_file)
     start = folder_of(start_from)

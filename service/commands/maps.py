@@ -144,7 +144,7 @@ def path(
     from model.terrain.heightmap import Heightmap
     from planner.lattice_io import load_lattice
     from planner.plan import RoutePlanner
-    from service.answers import path_geojson, path_out
+    from service.schemas.answers import path_geojson, path_out
 
     answer = Answer(json_file)
     lattice = load_lattice(costmap)
@@ -207,8 +207,8 @@ def feasibility(
     """
     from model.robot import Battery
     from planner.lattice_io import load_lattice
-    from service.answers import feasibility_out
     from service.commands.path_files import read_path
+    from service.schemas.answers import feasibility_out
     from service.workflows import assess
 
     answer = Answer(json_file)

@@ -72,7 +72,7 @@ def simulate(
     from model.field.robot_dynamics import FieldRobot
     from model.field.sites import named_site, random_site
     from model.terrain.writers import write_geotiff
-    from service.pretraining import level_ground, rolling_resistance_on
+    from service.learning.pretraining import level_ground, rolling_resistance_on
 
     answer = Answer(json_file)
     rng = np.random.default_rng([seed, 1])
@@ -197,7 +197,7 @@ def train(
         }  # fmt: skip
         if idle := [name for name, value in told.items() if value]:
             raise typer.BadParameter(f"{', '.join(idle)}: only with --heightmap and --runs")
-        from service.pretraining import DEFAULT_SEED, train_default
+        from service.learning.pretraining import DEFAULT_SEED, train_default
 
         with progress_bar("Training the shipped network") as report:
             trained = train_default(out, seed=DEFAULT_SEED if seed is None else seed, progress=report)
@@ -209,7 +209,7 @@ def train(
     from dataclasses import asdict
 
     from model.terrain.readers import read_heightmap
-    from service.learning import train_on_runs
+    from service.learning.training import train_on_runs
 
     with progress_bar("Training") as report:
         model = train_on_runs(
@@ -255,8 +255,8 @@ def evaluate(
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv'`
     """
     from model.terrain.readers import read_heightmap
-    from service.learning import evaluate_on_runs
-    from service.workflows import find_predictor
+    from service.learning.evaluation import evaluate_on_runs
+    from service.models import find_predictor
 
     answer = Answer(json_file)
     rover = robot_of(robot)

@@ -108,8 +108,8 @@ def baselines(
     """
     _need_scikit_learn()
     from model.terrain.readers import read_heightmap
+    from service.models import find_predictor
     from service.reproduction.comparison import compare
-    from service.workflows import find_predictor
 
     answer = Answer(json_file)
     rover = robot_of(robot)

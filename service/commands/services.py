@@ -28,7 +28,7 @@ def serve(
     """
     import uvicorn
 
-    from service.app import create_app
+    from service.http.app import create_app
     from service.settings import Settings
 
     given: dict[str, Any] = {"host": host, "port": port, "data_dir": data_dir}
@@ -50,10 +50,10 @@ def worker(
     """
     import signal
 
-    from service.jobs import Worker
+    from service.jobs.makers import make_makers
+    from service.jobs.worker import Worker
     from service.settings import Settings
-    from service.state import make_makers
-    from service.store import Store
+    from service.storage.store import Store
     from service.workflows import warm_up
 
     settings = Settings() if data_dir is None else Settings(data_dir=data_dir)
@@ -94,7 +94,7 @@ def demo(
 
     Examples: `joulemap demo --exit`, `joulemap demo --heightmap dem.tif --start 12,40 --goal 180,95`
     """
-    from service.demo import run_demo
+    from service.commands.demo import run_demo
 
     answer = Answer(json_file)
     run_demo(answer, heightmap=heightmap, start=start, goal=goal, model=model, port=port, out=out, keep=not exit_after)
@@ -119,7 +119,7 @@ def openapi(
     """Write the service's **OpenAPI document**."""
     import json
 
-    from service.app import openapi_document
+    from service.http.app import openapi_document
 
     text = json.dumps(openapi_document(), indent=2, ensure_ascii=False) + "\n"
     if str(out) == "-":

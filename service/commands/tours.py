@@ -38,7 +38,7 @@ def tour(
     from model.robot import Battery
     from planner.lattice_io import load_lattice
     from planner.plan import RoutePlanner
-    from service.tours import tour_geojson, tour_out
+    from service.schemas.tours import tour_geojson, tour_out
     from service.workflows import judge_routes
 
     answer = Answer(json_file)

@@ -11,7 +11,7 @@ import numpy as np
 from model.energy.predictor import Predictor
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.learning import read_segments
+from service.learning.runs import read_segments
 from service.reproduction import baselines, networks
 from service.reproduction.measured import Measured, judged
 

@@ -24,8 +24,8 @@ from model.terrain.heightmap import Heightmap
 from model.terrain.readers import read_heightmap
 from model.terrain.surface_fit import fit_surface
 from model.terrain.writers import write_geotiff
-from service.learning import read_segments
-from service.pretraining import MAX_TURN_RAD, level_ground, rolling_resistance_on
+from service.learning.pretraining import MAX_TURN_RAD, level_ground, rolling_resistance_on
+from service.learning.runs import read_segments
 from service.reproduction.measured import Measured
 from service.reproduction.profiles import Profile
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from model.energy.evaluation import errors
 from model.loop.segments import Segments
 from model.terrain.heightmap import Heightmap
-from service.pretraining import MAX_TURN_RAD
+from service.learning.pretraining import MAX_TURN_RAD
 
 FloatArray = NDArray[np.float64]
 

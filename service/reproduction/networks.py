@@ -22,8 +22,8 @@ from model.field.simulation import simulate_segments
 from model.field.sites import random_site
 from model.loop.prediction import predict_segments
 from model.robot import Robot
-from service.learning import CHECKPOINT, LEARNING_RATE, train_on_runs
-from service.pretraining import MAX_TURN_RAD
+from service.learning.pretraining import MAX_TURN_RAD
+from service.learning.training import CHECKPOINT, LEARNING_RATE, train_on_runs
 from service.reproduction.measured import Measured
 from service.reproduction.profiles import STRATEGIES, Profile
 

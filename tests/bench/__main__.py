@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from model.terrain.readers import read_heightmap
+from tests.bench.calibration import bench_calibration
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.quality import compare_peers, compare_planners
 from tests.bench.searches import bench_searches
@@ -36,6 +37,7 @@ def main() -> None:
     only.add_argument("--searches", action="store_true", help="only the searches")
     only.add_argument("--lattice", action="store_true", help="only the cost lattice")
     only.add_argument("--workers", action="store_true", help="only two worker processes beside one")
+    only.add_argument("--calibration", action="store_true", help="only a calibration of ten runs")
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     options = parser.parse_args()
@@ -49,12 +51,12 @@ def main() -> None:
         stages = [bench_lattice, bench]
         if options.searches or options.lattice:
             stages = [bench_searches if options.searches else bench_lattice]
-        if options.workers:
-            rows = bench_workers()
+        if options.workers or options.calibration:
+            rows = bench_workers() if options.workers else bench_calibration()
         else:
             rows = [row for cells in options.sizes for stage in stages for row in stage(cells, options.resolution)]
-        if bench_lattice in stages and not options.workers:
-            rows += [*bench_bins(options.resolution), *bench_tiles()]
+            if bench_lattice in stages:
+                rows += [*bench_bins(options.resolution), *bench_tiles()]
         machine = (
             f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
         )

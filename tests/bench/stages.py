@@ -20,7 +20,7 @@ from planner.moves import move_table
 from planner.plan import RoutePlanner
 from planner.refine import refine_path
 from planner.search import grid_search
-from service.app import create_app
+from service.http.app import create_app
 from service.settings import Settings
 from tests.bench.maps import CORNERS, ROBOT, free_corner, physics_lattice, terrain
 from tests.bench.searches import search_rows

@@ -10,7 +10,7 @@ import time
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 
-from service.store import Store
+from service.storage.store import Store
 from tests.bench.maps import ROBOT, terrain
 from tests.bench.timing import Row
 from tests.service.test_restart import free_port

@@ -15,8 +15,10 @@ from model.loop.calibrated import CalibratedPredictor
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
-from service.calibrating import calibrate_on_runs, load_model
-from service.learning import read_segments
+from service.learning.runs import read_segments
+from service.loop.calibrating import calibrate_on_runs
+from service.loop.runs import read_calibration_runs
+from service.models import load_model
 from tests.loop.cases import extra_energy
 
 FloatArray = NDArray[np.float64]
@@ -28,8 +30,9 @@ class Joulemap:
     def calibrate(
         self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
     ) -> dict[str, Any]:
-        done = calibrate_on_runs(str(model), read_heightmap(heightmap), Robot.from_toml(robot), list(runs), out=out)
-        return done.document
+        ground, declared = read_heightmap(heightmap), Robot.from_toml(robot)
+        read = read_calibration_runs(runs, declared, crs=ground.frame.crs)
+        return calibrate_on_runs(str(model), ground, declared, read, out=out).document
 
     def predict(self, model: Path, heightmap: Path, segments: Segments, robot: Path, out: Path) -> FloatArray:
         found = out / "model"

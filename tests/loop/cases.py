@@ -20,8 +20,9 @@ from model.field.blind_case import BlindTruth, RunTruth, make_blind_case, write_
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
-from service import learning
-from service.learning import read_segments, train_on_runs
+from service.learning import training
+from service.learning.runs import read_segments
+from service.learning.training import train_on_runs
 
 FloatArray = NDArray[np.float64]
 
@@ -199,7 +200,7 @@ def base_model(site_seed: int, work: Path, *, anew: bool = False) -> Path:
     files = sorted(folder.glob("base/*.csv"))
     with resources.as_file(resources.files("model") / "weights") as shipped:
         digest = hashlib.sha256((shipped / "config.json").read_bytes())
-        for file in [Path(learning.__file__), folder / "dem.tif", folder / "robot.toml", *files]:
+        for file in [Path(training.__file__), folder / "dem.tif", folder / "robot.toml", *files]:
             digest.update(file.read_bytes())
         out = work / "models" / digest.hexdigest()[:16]
         if not (out / "config.json").is_file():

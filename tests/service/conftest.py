@@ -12,7 +12,7 @@ from fastapi.testclient import TestClient
 from model.frames import GridFrame
 from model.terrain.heightmap import Heightmap
 from model.terrain.writers import write_geotiff
-from service.app import create_app
+from service.http.app import create_app
 from service.settings import Settings
 
 WEST, NORTH = 500_000.0, 4_000_030.0

@@ -112,7 +112,7 @@ def test_chunked_upload_is_cut_off(path: str, kind: str, tmp_path_factory: pytes
     """Straight on the ASGI interface, where it can be seen how much was taken of an endless body."""
     import anyio
 
-    from service.app import create_app
+    from service.http.app import create_app
     from tests.service.conftest import settings_for
 
     app = create_app(settings_for(tmp_path_factory.mktemp("data"), max_upload_mb=1.0))

@@ -22,8 +22,8 @@ from model.frames import GridFrame, heading_of
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from model.terrain.writers import write_geotiff
-from service.app import create_app
-from service.calibrating import load_model
+from service.http.app import create_app
+from service.models import load_model
 from tests.service.conftest import settings_for
 from tests.service.test_bad_input import check_problem
 from tests.service.test_restart import SERVE, answers, free_port, wait_until
@@ -91,9 +91,11 @@ def runs_id(service: TestClient, ground_id: str) -> str:
 
 @pytest.fixture(scope="module")
 def calibration(service: TestClient, ground_id: str, runs_id: str) -> dict[str, Any]:
-    asked = {"heightmap_id": ground_id, "runs": [runs_id], "model": "physics", "robot": ROBOT}
-    answer = service.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=200"})
+    kept = send(service, run_csv(12), heightmap_id=ground_id).json()["id"]
+    asked = {"heightmap_id": ground_id, "runs": [runs_id, kept], "model": "physics", "robot": ROBOT}
+    answer = service.post("/v1/calibrations", json=asked | {"aside_runs": [kept]}, headers={"Prefer": "wait=200"})
     assert answer.status_code == 201, answer.text
+    assert (answer.json()["runs"], answer.json()["aside_runs"]) == ([runs_id], [kept])
     assert answer.headers["location"] == f"/v1/calibrations/{answer.json()['id']}"
     return answer.json()
 
@@ -123,6 +125,9 @@ def test_the_hidden_effect_is_found_and_planned_with(
     assert report["effects"][0]["coefficients"][0]["value"] == pytest.approx(TURN_J, rel=0.1)
     assert report["error"]["after"]["rmse"] < 0.6 * report["error"]["before"]["rmse"]
     assert report["route"]["saving_j"] >= 0.0
+    aside = report["kept_aside"]["error"]
+    assert aside["after"]["rmse"] < 0.6 * aside["before"]["rmse"]
+    check_problem(service.delete(f"/v1/runs/{calibration['aside_runs'][0]}"), 409, "conflict", calibration["id"])
     page = service.get(calibration["links"]["page"])
     assert page.headers["content-type"].startswith("text/html")
     assert "data:image/png;base64," in page.text
@@ -230,6 +235,8 @@ def test_bad_questions(service: TestClient, ground_id: str, runs_id: str) -> Non
         ({"heightmap_id": "hm-none"}, 404, "not_found", "hm-none"),
         ({"runs": ["runs-none"]}, 404, "not_found", "runs-none"),
         ({"base_runs": ["runs-none"]}, 404, "not_found", "runs-none"),
+        ({"aside_runs": ["runs-none"]}, 404, "not_found", "runs-none"),
+        ({"aside_runs": [runs_id]}, 422, "invalid_input", "none to learn from"),
         ({"runs": []}, 422, "invalid_request", "runs"),
         ({"model": "../physics"}, 422, "invalid_model", "known are physics"),
         ({"robot": {"mass_kg": -1.0}}, 422, "invalid_robot", "mass_kg"),

@@ -29,8 +29,8 @@ from schemathesis.specs.openapi.checks import (
 
 from model.robot import Robot
 from planner.plan import SAMPLING_PLANNERS
-from service.app import create_app, openapi_document
-from service.schemas import RobotIn, RobotOut
+from service.http.app import create_app, openapi_document
+from service.schemas.planning import RobotIn, RobotOut
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
 
@@ -43,7 +43,7 @@ CHECKS = [
 
 def test_document_is_up_to_date() -> None:
     assert json.loads(DOCUMENT.read_text(encoding="utf-8")) == openapi_document(), (
-        "openapi/openapi.json is stale: python -m service.app > openapi/openapi.json"
+        "openapi/openapi.json is stale: make openapi"
     )
     assert openapi_document()["openapi"].startswith("3.1")
 
@@ -139,7 +139,7 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
 
 def point_towards_the_map(body: dict[str, Any], known: dict[str, str]) -> None:
     """Random places are nearly always outside: put the well-formed ones on the map. Time limits stay short."""
-    for key in ("runs", "base_runs"):
+    for key in ("runs", "base_runs", "aside_runs"):
         if isinstance(body.get(key), list) and body[key] and all(isinstance(v, str) for v in body[key]):
             body[key] = [known["runs_id"]]
     if isinstance(body.get("heightmap_id"), str):

@@ -25,7 +25,7 @@ from planner.edges import price_world_path
 from planner.lattice_build import build_lattice
 from planner.lattice_io import load_lattice
 from planner.plan import RoutePlanner
-from service.demo import free_corners
+from service.commands.demo import free_corners
 
 JOULEMAP = str(Path(sys.executable).with_name("joulemap"))
 

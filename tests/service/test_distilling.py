@@ -13,8 +13,8 @@ from model.energy.physics import PhysicsPredictor, eq5_traction_per_m
 from model.errors import InputError, ModelError
 from model.terrain.writers import write_geotiff
 from service.cli import app
-from service.distilling import distil_on_runs
-from service.learning import train_on_runs
+from service.learning.distilling import distil_on_runs
+from service.learning.training import train_on_runs
 from tests.service.test_learning import ROBOT, SHIPPED, drive, waves
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from fastapi.testclient import TestClient
 from numba.core.dispatcher import Dispatcher
 from model.errors import BusyError
-from service.app import create_app
+from service.http.app import create_app
 from tests.service.conftest import GOAL, START, hill, settings_for
 from model.terrain.writers import write_geotiff
 

@@ -1,6 +1,7 @@
 """From runs to a model in the corners: one run, runs of another place, trainings cut off, and what a folder keeps."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from model.loop.prediction import predict_segments
 from model.loop.record import RECORD_FILE
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.learning import read_segments, train_on_runs
+from service.learning.runs import read_segments
+from service.learning.training import train_on_runs
 from service.workflows import make_cost_lattice
 
 ROBOT = Robot(rolling_resistance=0.1)
@@ -52,7 +54,7 @@ def train(files, out, **options):
 
 def test_a_single_run_is_held_out_stretch_by_stretch(tmp_path, monkeypatch):
     kept = []
-    monkeypatch.setattr("service.learning.keep_base_runs", lambda *given: kept.append(given[3]))
+    monkeypatch.setattr("service.learning.training.keep_base_runs", lambda *given: kept.append(given[3]))
     run = drive(tmp_path, "run.csv", y=4.0)
     model = train([run], tmp_path / "model")
     assert model.held_out_runs == ["run.csv"]
@@ -135,6 +137,16 @@ def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
     declared = Robot(turn_j_per_rad=2.0)
     lattice = make_cost_lattice(waves(), declared, model=tmp_path / "model", headings=8)
     assert lattice.robot.turn_j_per_rad == 9.0
+
+
+def test_what_straight_segments_turn_is_in_the_prices_already(tmp_path):
+    """Of two models that differ in turning alone, that with 50 J/rad from 0.1 rad on says 50 (|turn| - 0.1) more."""
+    plain, turning = load_predictor("default"), load_predictor("default")
+    turning.turn_j_per_rad, turning.domain = 50.0, replace(turning.domain, turned_rad=0.1)
+    segments = read_segments([drive(tmp_path, "run.csv", y=4.0)], ROBOT, crs=None)[1]
+    segments = replace(segments, heading_change_rad=np.linspace(-0.4, 0.4, len(segments)))
+    one, other = (predict_segments(p, waves(), ROBOT, segments).energy_j for p in (plain, turning))
+    np.testing.assert_allclose(other - one, 50.0 * (np.abs(segments.heading_change_rad) - 0.1), atol=1e-9)
 
 
 def test_a_calibration_without_effects_changes_no_prediction_and_leaves_loads_to_effects(tmp_path):

@@ -16,7 +16,7 @@ from model.energy.training import TrainingOptions
 from model.frames import GridFrame, heading_bins
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.pretraining import MU_RANGE, ROBOTS_PER_SITE, baselines, make_pretraining_set, train_default
+from service.learning.pretraining import MU_RANGE, ROBOTS_PER_SITE, baselines, make_pretraining_set, train_default
 
 WEIGHTS = resources.files("model") / "weights"
 SMALL = Robot(mass_kg=20.0, width_m=0.4, length_m=0.45, wheel_radius_m=0.1, speed_mps=0.8, rolling_resistance=0.06)

@@ -11,7 +11,7 @@ from fastapi.testclient import TestClient
 
 from model import errors
 from service import problems
-from service.limits import RequestLimits
+from service.http.limits import RequestLimits
 
 
 def tree(cls: type[errors.JoulemapError]) -> list[type[errors.JoulemapError]]:

@@ -13,7 +13,7 @@ from model.loop.calibrated import CalibratedPredictor, Correction
 from model.loop.effects import Term
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.rerouting import compare_routes, drawn_tasks
+from service.loop.rerouting import compare_routes, drawn_tasks
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, rolling_resistance=0.05)
 PLACES = np.stack(np.meshgrid(np.arange(3.5, 38.0, 4.0), np.arange(3.5, 28.0, 4.0)), axis=-1).reshape(-1, 2)

@@ -9,10 +9,10 @@ from model.energy.predictor import load_predictor
 from model.loop.calibrated import Correction, save_calibrated
 from model.loop.effects import Term
 from model.robot import Robot
-from service.jobs import Worker
+from service.jobs.makers import make_makers
+from service.jobs.worker import Worker
 from service.settings import Settings
-from service.state import make_makers
-from service.store import Store
+from service.storage.store import Store
 from tests.service.workers import fingerprint, rolling, until
 
 WIND = Term("wind", "wind_constant", ("J/m", "J/m"), coefficients=(7.0, 3.0))

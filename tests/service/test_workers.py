@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from service.jobs import SERVICE
-from service.steps import Steps
-from service.store import Store
-from service.tables import StepRow
+from service.jobs.steps import Steps
+from service.jobs.worker import SERVICE
+from service.storage.store import Store
+from service.storage.tables import StepRow
 from tests.service.test_restart import free_port
 from tests.service.workers import asked, fingerprint, postgres, postgres_programs, rolling, until, worker
 

@@ -20,7 +20,7 @@ import zarr
 from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
-from service.store import Store
+from service.storage.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -28,10 +28,10 @@ WORK = """
 import sys, time
 import planner.tiles
 planner.tiles.TILE_CELLS = 32  # many tiles on a small map
-import service.building as building
-from service.jobs import Worker
-from service.store import Store
-from service.state import make_makers
+import service.jobs.costmaps as building
+from service.jobs.worker import Worker
+from service.storage.store import Store
+from service.jobs.makers import make_makers
 from service.settings import Settings
 build, pause = building.build_tile, float(sys.argv[3])
 def slowly(*args):

@@ -9,7 +9,6 @@ import pytest
 
 from model.energy.physics import PhysicsPredictor
 from model.energy.uncertainty import USUAL_SPREAD, Spread
-from model.errors import ConflictError
 from model.frames import GridFrame, heading_bins
 from model.loop.calibrated import CalibratedPredictor, Correction
 from model.loop.effects import FORMULAS, GROUND, Term, quantity
@@ -73,9 +72,14 @@ def test_turns_go_into_the_robot():
     assert source.robot_with_turning(ROBOT).mass_kg == ROBOT.mass_kg
 
 
-def test_charge_without_voltage_makes_no_plan():
-    with pytest.raises(ConflictError, match="ampere seconds"):
-        calibrated(charge=True).segment_traction(hill(), ROBOT, [20.0], [15.0], [0.0])
+def test_charge_is_planned_at_the_nominal_voltage():
+    plane = Term("level", "plane", ("A s/m", "1/V", "1/V"), coefficients=(3.0, 0.05, 0.02))
+    source, base = calibrated(plane, charge=True), calibrated()
+    for heading in (0.0, math.pi):
+        t = base.segment_traction(hill(), ROBOT, [20.0], [15.0], [heading])[0]
+        ampere_seconds = 3.0 + 0.05 * max(t, 0.0) + 0.02 * min(t, 0.0)
+        price = ROBOT.price_per_m(source.segment_traction(hill(), ROBOT, [20.0], [15.0], [heading]))[0]
+        assert price == pytest.approx(max(ROBOT.nominal_voltage_v * ampere_seconds, ROBOT.hotel_per_m))
 
 
 def test_the_deviation_is_that_of_what_remained():
@@ -94,7 +98,7 @@ def test_the_deviation_is_that_of_what_remained():
 
 def test_who_reads_the_ground_says_so():
     """Of every formula and quantity: those whose code reads the ground of a drive are listed, and no others."""
-    fields = ("grade", "cross_abs", "cross_sq", "cross", "roughness_m", "elevation_m")
+    fields = ("grade", "along", "cross_abs", "cross_sq", "cross", "roughness_m", "elevation_m", "hollow_m")
     for name, formula in FORMULAS.items():
         reads = any(f"drive.{field}" in inspect.getsource(formula) for field in fields)
         assert reads == (name in GROUND), name

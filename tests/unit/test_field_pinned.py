@@ -14,7 +14,7 @@ from model.field.robots import FieldRobot
 from model.field.simulation import simulate_segments, simulate_trace
 from model.field.sites import named_site
 from model.robot import Robot
-from service.pretraining import make_pretraining_set
+from service.learning.pretraining import make_pretraining_set
 
 
 def digest(*arrays) -> str:

@@ -1,13 +1,18 @@
 """Wheel speeds into tracks: arcs in closed form, turns on the spot, and the real Husky where it lies beside."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from model.errors import InputError, RunsError
-from model.loop.odometry import HUSKY_TRACK_M, cut_travel, flat_heightmap, integrate, read_odometry
+from model.loop.odometry import cut_travel, flat_heightmap, integrate, read_odometry, terrain_in_name
 from model.loop.segments import cut_segments
+
+HUSKY_TRACK_M = 1.07
+"""Effective track of a Clearpath Husky A200: wheel_separation 0.571 m times wheel_separation_multiplier 1.875.
+Source: husky_control/config/control.yaml of the robot's ROS packages."""
 
 
 def write(path, left, right, current=3.0, **more):
@@ -35,9 +40,10 @@ def test_nothing_is_driven_over_a_gap_or_back_in_time():
 
 
 def test_a_straight_log_becomes_a_run_for_the_segments(tmp_path):
-    run = read_odometry(write(tmp_path / "snow_00.csv", np.full(200, 0.5), np.full(200, 0.5)), terrain="snow")
+    file = write(tmp_path / "snow_00.csv", np.full(200, 0.5), np.full(200, 0.5))
+    run = read_odometry(file, track_m=1.0, terrain="snow")
     segments = cut_segments(run, charge=True)
-    travelled = cut_travel(run)
+    travelled = cut_travel(run, charge=True)
     assert len(segments) >= 14
     assert len(travelled) == 15  # 199 steps at 6.5 Hz and 0.5 m/s are 15.3 m
     for each in (segments, travelled):
@@ -52,7 +58,7 @@ def test_a_straight_log_becomes_a_run_for_the_segments(tmp_path):
 def test_turning_on_the_spot_is_wheel_travel(tmp_path):
     run = read_odometry(write(tmp_path / "ice.csv", np.full(200, 0.2), np.full(200, -0.2)), track_m=0.8)
     assert np.nanmax(np.abs(run.x)) == 0.0
-    segments = cut_travel(run)
+    segments = cut_travel(run, charge=True)
     assert len(segments) == 6  # 30.6 s at 0.2 m/s
     np.testing.assert_allclose(segments.heading_change_rad, 0.4 / 0.8 * 5.0, rtol=1e-6)  # 5 s per metre
     np.testing.assert_allclose(segments.gentle_turn_rad[:, 0], 0.05 * 5.0, rtol=1e-6)
@@ -60,9 +66,24 @@ def test_turning_on_the_spot_is_wheel_travel(tmp_path):
     np.testing.assert_allclose(segments.extras["speed"], 0.0, atol=1e-12)
 
 
+def test_energy_is_integrated_where_a_voltage_was_logged(tmp_path):
+    straight = np.full(200, 0.5)
+    run = read_odometry(write(tmp_path / "a.csv", straight, straight, voltage=np.full(200, 24.0)), track_m=1.0)
+    segments = cut_travel(run)
+    assert not segments.charge
+    np.testing.assert_allclose(segments.energy_j, 24.0 * 6.0 * 2.0, rtol=1e-6)
+    with pytest.raises(RunsError, match="no voltage"):
+        cut_travel(read_odometry(write(tmp_path / "b.csv", straight, straight), track_m=1.0))
+
+
+def test_the_ground_is_read_from_a_name():
+    names = {"snow_02.csv": "snow", "sandy_loam_10.csv": "sandy_loam", "ice.csv": "ice", "07.csv": None}
+    assert {name: terrain_in_name(Path(name)) for name in names} == names
+
+
 def test_stands_divide_a_run(tmp_path):
     speed = np.concatenate([np.full(45, 0.5), np.zeros(30), np.full(45, 0.5)])
-    segments = cut_travel(read_odometry(write(tmp_path / "a.csv", speed, speed)))
+    segments = cut_travel(read_odometry(write(tmp_path / "a.csv", speed, speed), track_m=1.0), charge=True)
     assert len(segments) == 6
     assert segments.duration_s.max() == pytest.approx(2.0, rel=0.01)
     assert segments.left_out == {"remainders": 2}
@@ -71,8 +92,8 @@ def test_stands_divide_a_run(tmp_path):
 def test_what_is_missing_is_named(tmp_path):
     file = tmp_path / "a.csv"
     file.write_text("time,velL,curL,curR\n" + "\n".join(f"{k},1,1,1" for k in range(9)))
-    with pytest.raises(RunsError, match="'velR'"):
-        read_odometry(file)
+    with pytest.raises(RunsError, match="'speed_right'"):
+        read_odometry(file, track_m=1.0)
     with pytest.raises(InputError, match="track"):
         read_odometry(file, track_m=0.0)
     with pytest.raises(InputError, match="no run"):
@@ -82,7 +103,7 @@ def test_what_is_missing_is_named(tmp_path):
 def test_the_husky_turns_dearer_on_loam_than_on_ice(real_data):
     def charge_per_s(name):
         run = read_odometry(real_data / "husky" / f"{name}.csv", track_m=HUSKY_TRACK_M)
-        segments = cut_travel(run)
+        segments = cut_travel(run, charge=True)
         return len(segments), float(segments.energy_j.sum() / segments.duration_s.sum())
 
     # the data's README: sandy loam about 22 A turning and 7.7 A straight, ice 6.4 and 4.9 A
@@ -94,8 +115,8 @@ def test_the_husky_turns_dearer_on_loam_than_on_ice(real_data):
 
 
 def test_real_odometry_is_metres_long(real_data):
-    run = read_odometry(real_data / "husky" / "mixed_00.csv")
+    run = read_odometry(real_data / "husky" / "mixed_00.csv", track_m=HUSKY_TRACK_M)
     assert {"SNOW", "ASPHALT", "FLOORING"} <= set(run.texts["terrain"])
-    segments = cut_travel(run)
+    segments = cut_travel(run, charge=True)
     assert len(segments) == pytest.approx(250, abs=30)
     assert math.isclose(segments.driven_m.sum(), len(segments))

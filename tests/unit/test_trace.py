@@ -8,13 +8,16 @@ import pytest
 from scipy.signal import lfilter
 
 from model.errors import ConflictError, ModelError, RunsError
+from model.loop.bounds import bounded
 from model.loop.calibrated import Correction, read_calibrated, save_calibrated
 from model.loop.calibration import calibrate
 from model.loop.drive import Drive
-from model.loop.effects import Term
+from model.loop.effects import Term, inside
+from model.loop.fitting import fit_terms
 from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
+from model.loop.steps import step_chance
 from model.loop.track import TURN_LIMITS_RADPS
 from model.robot import Robot
 
@@ -44,6 +47,7 @@ def made_up(rng, *, runs=6, each=120, heading=None) -> Drive:
             "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "cross": 0.04 * smooth_noise(rng, each),
             "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)), "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
             "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)), "elevation_m": smooth_noise(rng, each),
+            "hollow_m": 0.05 * smooth_noise(rng, each),
             "since_s": clock - clock[0], "driven_m": np.arange(each) + 1.0, "clock_s": clock,
             "temperature": 15.0 + run + 0.3 * smooth_noise(rng, each),
         })  # fmt: skip
@@ -145,6 +149,35 @@ def test_a_wind_nobody_logged_is_a_diagnosis_and_acts_in_these_runs_only():
     assert not effect.term.energy(elsewhere).any()
 
 
+def test_ruts_that_scale_the_motion_are_no_wind():
+    rng = np.random.default_rng(6)
+    drive = made_up(rng)
+    drive = replace(drive, traction_per_m=np.maximum(drive.traction_per_m, 0.0))
+    found = found_in(drive, noisy(rng, drive, 0.4 * np.cos(drive.heading_rad - 1.0) * drive.motion_part))
+    assert found.effects[0].term.name == "learned:heading"
+    assert found.effects[0].term.settings["of_motion"]
+    assert found.effects[0].term.coefficients == pytest.approx([0.4 * np.sin(1.0), 0.4 * np.cos(1.0)], abs=0.06)
+
+
+def test_a_word_that_changes_once_is_told_by_the_step_from_what_differs_between_runs():
+    rng = np.random.default_rng(8)
+    drive = made_up(rng)
+    sand = np.arange(len(drive)) > 4.5 * 120  # halfway through the fifth run of six
+    drive = replace(drive, words={"terrain": np.where(sand, "sand", "grass")})
+    found = found_in(drive, noisy(rng, drive, 0.4 * drive.motion_part * sand))
+    assert found.effects[0].term.name == "terrain_class"
+
+
+def test_a_step_is_judged_by_the_jumps_of_all_other_places():
+    rng = np.random.default_rng(2)
+    run, state = np.repeat(np.arange(6), 120), np.repeat([0.0, 0.0, 0.0, 0.0, 1.0, 1.0], 120)
+    state[4 * 120 : 4 * 120 + 60] = 0.0
+    quiet = [step_chance(rng.standard_normal(720), state, run) for _ in range(200)]
+    assert np.mean(np.array(quiet) < 0.05) < 0.09  # 0.05 and two standard errors of 200 tries
+    assert step_chance(rng.standard_normal(720) + 3.0 * state, state, run) < 1e-4
+    assert step_chance(3.0 * state, (run > 3).astype(float), run) == 1.0  # changes between runs only
+
+
 def test_cost_that_grows_with_warmth_is_not_called_temperature():
     rng = np.random.default_rng(8)
     drive = made_up(rng)
@@ -160,6 +193,57 @@ def test_one_or_two_runs_cannot_show_a_shift_of_whole_runs(runs):
     drive = made_up(rng, runs=runs, each=150)
     found = found_in(drive, noisy(rng, drive, 0.15 * drive.predicted))
     assert not [e for e in found.effects if e.p_value < 0.05]
+
+
+def on_two_grounds(rng):
+    """A drive over grass and loam in long stretches."""
+    drive = made_up(rng)
+    loam = np.concatenate([np.roll(np.arange(120) // 30 % 2, 15 * k) for k in range(6)]).astype(bool)
+    return replace(drive, words={"terrain": np.where(loam, "loam", "grass")}), loam
+
+
+def test_an_interaction_is_found_with_the_effects_that_it_joins():
+    rng = np.random.default_rng(12)
+    drive, loam = on_two_grounds(rng)
+    turned = drive.turned_abs_rad
+    found = found_in(drive, noisy(rng, drive, 30.0 * turned + 12.0 * loam + 50.0 * turned * loam))
+    effects = {e.term.name: e for e in found.effects}
+    assert set(effects) == {"turning", "terrain_class", "turning x terrain_class"}
+    for effect in effects.values():
+        assert effect.p_value < 0.05
+        assert effect.share > 0.02
+        assert not effect.term.where  # where they differ is the interaction's to say
+    both = sum(e.term.energy(drive) for e in found.effects)
+    rad = np.array([both[(turned > 0.5) & where].sum() / turned[(turned > 0.5) & where].sum()
+                    for where in (loam, ~loam)])  # fmt: skip
+    np.testing.assert_allclose(rad[0] - rad[1], 50.0 + 12.0 / turned[(turned > 0.5) & loam].mean(), rtol=0.25)
+
+
+def test_progress_moves_with_every_round_and_ends_at_one():
+    rng = np.random.default_rng(12)
+    drive, loam = on_two_grounds(rng)
+    told = []
+    found_in(drive, noisy(rng, drive, (30.0 + 50.0 * loam) * drive.turned_abs_rad), progress=told.append)
+    assert len(told) > 3
+    assert told == sorted(told)
+    assert (told[0] > 0.0, told[-1]) == (True, 1.0)
+
+
+def test_an_interaction_alone_brings_no_ground_along():
+    rng = np.random.default_rng(13)
+    drive, loam = on_two_grounds(rng)
+    found = found_in(drive, noisy(rng, drive, 80.0 * drive.turned_abs_rad * loam))
+    names = [e.term.name for e in found.effects]
+    assert names
+    assert set(names) <= {"turning", "turning x terrain_class"}
+
+
+def test_a_battery_has_no_thousand_ohms():
+    rng = np.random.default_rng(14)
+    drive = made_up(rng)
+    amps = drive.predicted / drive.duration_s / ROBOT.nominal_voltage_v
+    found = found_in(drive, noisy(rng, drive, 40.0 * amps**2 * drive.duration_s))
+    assert "battery" not in [e.term.name for e in found.effects]
 
 
 def test_one_direction_only_says_nothing_of_wind():
@@ -183,6 +267,47 @@ def test_what_the_base_runs_show_too_is_no_news():
     names = tuple(f"run{k}" for k in range(6))
     known = residuals_of(base, noisy(rng, base, EFFECTS["turning"](base)), names, charge=False)
     assert not found_in(new, noisy(rng, new, EFFECTS["turning"](new)), base=known).effects
+
+
+def test_of_an_effect_only_what_the_base_runs_do_not_show_is_stated():
+    """The base model is off by 0.3 along the formula everywhere: 0.9 more of it is what the new runs have."""
+    rng = np.random.default_rng(19)
+    term = Term("speed", "speed", ("",), {"power": 1, "absolute": False})
+    past, drive = made_up(rng), made_up(rng)
+    wrong, more = (c * ROBOT.weight_n for c in (0.3, 0.9))
+    names = tuple(f"run{k}" for k in range(6))
+    base = residuals_of(past, noisy(rng, past, wrong * term.columns(past)[:, 0]), names, charge=False)
+    new = residuals_of(drive, noisy(rng, drive, (wrong + more) * term.columns(drive)[:, 0]), names, charge=False)
+    fit = fit_terms(new, [term], base=base)
+    assert fit.terms[0].coefficients[0] == pytest.approx(wrong + more, rel=0.15)
+    assert fit.own[0][0] == pytest.approx(wrong, rel=0.3)
+    assert fit.low[0][0] < more < fit.high[0][0]
+    assert not fit_terms(new, [term]).own[0].any()
+
+
+def test_where_an_effect_begins_is_fitted_and_in_doubt():
+    rng = np.random.default_rng(23)
+    drive = made_up(rng)
+    uphill = replace(drive, grades=drive.grades + np.linspace(-0.03, 0.03, 5))
+    truth = Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {"over": "grade", "above": 0.02}, (30.0,))
+    new = residuals_of(
+        uphill, noisy(rng, uphill, truth.energy(uphill)), tuple(f"run{k}" for k in range(6)), charge=False
+    )
+    (term,), others = bounded(new, [replace(truth, where={"over": "grade", "above": 0.0})], [])
+    assert term.where["above"] == pytest.approx(0.02, abs=0.015)
+    alone, fit = fit_terms(new, [term]), fit_terms(new, [term], others=others)
+    assert fit.low[0][0] < 30.0 < fit.high[0][0]
+    assert others
+    assert fit.high[0][0] - fit.low[0][0] > alone.high[0][0] - alone.low[0][0]
+
+
+def test_a_metre_over_the_brow_is_partly_uphill_and_partly_downhill():
+    drive = replace(made_up(np.random.default_rng(2), each=40), grades=None)
+    brow = replace(drive, grades=np.tile([0.04, 0.02, 0.0, -0.02, -0.04], (len(drive), 1)))
+    assert inside(brow, {"over": "grade", "above": 0.01}) == pytest.approx(0.375)  # trapezoids over a quarter metre
+    down = Term("braking", "braking", ("",), {"from_grade": 0.0}, {}, (1.0,))
+    assert down.energy(brow) == pytest.approx(ROBOT.weight_n * 0.01)
+    assert down.energy(drive) == pytest.approx(ROBOT.weight_n * np.maximum(-drive.grade, 0.0))
 
 
 def test_a_calibration_is_kept_whole_and_never_changed(tmp_path):

@@ -1,0 +1,84 @@
+"""Which logged columns residuals may be asked about, and why not the others: nothing may copy the measurement."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.loop.drive import Drive
+from model.loop.residual import Residuals
+
+FloatArray = NDArray[np.float64]
+
+_OF_POSITION = frozenset({"heading", "gps_course", "gps_error", "speed", "gps_speed", "z", "lat", "lon"})
+_MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
+_COPY = 0.95
+_SPIKE = 8.0  # times the median size
+
+
+def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
+    """Logged columns that vary, copy no other column, and are no part of the measurement; why the others are not goes
+    into `refused`."""
+    drive, moving = residuals.drive, residuals.moving
+    only = drive.take(moving)
+    meters = {key: values for key, values in electric.items() if key != "ripple"}
+    kept: dict[str, FloatArray] = {}
+    for key, every in sorted(drive.columns.items()):
+        values = every[moving]
+        known = np.isfinite(values)
+        if key in _OF_POSITION:
+            continue
+        if _MEASUREMENT.search(key):
+            refused[f"learned:{key}"] = "it is part of the measurement itself"
+        elif known.mean() < 0.5:
+            refused[f"learned:{key}"] = f"recorded on {known.mean():.0%} of the segments only"
+        elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
+            refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
+        elif copied := next((m for m, e in meters.items() if _alike(values, e[moving], only)), None):
+            refused[f"learned:{key}"] = f"a copy of the {copied}, which is part of the measurement itself"
+        elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
+            refused[f"learned:{key}"] = f"identical to {twin}"
+        elif residuals.charge and _constant_in_runs(values, drive.run[moving]):
+            refused[f"learned:{key}"] = "constant within every run, whose level is not known either"
+        else:
+            kept[key] = values
+    return list(kept)
+
+
+def _alike(values: FloatArray, electric: FloatArray, drive: Drive) -> bool:
+    """Whether a column follows a reading of the battery from segment to segment: what both have of a day's slow course
+    (a voltage sinks while the air warms) makes no copy, so that each run's straight line in time is taken out; nor do
+    spikes, which were taken out of the reading, make a copy another."""
+    both = np.isfinite(values) & np.isfinite(electric)
+    for _ in range(3):
+        if both.sum() < 10:
+            return False
+        run, since = drive.run[both], drive.since_s[both]
+        a, b = (_without_lines(v[both], run, since) for v in (values, electric))
+        near = np.all([np.abs(v) <= _SPIKE * np.median(np.abs(v)) for v in (a, b)], axis=0)
+        both[both] = near
+    a, b = a[near], b[near]
+    least = 1e-9 * max(1.0, float(np.abs(values[both]).max()))
+    return bool(a.std() > least and b.std() > 1e-9 and abs(np.corrcoef(a, b)[0, 1]) > _COPY)
+
+
+def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray) -> FloatArray:
+    out = values.copy()
+    for k in np.unique(run):
+        mine = run == k
+        line = np.stack([np.ones(mine.sum()), since[mine] - since[mine].mean()], axis=1)
+        out[mine] -= line @ np.linalg.lstsq(line, values[mine], rcond=None)[0]
+    return out
+
+
+def _same(a: FloatArray, b: FloatArray) -> bool:
+    both = np.isfinite(a) & np.isfinite(b)
+    return bool(both.any() and a[both].std() > 0 and abs(np.corrcoef(a[both], b[both])[0, 1]) > 1.0 - 1e-9)
+
+
+def _constant_in_runs(values: FloatArray, run: NDArray[np.int64]) -> bool:
+    known = np.isfinite(values)
+    return all(np.ptp(values[mine]) < 1e-9 for k in np.unique(run) if (mine := known & (run == k)).any())

@@ -1,0 +1,29 @@
+"""Where on the map a field of bell curves, or a circle, may stand: where enough was driven to say something of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.loop.drive import Drive
+
+FloatArray = NDArray[np.float64]
+
+_OFTEN = 12  # segments
+
+
+def field_settings(drive: Drive, width_m: float) -> dict[str, Any]:
+    """Bell curves of a width [m] over all ground that is driven often enough to say something of it."""
+    x, y = drive.x, drive.y
+    centres = [[round(cx, 2), round(cy, 2)] for cx, cy in grid_over(x, y, 1.3 * width_m)]
+    centres = [c for c in centres if (np.hypot(x - c[0], y - c[1]) <= width_m).sum() >= _OFTEN]
+    return {"centres": centres, "width_m": round(width_m, 2)}
+
+
+def grid_over(x: FloatArray, y: FloatArray, spacing: float) -> list[tuple[float, float]]:
+    """Places of a square grid over all points."""
+    xs = np.arange(x.min() + 0.25 * spacing, x.max() + 0.25 * spacing, spacing)
+    ys = np.arange(y.min() + 0.25 * spacing, y.max() + 0.25 * spacing, spacing)
+    return [(float(a), float(b)) for a in xs for b in ys]

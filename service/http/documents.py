@@ -1,0 +1,84 @@
+"""What the OpenAPI document says about errors and about bodies that FastAPI cannot derive from a signature."""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from service.problems import MEDIA_TYPE
+from service.schemas.planning import CostmapOptions, CostmapRequest, Problem, UploadOptions
+
+_REF = "#/components/schemas/{model}"
+_FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
+_FORMATS = "GeoTIFF, ESRI ASCII grid, NumPy .npy or .npz, or greyscale PNG (with scale_m)"
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The `responses` of a route that can answer with these problems; 413 and 422 and 500 always can."""
+    content = {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}
+    return {
+        status: {"description": HTTPStatus(status).phrase, "content": content}
+        for status in sorted({*statuses, 400, 413, 422, 500})
+    }
+
+
+def upload_body() -> dict[str, Any]:
+    """`openapi_extra` of the heightmap upload: a form with a file, or the file itself."""
+    heightmap = {**_FILE, "description": f"the heightmap: {_FORMATS}"}
+    fields = UploadOptions.model_json_schema()["properties"]
+    return _form_or_file({"file": heightmap, **fields}, {"application/octet-stream": _FILE, "image/tiff": _FILE})
+
+
+def runs_body() -> dict[str, Any]:
+    """`openapi_extra` of the upload of runs: a form with a file for each, or one file itself."""
+    run = {**_FILE, "description": "a measured run: CSV or Parquet"}
+    files = {"type": "array", "items": run, "minItems": 1}
+    return _form_or_file({"file": files}, {"text/csv": {"type": "string"}, "application/octet-stream": _FILE})
+
+
+def _form_or_file(fields: dict[str, Any], raw: dict[str, Any]) -> dict[str, Any]:
+    form = {"type": "object", "properties": fields, "required": ["file"], "additionalProperties": False}
+    content = {"multipart/form-data": form, **raw}
+    return {"requestBody": {"required": True, "content": {kind: {"schema": body} for kind, body in content.items()}}}
+
+
+def costmap_body() -> dict[str, Any]:
+    """`openapi_extra` of the cost map request: JSON with a heightmap's id, or a form with the heightmap itself."""
+    fields = UploadOptions.model_json_schema()["properties"]
+    options = {"type": "string", "description": "CostmapOptions as JSON", "contentMediaType": "application/json"}
+    form = {
+        "type": "object",
+        "properties": {"file": {**_FILE, "description": f"the heightmap: {_FORMATS}"}, "options": options, **fields},
+        "required": ["file"],
+        "additionalProperties": False,
+    }
+    return {
+        "requestBody": {
+            "required": True,
+            "content": {
+                "application/json": {"schema": {"$ref": _REF.format(model="CostmapRequest")}},
+                "multipart/form-data": {"schema": form},
+            },
+        }
+    }
+
+
+def install(app: FastAPI) -> None:
+    """Make `app.openapi()` complete: the schemas that only problems and hand-written bodies refer to."""
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+            schemas = document["components"]["schemas"]
+            for model in (Problem, CostmapRequest, CostmapOptions):
+                schema = model.model_json_schema(ref_template=_REF)
+                schemas.update(schema.pop("$defs", {}))
+                schemas[model.__name__] = schema
+            document["components"]["schemas"] = dict(sorted(schemas.items()))
+            app.openapi_schema = document
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]

@@ -1,0 +1,110 @@
+"""Calibrations: asked for, listed, told about, deleted."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import anyio
+from fastapi import APIRouter, Depends, Response
+from fastapi.responses import HTMLResponse
+from pydantic import BaseModel
+
+from model.errors import InputError, TooLargeError
+from model.robot import Robot
+from service.http.documents import problems
+from service.http.routes.heightmaps import Limit, Offset
+from service.http.routes.waiting import Prefer, job_answer
+from service.http.state import Service, get_service
+from service.jobs.calibrations import PAGE
+from service.loop.calibrating import refuse_calibrated
+from service.models import find_predictor
+from service.schemas.answers import calibration_out
+from service.schemas.loop import CalibrationOut, CalibrationRequest
+from service.schemas.planning import robot_values
+from service.storage.tables import CALIBRATION, CalibrationRow
+
+router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
+ServiceDep = Annotated[Service, Depends(get_service)]
+PLACE = "/v1/calibrations"
+
+
+class CalibrationList(BaseModel):
+    """One page, newest first, without reports."""
+
+    total: int
+    items: list[CalibrationOut]
+
+
+@router.post(
+    "",
+    status_code=202,
+    response_model=CalibrationOut,
+    responses={
+        201: {"model": CalibrationOut, "description": "Done within the time of `Prefer: wait=SECONDS`"},
+        **problems(404, 409, 503),
+    },
+)
+async def make_calibration(wanted: CalibrationRequest, service: ServiceDep, prefer: Prefer = None) -> Response:
+    """Ask what a model lacks on measured runs: effects with evidence, and a model that has them; in the background."""
+    row = await anyio.to_thread.run_sync(_enqueue, service, wanted)
+    return await job_answer(
+        service, row.id, PLACE, prefer, load=service.store.calibration, answer=calibration_out
+    )  # fmt: skip
+
+
+@router.get("", responses=problems())
+def list_calibrations(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CalibrationList:
+    """The calibrations that are kept or being made, newest first."""
+    rows, total = service.store.calibrations(limit=limit, offset=offset)
+    return CalibrationList(total=total, items=[calibration_out(row, with_report=False) for row in rows])
+
+
+@router.get("/{calibration_id}", responses=problems(404))
+def get_calibration(calibration_id: str, service: ServiceDep) -> CalibrationOut:
+    """Status and progress; when done, the report and the id of the model that has what was found."""
+    return calibration_out(service.store.calibration(calibration_id))
+
+
+@router.get(
+    "/{calibration_id}/report.html",
+    response_class=HTMLResponse,
+    responses={200: {"description": "The report as a page"}, **problems(404, 409)},
+)
+def get_report(calibration_id: str, service: ServiceDep) -> HTMLResponse:
+    """The report with its plots, in one file without anything to load."""
+    row = service.done_calibration(calibration_id)
+    return HTMLResponse((service.store.calibration_folder(row.id) / PAGE).read_bytes())
+
+
+@router.delete("/{calibration_id}", status_code=204, responses=problems(404, 409))
+def delete_calibration(calibration_id: str, service: ServiceDep) -> None:
+    """Delete a calibration and its model, or stop one that is being made; refused while cost maps use the model."""
+    service.delete_calibration(calibration_id)
+
+
+def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
+    """Raises what can be known to be wrong without calibrating: NotFoundError, RobotError, ModelError, InputError,
+    TooLargeError, and BusyError."""
+    heightmap = service.store.heightmap(wanted.heightmap_id)
+    aside = list(dict.fromkeys(wanted.aside_runs))
+    runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in aside]
+    if not runs:
+        raise InputError("all runs are kept aside: there is none to learn from", field="aside_runs")
+    sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*runs, *wanted.base_runs, *aside])]
+    settings = service.settings
+    for key, limit in (("rows", settings.max_calibration_rows), ("segments", settings.max_calibration_segments)):
+        count = sum(run[key] for row in sent for run in row.stats)
+        if count > limit:
+            raise TooLargeError(
+                f"these runs have {count:,} {key}, the limit of a calibration is {limit:,}: send fewer",
+                limit=limit, **{key: count},
+            )  # fmt: skip
+    robot = Robot.from_mapping(robot_values(wanted.robot))
+    predictor = find_predictor(wanted.model, models_dir=settings.resolved_models_dir)
+    refuse_calibrated(wanted.model, predictor)
+    service.jobs.check_room(CALIBRATION)
+    asked = wanted.model_dump(include={"model", "start", "goal", "seed"})
+    asked |= {"runs": runs, "base_runs": list(dict.fromkeys(wanted.base_runs)), "aside_runs": aside}
+    row = service.store.add_calibration(heightmap.id, {"robot": robot.as_dict(), **asked})
+    service.jobs.submit()
+    return row

@@ -1,0 +1,106 @@
+"""What is in a cost map: its data as files, its picture, its prices at one place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter, Depends, Query, Response
+from fastapi.responses import StreamingResponse
+
+from planner.lattice_io import export_geotiff, export_npz
+from service.http.documents import problems
+from service.http.state import Service, with_kernels
+from service.http.zip_stream import zip_folder
+from service.pictures import lattice_image
+from service.schemas.answers import number
+from service.schemas.planning import AtOut
+from service.workflows import costs_at
+
+router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
+KernelsDep = Annotated[Service, Depends(with_kernels)]
+Finite = Annotated[float, Query(allow_inf_nan=False)]
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+@router.get(
+    "/data",
+    response_class=Response,
+    responses={
+        200: {
+            "description": "The cost map as a file",
+            "content": {"image/tiff": _BINARY, "application/zip": _BINARY, "application/octet-stream": _BINARY},
+        },
+        **problems(404, 409, 503),
+    },
+)
+def get_data(
+    costmap_id: str,
+    service: KernelsDep,
+    format: Annotated[
+        Literal["geotiff", "npz", "zarr"],
+        Query(description="geotiff: a band per heading [J/m]; npz: arrays; zarr: the kept lattice, zipped"),
+    ] = "geotiff",
+) -> Response:
+    """The whole cost map as a file."""
+    service.done_costmap(costmap_id)
+    if format == "zarr":
+        folder = service.store.lattice_path(costmap_id)
+        return _file(zip_folder(folder), "application/zip", f"{costmap_id}.zarr.zip")
+    with service.maps.use(costmap_id) as planner:
+        if format == "geotiff":
+            data, kind, suffix = export_geotiff(planner.lattice), "image/tiff", "tif"
+        else:
+            data, kind, suffix = export_npz(planner.lattice), "application/octet-stream", "npz"
+    return _file(iter([data]), kind, f"{costmap_id}.{suffix}")
+
+
+@router.get(
+    "/image.png",
+    response_class=Response,
+    responses={200: {"description": "A picture", "content": {"image/png": _BINARY}}, **problems(404, 409, 503)},
+)
+def get_image(
+    costmap_id: str,
+    service: KernelsDep,
+    heading_deg: Annotated[
+        float | None, Query(allow_inf_nan=False, description="clockwise from north [deg]: the prices in this heading")
+    ] = None,
+    view: Annotated[
+        Literal["mean", "directionality", "heading"] | None,
+        Query(description="mean over the headings, or dearest minus cheapest heading"),
+    ] = None,
+) -> Response:
+    """A picture of the cost map: the mean over headings, one heading, or how much the heading matters."""
+    service.done_costmap(costmap_id)
+    chosen = view or ("mean" if heading_deg is None else "heading")
+    with service.maps.use(costmap_id) as planner:
+        png = lattice_image(planner.lattice, view=chosen, heading_deg=heading_deg)
+    return Response(png, media_type="image/png")
+
+
+@router.get("/at", responses=problems(404, 409, 503))
+def get_at(
+    costmap_id: str,
+    service: KernelsDep,
+    x: Annotated[Finite, Query(description="world x [m]", examples=[12.5])],
+    y: Annotated[Finite, Query(description="world y [m]", examples=[40.5])],
+) -> AtOut:
+    """Energy per metre at one place over all headings, and why some may not be driven."""
+    service.done_costmap(costmap_id)
+    with service.maps.use(costmap_id) as planner:
+        costs = costs_at(planner.lattice, x, y)
+    return AtOut(
+        x=x,
+        y=y,
+        elevation_m=number(costs.elevation_m),
+        headings_deg=np.rad2deg(costs.headings_rad).tolist(),
+        energy_per_m=[number(v) for v in costs.energy_per_m.tolist()],
+        blocked=costs.reasons,
+    )
+
+
+def _file(chunks: Iterator[bytes], kind: str, name: str) -> StreamingResponse:
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return StreamingResponse(chunks, media_type=kind, headers=headers)

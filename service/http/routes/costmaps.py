@@ -1,0 +1,130 @@
+"""Cost maps: asked for, listed, told about, deleted."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import anyio
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import BaseModel, ValidationError
+from starlette.datastructures import FormData
+from starlette.exceptions import HTTPException
+
+from model.frames import GridFrame
+from model.robot import Robot
+from service.http.documents import costmap_body, problems
+from service.http.routes.heightmaps import Limit, Offset
+from service.http.routes.waiting import Prefer, job_answer
+from service.http.state import Service, get_service
+from service.http.uploads import invalid, media_type, take_form
+from service.models import find_predictor
+from service.schemas.answers import costmap_out
+from service.schemas.planning import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions, robot_values
+from service.storage.tables import CostmapRow, HeightmapRow
+from service.workflows import check_lattice
+
+router = APIRouter(prefix="/costmaps", tags=["cost maps"])
+ServiceDep = Annotated[Service, Depends(get_service)]
+
+
+class CostmapList(BaseModel):
+    """One page, newest first."""
+
+    total: int
+    items: list[CostmapOut]
+
+
+@router.post(
+    "",
+    status_code=202,
+    response_model=CostmapOut,
+    responses={
+        201: {"model": CostmapOut, "description": "Done within the time of `Prefer: wait=SECONDS`"},
+        **problems(404, 409, 415, 503),
+    },
+    openapi_extra=costmap_body(),
+)
+async def make_costmap(
+    request: Request,
+    service: ServiceDep,
+    options: Annotated[UploadOptions, Query()],
+    prefer: Prefer = None,
+) -> Response:
+    """Ask for a cost map of a heightmap that is kept, or of one sent along in a form; it is made in the background."""
+    service.jobs.check_room()
+    kind = media_type(request)
+    if kind == "multipart/form-data":
+        async with request.form(max_files=1, max_fields=20) as form:
+            wanted = _form_options(form)
+            await anyio.to_thread.run_sync(_check_settings, service, wanted)
+            heightmap = await take_form(form, service, options)
+    elif kind == "application/json":
+        wanted = await _json_request(request)
+        heightmap = await anyio.to_thread.run_sync(service.store.heightmap, wanted.heightmap_id)
+        await anyio.to_thread.run_sync(_check_settings, service, wanted)
+    else:
+        raise HTTPException(415, "send application/json, or multipart/form-data with the heightmap as `file`")
+    row = await anyio.to_thread.run_sync(_enqueue, service, heightmap, wanted)
+    return await job_answer(service, row.id, "/v1/costmaps", prefer, load=service.store.costmap, answer=costmap_out)
+
+
+@router.get("", responses=problems())
+def list_costmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CostmapList:
+    """The cost maps that are kept or being made, newest first."""
+    rows, total = service.store.costmaps(limit=limit, offset=offset)
+    return CostmapList(total=total, items=[costmap_out(row) for row in rows])
+
+
+@router.get("/{costmap_id}", responses=problems(404))
+def get_costmap(costmap_id: str, service: ServiceDep) -> CostmapOut:
+    """Status and progress; when done, the frame, the prices, what is blocked and why, and how it was made."""
+    return costmap_out(service.store.costmap(costmap_id))
+
+
+@router.delete("/{costmap_id}", status_code=204, responses=problems(404))
+def delete_costmap(costmap_id: str, service: ServiceDep) -> None:
+    """Delete a cost map; one that is being made is stopped."""
+    service.store.delete_costmap(costmap_id)
+    service.maps.forget(costmap_id)
+
+
+async def _json_request(request: Request) -> CostmapRequest:
+    try:
+        return CostmapRequest.model_validate_json(await request.body())
+    except ValidationError as error:
+        raise invalid(error, "body") from error
+
+
+def _form_options(form: FormData) -> CostmapOptions:
+    text = form.get("options", "{}")
+    try:
+        return CostmapOptions.model_validate_json(text if isinstance(text, str) else "")
+    except ValidationError as error:
+        raise invalid(error, "options") from error
+
+
+def _check_settings(service: Service, wanted: CostmapOptions) -> None:
+    """Everything that can be known to be wrong without the map. Raises RobotError, ModelError."""
+    Robot.from_mapping(robot_values(wanted.robot))
+    find_predictor(wanted.model, models_dir=service.settings.resolved_models_dir)
+
+
+def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) -> CostmapRow:
+    stats = heightmap.stats
+    west, _, _, north = stats["bounds"]
+    frame = GridFrame(west, north, stats["resolution_m"], stats["rows"], stats["cols"], stats["crs"])
+    limit = service.settings.max_lattice_values
+    check_lattice(frame, spacing_m=wanted.spacing_m, headings=wanted.headings, max_values=limit)
+    robot = Robot.from_mapping(robot_values(wanted.robot))
+    service.jobs.check_room()
+    row = service.store.add_costmap(
+        heightmap.id,
+        {
+            "robot": robot.as_dict(),
+            "model": wanted.model,
+            "spacing_m": wanted.spacing_m,
+            "headings": wanted.headings,
+        },
+    )
+    service.jobs.submit()
+    return row

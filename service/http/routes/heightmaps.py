@@ -1,0 +1,59 @@
+"""Heightmaps: sent, listed, told about, deleted."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import BaseModel
+
+from service.http.documents import problems, upload_body
+from service.http.state import Service, get_service
+from service.http.uploads import media_type, take_form, take_raw
+from service.schemas.answers import heightmap_out
+from service.schemas.planning import HeightmapOut, UploadOptions
+
+router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
+ServiceDep = Annotated[Service, Depends(get_service)]
+Limit = Annotated[int, Query(ge=1, le=1000, description="most items to answer")]
+Offset = Annotated[int, Query(ge=0, le=10**9, description="items to skip")]
+
+
+class HeightmapList(BaseModel):
+    """One page, newest first."""
+
+    total: int
+    items: list[HeightmapOut]
+
+
+@router.post("", status_code=201, responses=problems(), openapi_extra=upload_body())
+async def send_heightmap(
+    request: Request, response: Response, service: ServiceDep, options: Annotated[UploadOptions, Query()]
+) -> HeightmapOut:
+    """Send a heightmap, as the form field `file` or as the raw body; what the file does not say, as parameters."""
+    if media_type(request) == "multipart/form-data":
+        async with request.form(max_files=1, max_fields=20) as form:
+            row = await take_form(form, service, options)
+    else:
+        row = await take_raw(request, service, options)
+    response.headers["Location"] = f"/v1/heightmaps/{row.id}"
+    return heightmap_out(row)
+
+
+@router.get("", responses=problems())
+def list_heightmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> HeightmapList:
+    """The heightmaps that are kept, newest first."""
+    rows, total = service.store.heightmaps(limit=limit, offset=offset)
+    return HeightmapList(total=total, items=[heightmap_out(row) for row in rows])
+
+
+@router.get("/{heightmap_id}", responses=problems(404))
+def get_heightmap(heightmap_id: str, service: ServiceDep) -> HeightmapOut:
+    """What is known about one heightmap."""
+    return heightmap_out(service.store.heightmap(heightmap_id))
+
+
+@router.delete("/{heightmap_id}", status_code=204, responses=problems(404, 409))
+def delete_heightmap(heightmap_id: str, service: ServiceDep) -> None:
+    """Delete a heightmap; refused while cost maps made from it are kept."""
+    service.store.delete_heightmap(heightmap_id)

@@ -1,0 +1,68 @@
+"""Where to start, and whether the service lives and is ready."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Annotated
+
+from fastapi import APIRouter, Depends
+from fastapi.responses import HTMLResponse
+from pydantic import BaseModel, Field
+
+from planner.plan import PLANNERS
+from service.http.documents import problems
+from service.http.state import Service, get_service
+
+router = APIRouter(tags=["service"])
+ServiceDep = Annotated[Service, Depends(get_service)]
+
+
+class Live(BaseModel):
+    status: str = Field(examples=["live"])
+
+
+class Ready(BaseModel):
+    status: str = Field(examples=["ready"])
+    warm_up_s: float = Field(description="seconds that loading or compiling the kernels took [s]")
+
+
+class Index(BaseModel):
+    """Where things are."""
+
+    name: str
+    version: str
+    planners: list[str]
+    links: dict[str, str]
+
+
+@router.get("/healthz")
+async def healthz() -> Live:
+    """The process lives."""
+    return Live(status="live")
+
+
+@router.get("/readyz", responses={503: problems(503)[503]})
+async def readyz(service: ServiceDep) -> Ready:
+    """Ready once all kernels are compiled and loaded, so that the first question is as fast as the second."""
+    return Ready(status="ready", warm_up_s=service.check_ready())
+
+
+@router.get("/v1")
+async def index(service: ServiceDep) -> Index:
+    """Links to everything."""
+    links = {
+        "heightmaps": "/v1/heightmaps",
+        "costmaps": "/v1/costmaps",
+        "runs": "/v1/runs",
+        "calibrations": "/v1/calibrations",
+        "openapi": "/openapi.json",
+        "live": "/healthz",
+        "ready": "/readyz",
+    }
+    return Index(name="joulemap", version=service.version, planners=list(PLANNERS), links=links)
+
+
+@router.get("/", response_class=HTMLResponse, include_in_schema=False)
+def home() -> str:
+    """A page for people who look."""
+    return resources.files("service").joinpath("web/index.html").read_text(encoding="utf-8")

@@ -1,0 +1,123 @@
+"""Questions to a cost map: which way, and does the battery last?"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from fastapi import APIRouter, Depends, Header, Query, Response
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+
+from model.errors import ConflictError
+from model.robot import Robot
+from service.http.documents import problems
+from service.http.state import Service, with_kernels
+from service.problems import jsonable
+from service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
+from service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest, robot_values
+from service.schemas.tours import TourOut, TourRequest, tour_out
+from service.storage.tables import CostmapRow
+from service.workflows import assess, judge_routes
+
+router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"])
+KernelsDep = Annotated[Service, Depends(with_kernels)]
+GEOJSON = "application/geo+json"
+
+
+@router.post(
+    "/paths",
+    response_model=PathOut,
+    responses={
+        200: {"content": {GEOJSON: {"schema": {"type": "object", "description": "FeatureCollection of both paths"}}}},
+        **problems(404, 409, 503),
+    },
+)
+def find_path(
+    costmap_id: str,
+    wanted: PathRequest,
+    service: KernelsDep,
+    format: Annotated[
+        Literal["json", "geojson"] | None, Query(description="default: as the Accept header says, else json")
+    ] = None,
+    accept: Annotated[str | None, Header(include_in_schema=False)] = None,
+) -> Any:
+    """The energy-optimal path from start to goal, its price and profile, and the shortest path beside it."""
+    row = service.done_costmap(costmap_id)
+    robot = _same_robot(row, wanted.robot)
+    battery = battery_of(wanted.battery, robot)
+    with service.maps.use(costmap_id) as planner:
+        plan = planner.plan(
+            (wanted.start[0], wanted.start[1]),
+            (wanted.goal[0], wanted.goal[1]),
+            planner=wanted.planner,
+            neighbours=wanted.neighbours,
+            refine=wanted.refine,
+            time_limit_s=wanted.time_limit_s,
+            seed=wanted.seed,
+            alternatives=wanted.alternatives,
+        )
+        verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
+    if format == "geojson" or (format is None and GEOJSON in (accept or "")):
+        return JSONResponse(path_geojson(plan, verdict, _warnings(row)), media_type=GEOJSON)
+    return _answer(path_out(plan, verdict, _warnings(row)))
+
+
+@router.post("/tours", response_model=TourOut, responses=problems(404, 409, 503))
+def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep) -> Any:
+    """The round trip of least energy that visits all stops and comes home to the first one."""
+    row = service.done_costmap(costmap_id)
+    battery = battery_of(wanted.battery, _same_robot(row, wanted.robot))
+    with service.maps.use(costmap_id) as planner:
+        trip = planner.tour(
+            [(stop[0], stop[1]) for stop in wanted.stops],
+            neighbours=wanted.neighbours,
+            refine=wanted.refine,
+            time_limit_s=wanted.time_limit_s,
+        )
+        verdict = judge_routes(planner.lattice, trip.legs, battery) if wanted.battery is not None else None
+    return _answer(tour_out(trip, verdict, _warnings(row)))
+
+
+@router.post("/feasibility", response_model=FeasibilityOut, responses=problems(404, 409, 503))
+def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: KernelsDep) -> Any:
+    """Whether a battery lasts for a given path, or for the best one from start to goal; on request there and back."""
+    row = service.done_costmap(costmap_id)
+    robot = _same_robot(row, wanted.robot)
+    path = np.array([point[:2] for point in wanted.path], dtype=np.float64) if wanted.path is not None else None
+    with service.maps.use(costmap_id) as planner:
+        assessment = assess(
+            planner,
+            battery=battery_of(wanted.battery, robot),
+            path=path,
+            start=wanted.start,
+            goal=wanted.goal,
+            round_trip=wanted.round_trip,
+        )
+    return _answer(feasibility_out(assessment, _warnings(row)))
+
+
+def _answer(body: BaseModel) -> Response:
+    """Validated once when it was made; not a second time by FastAPI."""
+    return Response(body.model_dump_json(), media_type="application/json")
+
+
+def _warnings(row: CostmapRow) -> list[str]:
+    return list((row.summary or {}).get("provenance", {}).get("warnings", []))
+
+
+def _same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
+    """The cost map's robot. Raises ConflictError, naming the fields, when a given one differs; RobotError."""
+    robot = Robot.from_mapping(row.request["robot"])
+    values = robot_values(given)
+    Robot.from_mapping(values)
+    differing = {key: (getattr(robot, key), value) for key, value in values.items() if getattr(robot, key) != value}
+    if differing:
+        words = ", ".join(f"{key} {there} there, {here} here" for key, (there, here) in differing.items())
+        raise ConflictError(
+            f"cost map {row.id} was made for another robot ({words}): make a cost map for this one",
+            fields=sorted(differing),
+            costmap_robot=jsonable({key: there for key, (there, _) in differing.items()}),
+            given_robot=jsonable({key: here for key, (_, here) in differing.items()}),
+        )
+    return robot

@@ -1,0 +1,68 @@
+"""Measured runs: sent, listed, told about, deleted."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import BaseModel
+
+from service.http.documents import problems, runs_body
+from service.http.routes.heightmaps import Limit, Offset
+from service.http.state import Service, get_service, with_kernels
+from service.http.uploads import media_type, take_raw_run, take_runs
+from service.schemas.answers import runs_out
+from service.schemas.loop import RunsOut
+
+router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
+ServiceDep = Annotated[Service, Depends(get_service)]
+KernelsDep = Annotated[Service, Depends(with_kernels)]
+
+
+class RunsList(BaseModel):
+    """One page, newest first."""
+
+    total: int
+    items: list[RunsOut]
+
+
+@router.post("", status_code=201, responses=problems(404, 503), openapi_extra=runs_body())
+async def send_runs(
+    request: Request,
+    response: Response,
+    service: KernelsDep,
+    heightmap_id: Annotated[
+        str | None,
+        Query(max_length=100, description="that they were driven on; `lat` and `lon` need its coordinate system"),
+    ] = None,
+    name: Annotated[
+        str, Query(min_length=1, max_length=200, description="of a run that is the raw body; a form says it itself")
+    ] = "run.csv",
+) -> RunsOut:
+    """Send measured runs (CSV, Parquet), each as a form field `file`, or one as the raw body; all are kept or none."""
+    if media_type(request) == "multipart/form-data":
+        async with request.form(max_files=service.settings.max_runs, max_fields=20) as form:
+            row = await take_runs(form, service, heightmap_id=heightmap_id)
+    else:
+        row = await take_raw_run(request, service, name=name, heightmap_id=heightmap_id)
+    response.headers["Location"] = f"/v1/runs/{row.id}"
+    return runs_out(row)
+
+
+@router.get("", responses=problems())
+def list_runs(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> RunsList:
+    """The runs that are kept, newest first."""
+    rows, total = service.store.all_runs(limit=limit, offset=offset)
+    return RunsList(total=total, items=[runs_out(row) for row in rows])
+
+
+@router.get("/{runs_id}", responses=problems(404))
+def get_runs(runs_id: str, service: ServiceDep) -> RunsOut:
+    """What was read of runs that were sent together, and what was left out and why."""
+    return runs_out(service.store.runs(runs_id))
+
+
+@router.delete("/{runs_id}", status_code=204, responses=problems(404, 409))
+def delete_runs(runs_id: str, service: ServiceDep) -> None:
+    """Delete runs; refused while calibrations made from them are kept."""
+    service.store.delete_runs(runs_id)

@@ -1,0 +1,150 @@
+"""One running service: its store, its jobs, its open cost maps, and whether its kernels are warm."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, TypeVar
+
+import anyio
+from fastapi import Request
+
+from model.errors import BusyError, ConflictError, JoulemapError
+from model.terrain.readers import read_heightmap
+from service.http.intake import RunLimits, read_sent_runs
+from service.http.open_maps import OpenMaps
+from service.jobs.makers import make_makers
+from service.jobs.worker import SERVICE, Jobs, Worker
+from service.settings import Settings
+from service.storage.store import Store
+from service.storage.tables import CALIBRATION, DONE, FAILED, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
+from service.workflows import warm_up
+
+_LOG = logging.getLogger("joulemap.service")
+_WARM_WAIT_S = 120.0
+_INGEST_AT_ONCE = 2
+
+Job = TypeVar("Job", CostmapRow, CalibrationRow)
+
+
+class Service:
+    """Everything a request needs beyond itself; made with the app, started and stopped with it."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.version = version("joulemap")
+        self.store = Store(settings.data_dir, settings.resolved_database_url)
+        self.maps = OpenMaps(self.store.load_lattice, size=settings.open_costmaps)
+        self.makers = make_makers(self.store, settings, on_done=self.maps.keep)
+        workers = [  # one for each kind, so that a long calibration keeps no cost map waiting
+            Worker(self.store, {kind: maker}, name=SERVICE, ready=self.await_kernels)
+            for kind, maker in self.makers.items()
+            if settings.build_here
+        ]
+        self.jobs = Jobs(self.store, workers, queue_size=settings.queue_size)
+        self.ingest_limit = anyio.CapacityLimiter(_INGEST_AT_ONCE)  # each may hold a whole heightmap
+        self.warm_seconds: float | None = None
+        self._warm = threading.Event()
+        self._warm_failure = "see the log"
+
+    def start(self) -> None:
+        """Open the store, warm up in a thread, and go on with unfinished cost maps."""
+        self.store.open()
+        threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
+        self.jobs.resume()
+
+    def stop(self) -> None:
+        self.jobs.stop()
+        self.store.close()
+
+    def check_ready(self) -> float:
+        """Seconds that warming up took. Raises BusyError before it is over, or when it failed."""
+        if self.warm_seconds is None:
+            if self._warm.is_set():
+                raise BusyError(f"not ready: warming up failed: {self._warm_failure}", failed=True)
+            raise BusyError("not ready: kernels are being compiled or loaded", failed=False, retry_after_s=2)
+        return self.warm_seconds
+
+    def await_kernels(self) -> None:
+        """Return when the kernels are warm. Raises BusyError when that takes too long."""
+        if not self._warm.wait(_WARM_WAIT_S):
+            raise BusyError("the service is still compiling its kernels", retry_after_s=10)
+
+    def keep_heightmap(self, path: Path, *, name: str, **options: Any) -> HeightmapRow:
+        """Read an uploaded file, check it, keep it. `options` as `read_heightmap`'s."""
+        heightmap = read_heightmap(path, filename=name, max_cells=self.settings.max_cells, **options)
+        known = heightmap.heights[heightmap.heights == heightmap.heights]
+        frame = heightmap.frame
+        stats = {
+            "rows": frame.rows,
+            "cols": frame.cols,
+            "resolution_m": frame.resolution_m,
+            "crs": frame.crs,
+            "bounds": list(frame.bounds),
+            "known_share": heightmap.known_share,
+            "height_min_m": float(known.min()),
+            "height_max_m": float(known.max()),
+            "hash": heightmap.data_hash,
+        }
+        return self.store.add_heightmap(heightmap, name=name, stats=stats)
+
+    def keep_runs(self, files: Sequence[tuple[str, Path]], *, heightmap_id: str | None = None) -> RunsRow:
+        """Read uploaded runs, (name, file) each, check them, keep them. heightmap_id : that they were driven on, where
+        it is known. Raises RunsError, TooLargeError, InputError, NotFoundError."""
+        settings = self.settings
+        heightmap = self.store.heightmap(heightmap_id) if heightmap_id is not None else None
+        limits = RunLimits(settings.max_run_mb, settings.max_run_cells, settings.max_run_km)
+        told = read_sent_runs(files, limits=limits, ground=heightmap.stats if heightmap is not None else None)
+        return self.store.add_runs(files, told)
+
+    def delete_calibration(self, calibration_id: str) -> None:
+        """Its report and its model too; one that is being made is stopped. Raises NotFoundError, and ConflictError
+        while cost maps use the model."""
+        self.store.delete_calibration(calibration_id)
+        self.makers[CALIBRATION].discard(calibration_id)
+
+    def done_calibration(self, calibration_id: str) -> CalibrationRow:
+        """The row of a calibration whose report is there. Raises NotFoundError, ConflictError."""
+        return self._done(self.store.calibration(calibration_id), "calibration")
+
+    def done_costmap(self, costmap_id: str) -> CostmapRow:
+        """The row of a cost map that can be asked. Raises NotFoundError, ConflictError while there is no lattice."""
+        return self._done(self.store.costmap(costmap_id), "cost map")
+
+    def _done(self, row: Job, what: str) -> Job:
+        if row.status == FAILED:
+            detail = (row.problem or {}).get("detail", "no reason is known")
+            raise ConflictError(f"{what} {row.id} could not be made: {detail}", status=row.status, problem=row.problem)
+        if row.status != DONE:
+            raise ConflictError(
+                f"{what} {row.id} is {row.status} ({row.progress:.0%}): ask again when it is done",
+                status=row.status, progress=row.progress, retry_after_s=2,
+            )  # fmt: skip
+        return row
+
+    def _warm_up(self) -> None:
+        try:
+            settings = self.settings
+            self.warm_seconds = warm_up(models=settings.warm_models, models_dir=settings.resolved_models_dir)
+            _LOG.info("kernels are warm after %.1f s", self.warm_seconds)
+        except JoulemapError as error:
+            self._warm_failure = error.message
+            _LOG.error("warming up failed: %s", error.message)
+        finally:
+            self._warm.set()
+
+
+def get_service(request: Request) -> Service:
+    """The service of the app that answers `request` (a FastAPI dependency)."""
+    service: Service = request.app.state.service
+    return service
+
+
+def with_kernels(request: Request) -> Service:
+    """The same, once its kernels are warm (a dependency for handlers that compute)."""
+    service = get_service(request)
+    service.await_kernels()
+    return service

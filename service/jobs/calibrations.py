@@ -1,0 +1,154 @@
+"""What a calibration job does: `calibrate_on_runs` in a process of its own, which can be stopped at any moment."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import secrets
+import shutil
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from model.energy.predictor import MODEL_NAMES
+from model.errors import JoulemapError
+from model.robot import Robot
+from model.terrain.readers import read_heightmap
+from service.jobs.steps import Step, Steps
+from service.loop.calibrating import calibrate_on_runs
+from service.loop.page import report_page
+from service.loop.rerouting import Task
+from service.loop.runs import read_calibration_runs
+from service.storage.store import Store
+
+REPORT, PAGE = "report.json", "report.html"
+_LOOK_S = 0.5  # between looks whether the job is still wanted
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What the process is told."""
+
+    model: str | Path
+    heightmap: Path
+    name: str
+    robot: Robot
+    files: list[Path]
+    base_files: list[Path]
+    aside_files: list[Path]
+    task: Task | None
+    seed: int
+    out: Path
+
+
+class Calibrator:
+    """Does calibrations. models_dir : where their models are put, each under the id of its calibration."""
+
+    def __init__(self, store: Store, *, models_dir: Path) -> None:
+        self._store = store
+        self._models_dir = models_dir
+
+    def do(self, step: Step, steps: Steps, report: Callable[[float], None]) -> None:
+        """Do the one step of a calibration and say that it is done; begun again, it leaves the same."""
+        row = self._store.calibration(step.job_id)
+        self.discard(row.id)  # what an earlier try left
+        folder = self._store.calibration_folder(row.id)
+        out = folder.with_name(f"{row.id}.{secrets.token_hex(4)}.partial")
+        asked, model = row.request, row.request["model"]
+        work = _Work(
+            model=model if model in MODEL_NAMES else self._models_dir / model,
+            heightmap=self._store.heightmap_path(row.heightmap_id),
+            name=self._store.heightmap(row.heightmap_id).name,
+            robot=Robot.from_mapping(asked["robot"]),
+            files=self._files(asked["runs"]),
+            base_files=self._files(asked["base_runs"]),
+            aside_files=self._files(asked.get("aside_runs", [])),
+            task=None if asked["start"] is None else (tuple(asked["start"][:2]), tuple(asked["goal"][:2])),
+            seed=asked["seed"],
+            out=out,
+        )
+        try:
+            _in_a_process(work, report)
+            made = out / "model"
+            if made.exists():
+                self._models_dir.mkdir(parents=True, exist_ok=True)
+                shutil.move(made, self._models_dir / row.id)
+            out.rename(folder)
+        finally:
+            shutil.rmtree(out, ignore_errors=True)
+        document = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        usable = row.id if (self._models_dir / row.id).exists() else None
+        self._store.finish(row.id, {"report": document, "model": usable})
+        if self._store.status(row.id) is None:  # deleted meanwhile
+            self.discard(row.id)
+
+    def _files(self, sent: Sequence[str]) -> list[Path]:
+        return [file for runs in sent for file in self._store.run_files(runs)]
+
+    def rest(self) -> None:
+        """Nothing is held between jobs."""
+
+    def discard(self, calibration_id: str) -> None:
+        """Throw away what was made of a calibration: its report and its model, finished or not."""
+        folder = self._store.calibration_folder(calibration_id)
+        for place in (folder, *folder.parent.glob(f"{calibration_id}.*.partial"), self._models_dir / calibration_id):
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def _in_a_process(work: _Work, report: Callable[[float], None]) -> None:
+    """Return when the work is done. Raises what the process raised, and what `report` does; then it is killed."""
+    context = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(work, there), daemon=True)
+    process.start()
+    there.close()
+    told: Any = 0.0
+    with closing(here):
+        try:
+            while told is not None:
+                report(told)
+                if here.poll(_LOOK_S):
+                    told = here.recv()
+                    if isinstance(told, JoulemapError):
+                        raise told
+        except EOFError:
+            process.join()
+            raise RuntimeError(f"the calibration's process ended with {process.exitcode}; see its output") from None
+        finally:
+            process.kill()
+            process.join()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _work(work: _Work, there: Connection) -> None:
+    """In the process: sends shares of the work that is done, then None, or an error of the tree."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # they are meant for the service, which ends this process itself
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        heightmap = read_heightmap(work.heightmap, filename=work.name)
+        runs = read_calibration_runs(
+            work.files, work.robot, crs=heightmap.frame.crs, base_files=work.base_files, aside_files=work.aside_files
+        )
+        made = calibrate_on_runs(
+            work.model, heightmap, work.robot, runs, out=work.out, task=work.task, seed=work.seed, progress=there.send
+        )
+        work.out.mkdir(parents=True, exist_ok=True)
+        (work.out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
+        (work.out / PAGE).write_text(report_page(made, heightmap), encoding="utf-8")
+    except JoulemapError as error:
+        there.send(error)
+    else:
+        there.send(None)

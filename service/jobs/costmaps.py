@@ -1,0 +1,128 @@
+"""What a step of a cost map does: lay the lattice out, build one tile, or finish it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from model.errors import NegativeCycleError
+from model.robot import Robot
+from model.terrain.windows import Ground
+from model.traction import TractionSource
+from planner.figures import figures_of, joined_figures
+from planner.lattice_build import build_tile, knows_spread, provenance_of
+from planner.lattice_io import LatticeFolder
+from planner.plan import RoutePlanner
+from planner.tiles import Tiling
+from service.jobs.steps import Step, Steps
+from service.jobs.stored_base import with_stored_base
+from service.storage.store import Store
+from service.storage.tables import LAY_OUT
+from service.workflows import prepare_build
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What all steps of a cost map share."""
+
+    ground: Ground
+    robot: Robot
+    source: TractionSource
+    tiling: Tiling
+    folder: LatticeFolder
+
+
+class Builder:
+    """Does steps of cost maps; holds what the steps of the latest one share.
+
+    models_dir : of trained models; max_values : most rows * cols * headings; on_done : is given a finished cost map
+    that is ready for questions.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        *,
+        models_dir: Path,
+        max_values: int,
+        on_done: Callable[[str, RoutePlanner], None] | None = None,
+    ) -> None:
+        self._store = store
+        self._models_dir = models_dir
+        self._max_values = max_values
+        self._on_done = on_done
+        self._open: tuple[str, _Job] | None = None
+
+    def do(self, step: Step, steps: Steps, report: Callable[[float], None] | None = None) -> None:
+        """Do one step and say that it is done; done again, it leaves the same. A tile is too short to report."""
+        job = self._job(step.job_id)
+        if step.number == LAY_OUT:
+            job.folder.lay_out(job.tiling, job.robot, with_std=knows_spread(job.source, job.robot))
+            provenance = provenance_of(job.ground, job.robot, job.source, job.tiling)
+            wanted = steps.complete(step, provenance, tiles=len(job.tiling))
+        elif step.last:
+            wanted = self._finish(step, job, steps)
+        else:
+            place = job.tiling[step.number - 1]
+            part = build_tile(job.ground, job.robot, job.source, job.tiling, *place)
+            job.folder.write(part, *place)
+            wanted = steps.complete(step, figures_of(part))
+        if not wanted:  # the cost map was deleted meanwhile
+            self.discard(step.job_id)
+
+    def rest(self) -> None:
+        """Nothing is to be done: let go of what was held."""
+        self._open = None
+
+    def discard(self, costmap_id: str) -> None:
+        """Throw away what was made of a cost map."""
+        self._open = None
+        LatticeFolder(self._store.lattice_path(costmap_id)).discard()
+
+    def _job(self, costmap_id: str) -> _Job:
+        if self._open is None or self._open[0] != costmap_id:
+            self._open = None  # before the next is opened, so that never two are held
+            row = self._store.costmap(costmap_id)
+            ground = self._store.open_heightmap(row.heightmap_id)
+            robot, source, tiling = prepare_build(
+                ground,
+                Robot.from_mapping(row.request["robot"]),
+                model=row.request["model"],
+                spacing_m=row.request["spacing_m"],
+                headings=row.request["headings"],
+                models_dir=self._models_dir,
+                max_values=self._max_values,
+            )
+            source = with_stored_base(self._store, row, source, tiling)
+            folder = LatticeFolder(self._store.lattice_path(costmap_id))
+            self._open = costmap_id, _Job(ground, robot, source, tiling, folder)
+        return self._open[1]
+
+    def _finish(self, step: Step, job: _Job, steps: Steps) -> bool:
+        provenance, *tiles = steps.results(step.job_id)
+        frame = job.tiling.frame
+        job.folder.finish(provenance)
+        planner = RoutePlanner(self._store.load_lattice(step.job_id))
+        try:
+            planner.prepare()
+        except NegativeCycleError as error:  # the map is good to look at, every question will say the same
+            provenance["warnings"].append(error.message)
+            planner.lattice.provenance["warnings"].append(error.message)
+            job.folder.finish(provenance)
+        summary: dict[str, Any] = {
+            "frame": {
+                "rows": frame.rows,
+                "cols": frame.cols,
+                "spacing_m": frame.resolution_m,
+                "bounds": list(frame.bounds),
+                "crs": frame.crs,
+            },
+            "provenance": provenance,
+            **joined_figures(tiles),
+        }
+        wanted = self._store.finish(step.job_id, summary)
+        if wanted and self._on_done is not None:
+            self._on_done(step.job_id, planner)
+        return wanted

@@ -1,0 +1,73 @@
+"""A calibrated model's base need not be asked for what a finished cost map of the same ground holds already."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from sqlalchemy import select
+
+from model.energy.predictor import Predictor
+from model.frames import GridFrame
+from model.loop.calibrated import CalibratedPredictor
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from planner.tiles import Tiling
+from service.storage.store import Store
+from service.storage.tables import DONE, CostmapRow
+
+
+class StoredBase:
+    """A base model whose answers for cells of `tiling` are read from a finished cost map; in all else it is itself."""
+
+    def __init__(self, base: Predictor, store: Store, costmap_id: str, tiling: Tiling) -> None:
+        self._base, self._store, self._costmap_id, self._tiling = base, store, costmap_id, tiling
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._base, name)
+
+    def traction_and_std(
+        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """As the base's, to the bit; the base's own where `frame` is no part of the lattice or that was deleted."""
+        place = _place_in(self._tiling.frame, frame)
+        if place is not None:
+            try:
+                group = zarr.open_group(self._store.lattice_path(self._costmap_id), mode="r")
+                traction = np.asarray(group["traction_per_m"][place])  # type: ignore[index]
+                std = np.asarray(group["std_j"][place]) if "std_j" in group else None  # type: ignore[index]
+                if self._store.status(self._costmap_id) == DONE:  # a map that is deleted loses its row before its files
+                    return traction, std
+            except (OSError, KeyError):
+                pass
+        return self._base.traction_and_std(heightmap, robot, frame, headings_rad)
+
+
+def with_stored_base(store: Store, row: CostmapRow, source: Predictor, tiling: Tiling) -> Predictor:
+    """The model of a cost map that is to be made; a calibrated one reads its base's answers where they are stored."""
+    if not isinstance(source, CalibratedPredictor):
+        return source
+    base = json.loads(json.dumps(source.base.provenance()))
+    with store.sessions() as session:
+        query = select(CostmapRow).where(CostmapRow.heightmap_id == row.heightmap_id, CostmapRow.status == DONE)
+        for made in session.scalars(query):
+            if _but_model(made) == _but_model(row) and (made.summary or {})["provenance"]["model"] == base:
+                stored: Any = StoredBase(source.base, store, made.id, tiling)
+                return CalibratedPredictor(stored, source.correction, name=source.name, version=source.version)
+    return source
+
+
+def _place_in(whole: GridFrame, part: GridFrame) -> tuple[slice, slice] | None:
+    """The cells of a grid that another is made of; None where it is no part of it."""
+    row, col = (round(float(at)) for at in whole.rowcol(*(float(c[0]) for c in part.centres())))
+    inside = row >= 0 and col >= 0 and row + part.rows <= whole.rows and col + part.cols <= whole.cols
+    if not inside or whole.window(row, row + part.rows, col, col + part.cols) != part:
+        return None
+    return slice(row, row + part.rows), slice(col, col + part.cols)
+
+
+def _but_model(row: CostmapRow) -> dict[str, Any]:
+    return {key: value for key, value in row.request.items() if key != "model"}

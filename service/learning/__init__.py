@@ -1,0 +1,1 @@
+"""Models made from runs, measured or simulated: training, the shipped network, distillation, evaluation."""

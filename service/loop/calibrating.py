@@ -1,0 +1,199 @@
+"""From a model and measured runs to a calibrated model: what `calibrate` and `POST /v1/calibrations` call."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.energy.predictor import MODEL_NAMES, Predictor
+from model.energy.uncertainty import fit_spread
+from model.errors import ConflictError, InfeasibleError, InputError
+from model.loop.calibrated import (
+    CalibratedPredictor,
+    Correction,
+    save_calibrated,
+)
+from model.loop.calibration import Calibration, calibrate
+from model.loop.report import report_document
+from model.loop.suggest import Suggestion, suggest_drive
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
+from service.loop.rerouting import Comparison, Task, compare_routes
+from service.loop.residuals import base_residuals, residuals_on
+from service.loop.runs import CalibrationRuns
+from service.models import load_model
+
+FloatArray = NDArray[np.float64]
+
+BASE_FOLDER = "base"
+"""Where a calibrated model's folder keeps its base model."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibrated:
+    """What a calibration leaves. document : the report, JSON-able; routes : a task before and after, None where the
+    report's `route` says why there is none."""
+
+    document: dict[str, Any]
+    found: Calibration
+    routes: Comparison | None
+
+
+def calibrate_on_runs(
+    model: str | Path,
+    heightmap: Heightmap,
+    robot: Robot,
+    runs: CalibrationRuns,
+    *,
+    out: Path,
+    task: Task | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Calibrated:
+    """Trace what a model lacks on measured runs and write `out/model`: the base and its effects.
+
+    runs : as `service.loop.runs` reads them; those of the model's folder stand for `base` where it has none. task :
+    start and goal whose routes before and after are compared, as `compare_routes`. Raises InputError, RunsError,
+    ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
+    """
+    target = out / "model"
+    if target.exists():
+        raise ConflictError(f"{target} is there already: a model version is never changed", path=str(target))
+    predictor = load_model(model)
+    refuse_calibrated(model, predictor)
+    segments = runs.segments
+    measured, electric, std = residuals_on(predictor, heightmap, robot, segments)
+    base = base_residuals(model, predictor, heightmap, robot, runs.base)
+    aside = None if runs.aside is None else residuals_on(predictor, heightmap, robot, runs.aside, least=1)[0]
+    _tell(progress, _READ)
+    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=_part(progress, _READ, _TRACED))
+    version, routes, why_not = None, None, "nothing was found that changes a route"
+    if found.terms:
+        correction = correction_of(found, std)
+        version = _write(target, model, predictor, correction)
+        after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
+        driven = measured.drive.take(measured.moving)  # on ground that the map knows
+        places = np.column_stack([driven.x, driven.y])
+        why_not = "the runs have no positions"
+        if runs.placed:
+            try:
+                routes = compare_routes(
+                    heightmap, robot, predictor, after, places, task=task, seed=seed,
+                    progress=_part(progress, _TRACED, 1.0),
+                )  # fmt: skip
+            except InfeasibleError as error:  # a report all the same
+                why_not = error.message
+    report = report_document(found, before=predictor.provenance(), after=version)
+    report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
+    if routes is not None and segments.charge:
+        report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
+    if aside is not None:
+        report["kept_aside"] = {"segments": int(aside.moving.sum()), "error": found.errors_on(aside)}
+    report["runs"] = {
+        "names": list(segments.runs), "rows": runs.rows, "repairs": runs.repairs, "left_out": segments.left_out,
+    }  # fmt: skip
+    report["warnings"] = predictor.warnings(heightmap, robot)
+    _tell(progress, 1.0)
+    return Calibrated(report, found, routes)
+
+
+_READ, _TRACED = 0.3, 0.8  # of the work
+
+
+def _tell(progress: Callable[[float], None] | None, share: float) -> None:
+    if progress is not None:
+        progress(share)
+
+
+def _part(
+    progress: Callable[[float], None] | None, start: float, end: float
+) -> Callable[[float], None] | None:  # fmt: skip
+    return None if progress is None else lambda share: progress(start + (end - start) * share)
+
+
+def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
+    """Raises InputError for a model that cannot be calibrated because it is already."""
+    if isinstance(predictor, CalibratedPredictor):
+        raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
+
+
+def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
+    """What a calibration adds to its base model. std_j : (n,) of the base model for each of the calibration's rows."""
+    drive, moving = found.residuals.drive, found.residuals.moving
+    planner = [True] * (len(found.shared.terms) + len(found.silent)) + [e.planner for e in found.effects]
+    turned = float(drive.turned_abs_rad[moving].sum())
+    turning = sum(float(t.energy(drive)[moving].sum()) for t in found.terms if t.formula.startswith("turning"))
+    conditions = {k: float(np.nanmean(v)) for k, v in drive.columns.items() if np.isfinite(v).any()}
+    return Correction(
+        found.terms,
+        tuple(planner),
+        charge=found.residuals.charge,
+        turn_j_per_rad=drive.unit_j * turning / turned if turned > 0 else 0.0,
+        conditions=conditions,
+        evidence=[{"name": e.term.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
+        spread=None
+        if found.residuals.charge
+        else fit_spread(
+            found.residuals.measured[moving], found.held_out_planner[moving], std_j[moving], drive.run[moving]
+        ),
+    )
+
+
+def _write(target: Path, model: str | Path, predictor: Predictor, correction: Correction) -> str:
+    """The folder of a calibrated model, with a copy of its base where that is a folder."""
+    version = predictor.provenance()["version"]
+    if model in MODEL_NAMES:
+        return save_calibrated(target, correction, {"name": str(model), "version": version})
+    target.mkdir(parents=True)
+    shutil.copytree(model, target / BASE_FOLDER)
+    return save_calibrated(target, correction, {"folder": BASE_FOLDER, "version": version})
+
+
+def suggest_next_drive(
+    model: str | Path,
+    heightmap: Heightmap,
+    robot: Robot,
+    runs: CalibrationRuns,
+    *,
+    effect: str | None = None,
+    length_m: float = 200.0,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Suggestion, list[str]]:
+    """The drive that tells an effect from what these runs confuse it with, or pins its coefficient; and those rivals.
+
+    effect : a candidate's name; the first confounded one, or the least certain one found, unless given. Raises
+    InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
+    """
+    predictor = load_model(model)
+    measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
+    base = base_residuals(model, predictor, heightmap, robot, runs.base)
+    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
+    best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
+    best |= {e.term.name: e.term for e in found.effects}
+    name = effect or next(iter(found.trace.confounded), None)
+    if name is None and found.effects:
+        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
+    if name is None:
+        raise InputError("these runs show nothing that the model lacks: name the effect that you are in doubt about")
+    if name not in best:
+        raise InputError(
+            f"there is no candidate {name!r} on these runs; there are {', '.join(sorted(best))}", name=name
+        )
+    rivals = found.trace.confounded.get(name, [])
+    others = [e.term for e in found.effects if e.term.name != name]
+
+    def traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
+        return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
+
+    suggestion = suggest_drive(
+        found.residuals, best[name], [*(best[r] for r in rivals), *others], heightmap, robot, traction,
+        length_m=length_m, seed=seed,
+    )  # fmt: skip
+    return suggestion, rivals

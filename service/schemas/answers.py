@@ -1,0 +1,217 @@
+"""From rows, routes and verdicts to the answers of the schemas beside this module."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from model.robot import Battery, Robot
+from planner.budget import Verdict
+from planner.plan import Plan
+from planner.route import Route, geojson
+from service.problems import jsonable
+from service.schemas.loop import CalibrationOut, RunOut, RunsOut
+from service.schemas.planning import (
+    BatteryIn,
+    CostmapOut,
+    FeasibilityOut,
+    HeightmapOut,
+    PathOut,
+    PieceOut,
+    RobotOut,
+    RouteOut,
+    ShortestOut,
+    VerdictOut,
+)
+from service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
+from service.workflows import Assessment
+
+
+def heightmap_out(row: HeightmapRow) -> HeightmapOut:
+    links = {"self": f"/v1/heightmaps/{row.id}"}
+    return HeightmapOut(id=row.id, name=row.name, created_at=_utc(row.created_at), links=links, **row.stats)
+
+
+def costmap_out(row: CostmapRow) -> CostmapOut:
+    base = f"/v1/costmaps/{row.id}"
+    summary = row.summary or {}
+    links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
+    if row.status == DONE:
+        links |= {
+            "geotiff": f"{base}/data?format=geotiff",
+            "npz": f"{base}/data?format=npz",
+            "zarr": f"{base}/data?format=zarr",
+            "image": f"{base}/image.png",
+            "at": f"{base}/at",
+            "paths": f"{base}/paths",
+            "tours": f"{base}/tours",
+            "feasibility": f"{base}/feasibility",
+        }
+    provenance = summary.get("provenance")
+    return CostmapOut(
+        id=row.id,
+        status=row.status,  # type: ignore[arg-type]
+        progress=row.progress,
+        created_at=_utc(row.created_at),
+        finished_at=_utc(row.finished_at) if row.finished_at else None,
+        heightmap_id=row.heightmap_id,
+        robot=RobotOut(**row.request["robot"]),
+        model=row.request["model"],
+        headings=row.request["headings"],
+        spacing_m=row.request["spacing_m"],
+        frame=summary.get("frame"),
+        energy_per_m=summary.get("energy_per_m"),
+        blocked=summary.get("blocked"),
+        warnings=(provenance or {}).get("warnings", []),
+        provenance=provenance,
+        problem=row.problem,  # type: ignore[arg-type]
+        links=links,
+    )
+
+
+def runs_out(row: RunsRow) -> RunsOut:
+    runs = [RunOut(**run) for run in row.stats]
+    return RunsOut(id=row.id, created_at=_utc(row.created_at), runs=runs, links={"self": f"/v1/runs/{row.id}"})
+
+
+def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> CalibrationOut:
+    base, asked, summary = f"/v1/calibrations/{row.id}", row.request, row.summary or {}
+    links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
+    if row.status == DONE:
+        links["page"] = f"{base}/report.html"
+    return CalibrationOut(
+        id=row.id,
+        status=row.status,  # type: ignore[arg-type]
+        progress=row.progress,
+        created_at=_utc(row.created_at),
+        finished_at=_utc(row.finished_at) if row.finished_at else None,
+        heightmap_id=row.heightmap_id,
+        runs=asked["runs"],
+        base_runs=asked["base_runs"],
+        aside_runs=asked.get("aside_runs", []),
+        robot=RobotOut(**asked["robot"]),
+        model=asked["model"],
+        calibrated_model=summary.get("model"),
+        report=summary.get("report") if with_report else None,
+        problem=row.problem,  # type: ignore[arg-type]
+        links=links,
+    )
+
+
+def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
+    """The battery that a request means."""
+    given = request or BatteryIn()
+    capacity = robot.battery_wh if given.capacity_wh is None else given.capacity_wh
+    return Battery(capacity, charge=given.charge, reserve=given.reserve)
+
+
+def verdict_out(verdict: Verdict) -> VerdictOut:
+    return VerdictOut(message=verdict_words(verdict), **asdict(verdict))
+
+
+def verdict_words(verdict: Verdict) -> str:
+    """A verdict as a robot operator would say it."""
+    doubt = "" if verdict.energy_std_j is None else f" +- {verdict.energy_std_j / 3600:.2f}"
+    need = f"{verdict.energy_j / 3600:.2f}{doubt} Wh needed, "
+    need += f"{verdict.available_j / 3600:.2f} Wh available above the reserve"
+    if verdict.probability is not None:
+        need += f", lasts with {_probability_words(verdict.probability)}"
+    if verdict.feasible:
+        spare = f"{verdict.margin_j / 3600:.2f} Wh to spare"
+        return f"feasible: {need}, {spare}; charge at the end {verdict.charge_at_end:.1%}"
+    return f"not feasible: {need}, {verdict.shortfall_j / 3600:.2f} Wh short"
+
+
+def _probability_words(probability: float) -> str:
+    """A probability as far as it is worth saying: nobody knows the tails."""
+    if probability > 0.99:
+        return "more than 99 %"
+    return "less than 1 %" if probability < 0.01 else f"{probability:.0%}".replace("%", " %")
+
+
+def route_values(route: Route) -> dict[str, Any]:
+    return {
+        "energy_j": route.energy_j,
+        "energy_wh": route.energy_j / 3600.0,
+        "length_m": route.length_m,
+        "duration_s": route.duration_s,
+        "climb_m": route.climb_m,
+        "descent_m": route.descent_m,
+        "path": path_points(route),
+    }
+
+
+def path_points(route: Route) -> list[list[float | None]]:
+    return [[number(v) for v in point] for point in route.points.tolist()]
+
+
+def number(value: float) -> float | None:
+    """The value, None where it is not a number."""
+    return value if math.isfinite(value) else None
+
+
+def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOut:
+    route, shortest = plan.route, plan.shortest
+    p = route.profile
+    columns = (p.distance_m, p.x, p.y, p.z, np.rad2deg(p.heading_rad), p.energy_j, p.cumulative_j)
+    pieces = [
+        PieceOut(distance_m=d, x=x, y=y, z=number(z), heading_deg=h, energy_j=e, cumulative_j=c)
+        for d, x, y, z, h, e, c in zip(*(column.tolist() for column in columns), strict=True)
+    ]
+    return PathOut(
+        **route_values(route),
+        profile=pieces,
+        shortest=ShortestOut(energy_j=shortest.energy_j, length_m=shortest.length_m, path=path_points(shortest)),
+        alternatives=[RouteOut(**route_values(other)) for other in plan.others],
+        saving_j=plan.saving_j,
+        saving_percent=_percent(plan.saving_j, shortest.energy_j),
+        battery=verdict_out(verdict) if verdict is not None else None,
+        planner=plan.planner,
+        details=jsonable(plan.details),
+        warnings=[*warnings, *route.notes],
+        crs=route.crs,
+    )
+
+
+def path_geojson(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> dict[str, Any]:
+    """A FeatureCollection of both paths; the map's CRS stands once, at its top."""
+    best = geojson(plan.route, kind="energy_optimal", planner=plan.planner, saving_j=plan.saving_j)
+    shortest = geojson(plan.shortest, kind="shortest")
+    others = [geojson(other, kind="alternative") for other in plan.others]
+    crs = best.pop("crs", None)
+    for feature in (shortest, *others):
+        feature.pop("crs", None)
+    collection: dict[str, Any] = {
+        "type": "FeatureCollection",
+        "features": [best, shortest, *others],
+        "warnings": [*warnings, *plan.route.notes],
+        "battery": verdict_out(verdict).model_dump() if verdict is not None else None,
+    }
+    if crs is not None:
+        collection["crs"] = crs
+    return collection
+
+
+def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityOut:
+    routes = [r for r in (assessment.route_out, assessment.route_back) if r is not None]
+    return FeasibilityOut(
+        **verdict_out(assessment.verdict).model_dump(),
+        length_m=sum(r.length_m for r in routes),
+        duration_s=sum(r.duration_s for r in routes),
+        out=RouteOut(**route_values(assessment.route_out)),
+        back=RouteOut(**route_values(routes[1])) if len(routes) == 2 else None,
+        warnings=[*warnings, *(note for r in routes for note in r.notes)],
+    )
+
+
+def _utc(time: dt.datetime) -> dt.datetime:
+    """The database keeps UTC without saying so."""
+    return time.replace(tzinfo=dt.UTC)
+
+
+def _percent(part: float, whole: float) -> float:
+    return 100.0 * part / whole if whole > 0 else 0.0

@@ -1,0 +1,73 @@
+"""A tour as it is asked for and answered, over HTTP and on the command line."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from planner.budget import Verdict
+from planner.plan import RoundTrip
+from planner.route import geojson
+from planner.tours import MAX_STOPS
+from service.schemas.answers import route_values, verdict_out
+from service.schemas.planning import BatteryIn, Point, Request, RobotIn, RouteOut, VerdictOut
+
+
+class TourRequest(Request):
+    """Places to visit, and how to search. The order is found."""
+
+    stops: list[Point] = Field(
+        min_length=2,
+        max_length=MAX_STOPS,
+        description="home first",
+        examples=[[[12.5, 40.5], [80.0, 15.0], [60.0, 50.0]]],
+    )
+    neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell")
+    refine: bool = Field(default=True, description="any-angle improvement of the legs")
+    time_limit_s: float = Field(default=10.0, ge=0.05, le=60.0, description="for proving the order [s]")
+    battery: BatteryIn | None = Field(default=None, description="asks for a verdict on the whole tour")
+    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")
+
+
+class TourOut(RouteOut):
+    """The round trip of least energy. Turning on arrival at a stop is not counted."""
+
+    order: list[int] = Field(description="which stop is visited when, home (0) first", examples=[[0, 2, 1]])
+    legs: list[RouteOut] = Field(description="from each stop to the next, home from the last")
+    grid_energy_j: float = Field(description="energy of the tour before the any-angle improvement [J]")
+    bound_j: float = Field(description="what no order of the stops costs less than, before it [J]")
+    proven: bool = Field(description="whether no other order costs less, before it")
+    battery: VerdictOut | None = Field(description="null unless asked for")
+    warnings: list[str]
+    crs: str | None
+
+
+def tour_out(trip: RoundTrip, verdict: Verdict | None, warnings: list[str]) -> TourOut:
+    legs = [RouteOut(**route_values(leg)) for leg in trip.legs]
+    sums = ("energy_j", "energy_wh", "length_m", "duration_s", "climb_m", "descent_m")
+    return TourOut(
+        **{name: sum(getattr(leg, name) for leg in legs) for name in sums},
+        path=[*legs[0].path, *(point for leg in legs[1:] for point in leg.path[1:])],
+        order=list(trip.order),
+        legs=legs,
+        grid_energy_j=trip.grid_energy_j,
+        bound_j=trip.bound_j,
+        proven=trip.proven,
+        battery=verdict_out(verdict) if verdict is not None else None,
+        warnings=[*warnings, *trip.notes],
+        crs=trip.legs[0].crs,
+    )
+
+
+def tour_geojson(trip: RoundTrip, warnings: list[str]) -> dict[str, Any]:
+    """A FeatureCollection with a feature for each leg, in the order of driving; the map's CRS stands at its top."""
+    legs = [
+        geojson(leg, kind="tour_leg", from_stop=here, to_stop=there)
+        for leg, here, there in zip(trip.legs, trip.order, (*trip.order[1:], 0), strict=True)
+    ]
+    crs = None
+    for leg in legs:
+        crs = leg.pop("crs", None)
+    collection: dict[str, Any] = {"type": "FeatureCollection", "features": legs, "warnings": [*warnings, *trip.notes]}
+    return collection | ({"crs": crs} if crs is not None else {})
