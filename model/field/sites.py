@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.special import ndtri
 
 from model.errors import NotFoundError
 from model.field.robots import Ground
@@ -28,7 +29,7 @@ _MARGIN_M = 1.6  # drives keep this far from the edge, so that no wheel leaves t
 
 GROUNDS: Mapping[str, Ground] = {
     "grass": Ground(),
-    "grass_b": Ground(name="grass", mu=0.072, bump_loss=0.95, patchiness=0.03),
+    "soft_grass": Ground(name="grass", mu=0.072, bump_loss=0.95, patchiness=0.03),
     "dirt": Ground(
         name="dirt", mu=0.045, load_exponent=0.12, bump_loss=1.0, scrub=0.16, hollow_share=0.20, tussock_m=0.003
     ),
@@ -101,21 +102,26 @@ class Relief:
 _GRASS = Relief()
 _GRASS_B = Relief(replace(_PARK, relief_shortest_m=6.0), 0.012, 1.6, 0.06, 1.1)
 _DIRT = Relief(replace(_PARK, roughness_rms_m=0.025), 0.018, 0.4, 0.06, 0.8)
-_NAMED: Mapping[str, tuple[Relief, str, float]] = {
-    "grass_a": (_GRASS, "grass", 0.1),
-    "grass_b": (_GRASS_B, "grass_b", 0.1),
-    "dirt": (_DIRT, "dirt", 0.1),
+_NAMED: Mapping[str, tuple[Relief, str]] = {
+    "grass_a": (_GRASS, "grass"),
+    "grass_b": (_GRASS_B, "grass"),
+    "dirt": (_DIRT, "dirt"),
 }
+_SURVEY_M = 0.1
+_ROLLING_SPREAD, _BUMP_SPREAD = 0.10, 0.05  # of the logarithms, between two meadows
+_PLASTIC = 1.324717957244746  # the plastic ratio, x**3 = x + 1
 
 
 def named_site(name: str, *, seed: int = 0, width_m: float = 60.0, height_m: float = 40.0) -> Site:
-    """grass_a, grass_b or dirt. Each (name, seed) is always the same site. Raises NotFoundError for another name."""
+    """grass_a, grass_b or dirt. Each (name, seed) is always the same site; grass_b is another meadow, softer or firmer
+    than grass_a as the seed has it. Raises NotFoundError for another name."""
     if name not in _NAMED:
         raise NotFoundError(f"no simulated site {name!r}; known are {', '.join(_NAMED)}", name=name)
-    relief, ground, survey_m = _NAMED[name]
+    relief, kind = _NAMED[name]
+    ground = _another_meadow(GROUNDS[kind], seed) if name == "grass_b" else GROUNDS[kind]
     rng = np.random.default_rng([seed, *name.encode()])
     frame = GridFrame(500000.0, 4980000.0, TRUE_RESOLUTION_M, _cells(height_m), _cells(width_m), "EPSG:32615")
-    return make_site(name, relief, GROUNDS[ground], frame, rng, survey_m=survey_m)
+    return make_site(name, relief, ground, frame, rng, survey_m=_SURVEY_M)
 
 
 def random_site(
@@ -193,6 +199,21 @@ def make_site(
     terrain = replace(seen, heights=seen.heights + np.float32(ground.tussock_m) * finer)
     explained, factor = _soil(seen.heights, ground, frame, rng)
     return Site(name, terrain, survey, ground, factor, explained)
+
+
+def _another_meadow(ground: Ground, seed: int) -> Ground:
+    """The same kind of ground elsewhere: softer or firmer, which nobody sees from above.
+
+    Over seeds the two spreads are log-normal, and quasi-random (Roberts' R2 sequence, 2018), so that any handful of
+    seeds in a row has softer and firmer meadows in balance.
+    """
+    softer, rougher = ndtri((0.5 + seed / np.array([_PLASTIC, _PLASTIC**2])) % 1.0)
+    return replace(
+        ground,
+        mu=ground.mu * math.exp(_ROLLING_SPREAD * softer),
+        bump_loss=ground.bump_loss * math.exp(_BUMP_SPREAD * rougher),
+        patchiness=0.03,
+    )
 
 
 def _cells(metres: float) -> int:

@@ -1,0 +1,126 @@
+"""How far coefficients are in doubt beyond what whole runs left out say: about their form, and about the base model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from model.loop.effects import Term
+from model.loop.residual import Residuals
+
+FloatArray = NDArray[np.float64]
+
+_AS_MUCH = 0.5
+_OF_THESE_RUNS = frozenset({"by_run", "place", "disk"})
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Weighted least squares with a ridge: columns a (n, K) [scaled], what they are to explain z (n,), and what is left
+    out together."""
+
+    a: FloatArray
+    z: FloatArray
+    weight: FloatArray
+    ridge: FloatArray
+    fold: NDArray[np.int64]
+
+    @cached_property
+    def solved(self) -> FloatArray:
+        """(K,) coefficients."""
+        return self._solve(np.ones(self.z.size, dtype=bool))
+
+    @cached_property
+    def each(self) -> FloatArray:
+        """(folds, K) without each fold."""
+        return np.stack([self._solve(self.fold != f) for f in np.unique(self.fold)])
+
+    @property
+    def errors(self) -> FloatArray:
+        """(K,) standard errors: the jackknife over folds."""
+        count = len(self.each)
+        return np.sqrt((count - 1) / count * ((self.each - self.each.mean(axis=0)) ** 2).sum(axis=0))
+
+    def beside(self, columns: FloatArray, ridge: FloatArray) -> Equations:
+        """With more columns."""
+        return replace(self, a=np.concatenate([self.a, columns], axis=1), ridge=np.append(self.ridge, ridge))
+
+    def _solve(self, rows: NDArray[np.bool_]) -> FloatArray:
+        a = self.a[rows]
+        weighted = a * self.weight[rows, None]
+        return np.asarray(np.linalg.solve(weighted.T @ a + np.diag(self.ridge), weighted.T @ self.z[rows]))
+
+
+def other_judgements(
+    equations: Equations, residuals: Residuals, terms: Sequence[Term], counts: list[int]
+) -> FloatArray:
+    """How far coefficients move when all noise counts as alike, or as a share of the energy without outliers (a right
+    formula gives the same whatever counts more: White 1980), when effects that do not ask for the slope may be stronger
+    uphill than downhill, and when the base model's level is taken as right."""
+    scale, moving, grade = residuals.scale, residuals.moving, residuals.drive.grade
+    blind = np.repeat([not (t.reads_ground or t.formula in _OF_THESE_RUNS) for t in terms], counts).astype(bool)
+    slope = np.where(moving, (grade - grade[moving].mean()) / max(float(grade[moving].std()), 1e-12), 0.0)
+    level = np.repeat([t.formula == "level" for t in terms], counts).astype(bool)
+    found = [
+        equations,
+        replace(equations, weight=np.ones_like(scale)),
+        replace(equations, weight=(scale / scale[moving].mean()) ** 2),
+        equations.beside(equations.a[:, blind] * slope[:, None], equations.ridge[blind]),
+        replace(equations, ridge=np.where(level, 1e12, equations.ridge)),
+    ]
+    return np.std([each.solved[: blind.size] for each in found], axis=0, ddof=1)
+
+
+def bends(equations: Equations, terms: Sequence[Term], counts: list[int]) -> FloatArray:
+    """How far the coefficient of a small amount is from that of a large one: of a law that is no straight line the one
+    number is anywhere between (a rectangular distribution: JCGM 100:2008, 4.3.7), as far as that is more than noise."""
+    out = np.zeros(sum(counts))
+    for k, (term, count) in enumerate(zip(terms, counts, strict=True)):
+        if count > 1 or term.formula == "level":
+            continue
+        first = sum(counts[:k])
+        amount = equations.a[:, first]
+        order = np.argsort(amount)
+        grown = np.cumsum(amount[order] ** 2)
+        large = np.zeros(amount.size)
+        large[order[grown > 0.5 * grown[-1]]] = 1.0
+        both = equations.beside((amount * large)[:, None], equations.ridge[first])
+        out[first] = np.sqrt(max(both.solved[-1] ** 2 - both.errors[-1] ** 2, 0.0) / 12.0)
+    return out
+
+
+def of_others(
+    equations: Equations, found: FloatArray, residuals: Residuals, others: Sequence[Sequence[Term]]
+) -> FloatArray:
+    """How far the coefficients of other terms are from those found, in the mean (model uncertainty: Buckland et al.
+    1997)."""
+    squares = np.zeros_like(found)
+    for terms in others:
+        a = np.concatenate([t.columns(residuals.drive) for t in terms], axis=1) / residuals.scale[:, None]
+        size = np.maximum(np.sqrt(np.mean(a**2, axis=0)), 1e-12)
+        squares += (replace(equations, a=a / size).solved / size - found) ** 2
+    return np.sqrt(squares / max(len(others), 1))
+
+
+def found_in_base(
+    base: Residuals | None, terms: Sequence[Term], usual: FloatArray, counts: list[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (so many per term) on runs without the effects, shrunk by what may be noise, and their standard
+    errors; 0 where these runs vary a column much less than `usual` (as large as it is where the effects are)."""
+    own, doubt = np.zeros((2, sum(counts)))
+    shared = np.repeat([t.formula not in _OF_THESE_RUNS and "runs" not in t.where for t in terms], counts).astype(bool)
+    if base is None or not shared.any():
+        return own, doubt
+    x = np.concatenate([t.columns(base.drive) for t in terms], axis=1) / base.scale[:, None]
+    size = np.sqrt(np.mean(x**2, axis=0))
+    shown = shared & (size > _AS_MUCH * usual)
+    ridge = np.full(int(shown.sum()), 1e-3 * len(base))
+    there = Equations(x[:, shown] / size[shown], base.residual / base.scale, np.ones(len(base)), ridge, base.fold)
+    mean, error = there.each.mean(axis=0), there.errors
+    own[shown] = mean**3 / np.maximum(mean**2 + error**2, 1e-300) / size[shown]
+    doubt[shown] = error / size[shown]
+    return own, doubt
