@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from model.loop.effects import Term, inside, quantity
+from model.loop.effects import Term, inside
 from model.loop.evidence import Evidence
+from model.loop.formulas import quantity
 from model.loop.residual import Residuals
 
 _STEPS = np.linspace(0.05, 0.95, 37)

@@ -16,8 +16,9 @@ from model.loop.evidence import Verdict
 from model.loop.fitting import Fit, fit_terms
 from model.loop.localise import localised
 from model.loop.residual import Residuals
+from model.loop.selection import ALPHA, Floors, interactions_of
 from model.loop.shared import SharedErrors, most_carried, shared_errors
-from model.loop.trace import ALPHA, Floors, Trace, interactions_of, trace
+from model.loop.trace import Trace, trace
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.loop.columns import usable_columns
-from model.loop.effects import Term, quantity
+from model.loop.effects import Term
+from model.loop.formulas import quantity
 from model.loop.places import field_settings, grid_over
 from model.loop.residual import Residuals
 from model.loop.track import TURN_LIMITS_RADPS

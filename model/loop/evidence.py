@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from model.loop.effects import FORMULAS, Term
+from model.loop.effects import Term
+from model.loop.formulas import FORMULAS
 from model.loop.residual import Residuals
 from model.loop.steps import step_chance
 

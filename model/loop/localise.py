@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.effects import Term, inside, quantity
+from model.loop.effects import Term, inside
 from model.loop.evidence import Evidence
+from model.loop.formulas import quantity
 from model.loop.places import field_settings
 from model.loop.residual import Residuals
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from model.loop.calibration import Calibration
-from model.loop.effects import quantity
+from model.loop.formulas import quantity
 from model.terrain.heightmap import Heightmap
 from service.loop.calibrating import Calibrated
 from service.pictures import route_picture

@@ -11,7 +11,8 @@ from model.energy.physics import PhysicsPredictor
 from model.energy.uncertainty import USUAL_SPREAD, Spread
 from model.frames import GridFrame, heading_bins
 from model.loop.calibrated import CalibratedPredictor, Correction
-from model.loop.effects import FORMULAS, GROUND, Term, quantity
+from model.loop.effects import Term
+from model.loop.formulas import FORMULAS, GROUND, quantity
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 

@@ -1,0 +1,303 @@
+"""The moves of a selection of effects: judge each candidate, take the best, settle those taken, and name the rivals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from model.loop.candidates import Candidate
+from model.loop.evidence import Evidence, Verdict
+
+ALPHA = 0.05
+
+_STEADY = 0.6  # of the folds must gain
+_COEFFICIENT, _MOST = 0.01, 0.04
+_NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
+_SURE, _LITTLE = 0.01, 0.02
+_ROUNDS = 3
+_LEFT = 0.75  # of the work, as far as anybody knows, after each judging of all candidates
+_CURVES = {
+    "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
+    "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",
+    "local_friction": "learned:place",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Least held-out gain that counts: of a physical form, a learned curve, a field over the map. Less may be the base
+    model's own error, which goes with ground and place too."""
+
+    physical: float = 0.06
+    learned: float = 0.10
+    place: float = 0.12
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect taken: its candidate, the index of its term, and the verdict when it was taken."""
+
+    candidate: Candidate
+    verdict: Verdict
+
+
+def interactions_of(one: Found, found: Sequence[Found]) -> list[Found]:
+    """The interactions found that an effect is part of: they do not stand without it."""
+    return [f for f in found if one.candidate.name in f.candidate.parts]
+
+
+class Search:
+    """The moves of the selection on one body of evidence. owner : candidate of each term."""
+
+    def __init__(
+        self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float],
+        progress: Callable[[float], None] | None,
+    ) -> None:  # fmt: skip
+        self.evidence, self.owner, self.floors, self.shared = evidence, owner, floors, shared
+        self.progress = progress
+        self._refused: frozenset[str] = frozenset()
+        self._best: dict[tuple[tuple[int, ...], frozenset[str]], list[tuple[Candidate, Verdict]]] = {}
+
+    def refuse(self, names: set[str]) -> None:
+        """Candidates not to be tried again."""
+        self._refused |= names
+
+    def floor(self, term: int) -> float:
+        if self.evidence.terms[term].formula in ("place", "disk"):
+            return self.floors.place
+        return self.floors.learned if self.owner[term].learned else self.floors.physical
+
+    def clears_floor(self, verdict: Verdict) -> bool:
+        worth = min(verdict.gain, verdict.net)
+        if worth < self.floor(verdict.term) or verdict.steady < _STEADY:
+            return False
+        return worth - self.shared(verdict.term) >= self.floor(verdict.term)
+
+    def score(self, verdict: Verdict) -> float:
+        """Gain less a price for every coefficient: of two that help alike the simpler one."""
+        return round(verdict.gain - self.price(verdict.term), 6)  # some are one and the same on these runs
+
+    def price(self, term: int) -> float:
+        """Of the coefficients of a term beyond the first, as a share of the error."""
+        price = _COEFFICIENT * (len(self.evidence.columns[term]) - 1)
+        return price if self.evidence.terms[term].formula == "by_run" else min(price, _MOST)
+
+    def best_of_each(self, found: Sequence[Found]) -> list[tuple[Candidate, Verdict]]:
+        """Each candidate's best variant given what was found, best first. A curve over the very quantity of a named
+        effect that was found is not tried: it would only mend that effect's form."""
+        taken = sorted(f.verdict.term for f in found)
+        key = tuple(taken), self._refused
+        if key in self._best:
+            return self._best[key]
+        names = {f.candidate.name for f in found}
+        names |= self._refused | {_CURVES[name] for name in names if name in _CURVES}
+        tried = [k for k, c in enumerate(self.owner) if c.name not in names]
+        best: dict[str, tuple[Candidate, Verdict]] = {}
+        for verdict in self.evidence.judge(taken, tried):
+            candidate = self.owner[verdict.term]
+            if self.senseless(taken, verdict.term):
+                verdict = replace(verdict, p_value=1.0, why="its sign or its size makes no sense")
+            before = best.get(candidate.name)
+            if before is None or self._order(verdict) > self._order(before[1]):
+                best[candidate.name] = candidate, verdict
+        self._best[key] = sorted(best.values(), key=lambda pair: -pair[1].gain)
+        if self.progress is not None:
+            self.progress(1.0 - _LEFT ** len(self._best))
+        return self._best[key]
+
+    def senseless(self, taken: Sequence[int], term: int) -> bool:
+        sign, most = self.owner[term].sign, self.owner[term].most
+        if not sign and math.isinf(most):
+            return False
+        size = self.evidence.size_of(taken, term)
+        return sign * size < 0 or abs(size) > most
+
+    def turned(self, found: Sequence[Found]) -> set[str]:
+        """Effects that make no sense once all others speak for themselves."""
+        return {f.candidate.name for f in found
+                if f.candidate.name not in self._refused
+                and self.senseless([g.verdict.term for g in found if g is not f], f.verdict.term)}  # fmt: skip
+
+    def _order(self, verdict: Verdict) -> tuple[bool, float]:
+        return verdict.p_value <= ALPHA and self.clears_floor(verdict), self.score(verdict)
+
+    def pick(self, verdicts: Sequence[tuple[Candidate, Verdict]], found: Sequence[Found]) -> Found | None:
+        """The effect to take next, None when there is none: of those that do as well as the best, a named one that no
+        column tells more than."""
+        good = [Found(c, v) for c, v in verdicts if v.p_value <= ALPHA and self.clears_floor(v)]
+        first = [f for f in good if not f.candidate.response] or good
+        if not first:
+            return None
+        taken = [f.verdict.term for f in found]
+        best = max(first, key=lambda f: self.score(f.verdict))
+        alike = [f for f in first if f is best or self.as_good(taken, f, best)]
+        alike.sort(key=lambda f: (self.named(f), self.score(f.verdict)), reverse=True)
+        chosen = alike[0]
+        above = [f for f in alike[1:] if self.score(f.verdict) > self.score(chosen.verdict)]
+        return next((c for c in above if self.tells_more(taken, c, chosen)), chosen)
+
+    def named(self, one: Found) -> bool:
+        """Whether a physical form speaks for an effect: a curve, a drift, a field over the map and coefficients for
+        every run say only that something changes."""
+        field = self.evidence.terms[one.verdict.term].formula == "place"
+        return not (field or one.candidate.learned or one.candidate.name == "drift" or self.by_run(one))
+
+    def by_run(self, one: Found) -> bool:
+        return self.evidence.own(self.evidence.columns[one.verdict.term])
+
+    def as_good(self, taken: Sequence[int], one: Found, best: Found) -> bool:
+        """Whether an effect does as well as the best on held-out data: within one standard error (Breiman et al. 1984,
+        section 3.4.3) and no small part of the gain, or nearly."""
+        mine, its = (self.evidence.columns_of([*taken, f.verdict.term]) for f in (one, best))
+        blocks = self.evidence.own(mine) or self.evidence.own(its)
+        before = self.evidence.held_out(self.evidence.columns_of(taken), blocks=blocks).sum()
+        error = self.evidence.held_out(its, blocks=blocks)
+        worse = self.evidence.held_out(mine, blocks=blocks) - error
+        gained = float(before - error.sum())
+        noise = 0.0 if blocks else float(worse.std(ddof=1)) * np.sqrt(worse.size)
+        return bool(worse.sum() <= max((1.0 - _NEARLY) * gained, min(noise, (1.0 - _FAIRLY) * gained)))
+
+    def tells_more(self, taken: Sequence[int], column: Found, other: Found) -> bool:
+        """Whether a logged column explains what another effect leaves, and that one nothing of what the column leaves
+        (encompassing: Mizon & Richard 1986)."""
+        name = column.candidate.name
+        over = str(self.evidence.terms[column.verdict.term].settings.get("over", ""))
+        if not over.startswith("column:") or over.removeprefix("column:") == other.candidate.name:
+            return False
+        slopes = [k for k, c in enumerate(self.owner) if c.name == name and self.evidence.columns[k].size == 1]
+        constant = [k for k, t in enumerate(self.evidence.terms) if t.formula == "friction"]
+        more = self.evidence.judge([*taken, other.verdict.term, *constant], slopes)
+        if min((v.p_value for v in more), default=1.0) > _SURE:
+            return False
+        back = self.evidence.judge([*taken, column.verdict.term], [other.verdict.term])[0]
+        return back.p_value > ALPHA or min(back.gain, back.net) < _LITTLE
+
+    def with_parts(self, found: list[Found]) -> list[Found]:
+        """With the main effects of every interaction, or it would speak for them too (marginality: Nelder 1977): the
+        one that it modifies where that shows itself without it, the other where it shows itself beside it as well. The
+        interaction is then what comes on top, if anything does."""
+        for one in [f for f in found if f.candidate.parts]:
+            modified, other = one.candidate.parts
+            rest = [f for f in found if f is not one]
+            rest += self.shown(modified, rest)
+            if modified in {f.candidate.name for f in rest}:
+                found = rest + self.shown(one.candidate.name, rest)
+            found += self.shown(other, rest, found)
+        return found
+
+    def shown(self, name: str, *beside: Sequence[Found]) -> list[Found]:
+        """The best variant of an effect that shows itself beside each of some choices, best by the first; none if it is
+        among them. It is asked alone, and known to matter: a little gain is enough."""
+        tried = [k for k, c in enumerate(self.owner) if c.name == name]
+        kept: dict[int, Verdict] = {}
+        for found in reversed(beside):
+            if name in {f.candidate.name for f in found}:
+                return []
+            taken = [f.verdict.term for f in found]
+            verdicts = [v for v in self.evidence.judge(taken, tried) if not self.senseless(taken, v.term)]
+            kept = {v.term: v for v in verdicts if v.p_value <= ALPHA and min(v.gain, v.net) >= _LITTLE}
+            tried = list(kept)
+        best = max(kept.values(), key=self.score, default=None)
+        return [] if best is None else [Found(self.owner[best.term], best)]
+
+    def settle(self, found: list[Found]) -> list[Found]:
+        """Each effect as it would be taken given the others, which may put another in its place; without those that the
+        others make needless (sequential replacement: Miller 2002, section 3.7)."""
+        for _ in range(_ROUNDS):
+            before = list(found)
+            for k, one in enumerate(before):
+                if interactions_of(one, found):
+                    continue
+                rest = self.beside(found, found[k])
+                again = self.pick(self.best_of_each(rest), rest)
+                others = {f.candidate.name for f in found if f is not found[k]}
+                if again is not None and again.candidate.name not in others and self.better(rest, again, one):
+                    found = [*found[:k], again, *found[k + 1 :]]
+            least, k = min((self.worth(found, f), k) for k, f in enumerate(found) if not interactions_of(f, found))
+            if len(found) > 1 and least < 0.5 * self.floor(found[k].verdict.term):
+                found = found[:k] + found[k + 1 :]
+            if found == before:
+                break
+        return found
+
+    def two_named(self, found: list[Found]) -> list[Found]:
+        """Instead of two effects of which one is a mere curve, two with a physical form that do as well together, if
+        there are such, or that do better than a curve alone: taken one by one, the first may have stood for both."""
+        if len(found) not in (1, 2) or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
+            return found
+        most = 1.0 + _LITTLE if len(found) == 2 else 1.0 - self.floors.learned
+        single = [k for k, c in enumerate(self.owner) if self.evidence.columns[k].size == 1 and not c.learned]
+        single = [k for k in single if self.evidence.terms[k].formula not in ("disk", "turning")]
+        pairs = [(self.error([j, k]), j, k) for j in single for k in single
+                 if j < k and self.owner[j].name != self.owner[k].name]  # fmt: skip
+        error, *best = min(pairs, default=(np.inf, 0, 0))
+        if error > most * self.error([f.verdict.term for f in found]):
+            return found
+        both = [(k, [b for b in best if b != k]) for k in best]
+        verdicts = [self.evidence.judge(other, [k])[0] for k, other in both]
+        absurd = any(self.senseless(other, k) for k, other in both)
+        if absurd or any(v.p_value > ALPHA or not self.clears_floor(v) for v in verdicts):
+            return found
+        return [Found(self.owner[v.term], v) for v in verdicts]
+
+    def better(self, rest: Sequence[Found], again: Found, one: Found) -> bool:
+        """Whether to put an effect in the place of another: the whole gets better by it, or is named by it."""
+        taken = [f.verdict.term for f in rest]
+        new, old = (self.error([*taken, f.verdict.term]) for f in (again, one))
+        if again.candidate.name == one.candidate.name:
+            return new < (1.0 - 1e-6) * old  # variants may be one and the same on these runs
+        named = self.named(again) and not self.named(one)
+        return new < (1.0 + _LITTLE if named else 1.0 - _LITTLE) * old
+
+    def error(self, chosen: Sequence[int]) -> float:
+        """Held-out squared error [scaled] of a choice of terms."""
+        return float(self.evidence.held_out(self.evidence.columns_of(chosen)).sum())
+
+    def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
+        """The effects that an effect must hold its own against: not an interaction that it is part of; and what answers
+        to the drive makes nothing needless that explains it, for a measured tilt may say the same as a slope, and say
+        it better."""
+        others = [f for f in found if f is not one and one.candidate.name not in f.candidate.parts]
+        return [f for f in others if one.candidate.response or not f.candidate.response]
+
+    def worth(self, found: Sequence[Found], one: Found) -> float:
+        """Share by which the held-out error would grow without an effect, and the interactions that it is part of."""
+        rest = [f.verdict.term for f in self.beside(found, one)]
+        its = [f.verdict.term for f in (one, *interactions_of(one, found))]
+        without = self.error(rest)
+        return (without - self.error([*rest, *its])) / max(without, 1e-12)
+
+    def by_worth(self, found: list[Found]) -> list[Found]:
+        """The most telling first; what answers to the drive comes after what explains it."""
+        return sorted(found, key=lambda f: (f.candidate.response, -self.worth(found, f)))
+
+    def contains(self, rival: int, term: int) -> bool:
+        """Whether a rival is the very effect and something more, which shows nothing but the effect again."""
+        its, mine = (self.evidence.x[:, self.evidence.columns[k]] for k in (rival, term))
+        if its.shape[1] <= mine.shape[1]:
+            return False
+        rest = mine - its @ np.linalg.lstsq(its, mine, rcond=None)[0]
+        return bool((rest**2).sum() < 1e-6 * (mine**2).sum())
+
+    def rivals(self, found: Sequence[Found], one: Found) -> list[str]:
+        """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise."""
+        rest = [f.verdict.term for f in found if f is not one]
+        names = {f.candidate.name for f in found}
+        mine = self.evidence.columns_of([*rest, one.verdict.term])
+        gained = self.error(rest) - self.error([*rest, one.verdict.term])
+        out = []
+        for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
+            if candidate.name in names or verdict.p_value > ALPHA or not self.clears_floor(verdict):
+                continue
+            if self.contains(verdict.term, one.verdict.term):
+                continue
+            its = self.evidence.columns_of([*rest, verdict.term])
+            blocks = self.evidence.own(mine) or self.evidence.own(its)
+            worse = self.evidence.held_out(its, blocks=blocks) - self.evidence.held_out(mine, blocks=blocks)
+            noise = float(worse.std(ddof=1)) * np.sqrt(worse.size)
+            if worse.sum() < noise and worse.sum() < 0.1 * gained:
+                out.append(candidate.name)
+        return out
