@@ -94,6 +94,24 @@ def test_an_effect_is_named_first(name):
             assert found.effects[0].low[0] < true < found.effects[0].high[0]
 
 
+def test_cost_of_hollows_backwards_driving_and_a_heater_have_names():
+    """Each at work alone: wet hollows, a gear that drags backwards, and a heater of 1.5 W per degree below 25."""
+    rng = np.random.default_rng(17)
+    drive = made_up(rng)
+    back = smooth_noise(rng, len(drive)) > 0.8
+    compass = np.degrees(drive.heading_rad) + np.where(back, 180.0, 0.0) + rng.normal(0.0, 2.0, len(drive))
+    drive = replace(drive, columns=drive.columns | {"heading": compass % 360.0})
+    wet = found_in(drive, noisy(rng, drive, 20.0 * np.clip(drive.hollow_m / 0.05, 0.0, 2.0)))
+    assert wet.effects[0].term.name == "learned:hollow"
+    dragging = found_in(drive, noisy(rng, drive, 25.0 * back)).effects[0]
+    assert dragging.term.name == "reversing"
+    assert not dragging.planner  # plans drive forwards
+    heater_j = 1.5 * (25.0 - drive.columns["temperature"]) * drive.duration_s
+    heated = found_in(drive, noisy(rng, drive, heater_j)).effects[0]
+    assert heated.term.units[-1] == "W/K"
+    assert heated.low[-1] < -1.5 < heated.high[-1]
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_nothing_is_found_where_nothing_is(seed):
     rng = np.random.default_rng(100 + seed)
