@@ -63,7 +63,7 @@ def summary_of(outcomes: Sequence[Outcome]) -> str:
 
 
 def _share(words: str, count: int, of: int) -> str:
-    return f"- {words}: {count} of {of} ({count / of:.0%})" if of else ""
+    return f"- {words}: {count} of {of} ({count / of:.1%})" if of else ""
 
 
 def _row(name: str, cases: Sequence[Outcome]) -> str:
