@@ -71,20 +71,6 @@ class Term:
             return np.isin(found, self.settings["values"]).astype(np.float64)
         return None
 
-    @property
-    def own_level(self) -> str:
-        """What a level goes with that it brings along: "length", "motion", "time" or "all"; "" without one."""
-        s = self.settings
-        if not (s.get("level") or s.get("begun")):
-            return ""
-        if "of" in s:
-            return str(s["of"])
-        if s.get("of_time"):
-            return "time"
-        if "of_all" in s:
-            return "all" if s["of_all"] else "length"
-        return "motion" if s.get("of_motion") else "length"
-
     def energy(self, drive: Drive) -> FloatArray:
         """(n,) [J, or A s] that the effect adds."""
         return self.columns(drive) @ np.asarray(self.coefficients)

@@ -43,8 +43,7 @@ class Verdict:
     """On one term.
 
     gain : share by which the held-out squared error falls; net : the same with the level free in both fits, of an
-    effect that is not itself one of level; and free of what the effect brings of a level of its own. p_value : allowing
-    for all that was tried (1 where it cannot be asked).
+    effect that is not itself one of level. p_value : allowing for all that was tried (1 where it cannot be asked).
     steady : share of the folds in which it helps. why : where it cannot be asked, why.
     """
 
@@ -80,9 +79,6 @@ class Evidence:
         for term, columns in zip(self.terms, self.columns, strict=True):
             if term.formula == "place":
                 self.ridge[columns] = _FIELD_RIDGE
-        levels = {"friction": "length", "payload": "motion", "hotel_load": "time", "sensor_gain": "all"}
-        self.plain = {levels[t.formula]: k for k, t in enumerate(self.terms)
-                      if t.formula in levels and not (t.where or t.settings.get("column"))}  # fmt: skip
         self.folds = np.unique(residuals.fold)
         self.moving = np.flatnonzero(residuals.moving)
         self.moving = self.moving[np.lexsort((drive.since_s[self.moving], drive.run[self.moving]))]
@@ -154,8 +150,6 @@ class Evidence:
         selected = self.columns_of(chosen)
         before = {blocks: [self.held_out(selected, blocks=blocks, free=free) for free in (False, True)]
                   for blocks in (False, True)}  # fmt: skip
-        plain = {of: self.held_out(np.concatenate([selected, self.columns[k]]), free=True)
-                 for of, k in self.plain.items()}  # fmt: skip
         p_values, reasons = self._chances(chosen, tried)
         verdicts = []
         for k in tried:
@@ -164,7 +158,6 @@ class Evidence:
             falls = error - self.held_out(active)
             gain = net = float(falls.sum() / error.sum())
             if not self.moves_level([k]):
-                error_free = plain.get(self.terms[k].own_level, error_free)
                 falls = error_free - self.held_out(active, free=True)
                 net = float(falls.sum() / error_free.sum())
             verdicts.append(Verdict(k, gain, net, p_values[k], float((falls > 0).mean()), reasons.get(k, "")))
