@@ -17,7 +17,6 @@ from model.loop.fitting import fit_terms
 from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
-from model.loop.steps import step_chance
 from model.loop.track import TURN_LIMITS_RADPS
 from model.robot import Robot
 
@@ -184,16 +183,6 @@ def test_a_word_that_changes_once_is_told_by_the_step_from_what_differs_between_
     drive = replace(drive, words={"terrain": np.where(sand, "sand", "grass")})
     found = found_in(drive, noisy(rng, drive, 0.4 * drive.motion_part * sand))
     assert found.effects[0].term.name == "terrain_class"
-
-
-def test_a_step_is_judged_by_the_jumps_of_all_other_places():
-    rng = np.random.default_rng(2)
-    run, state = np.repeat(np.arange(6), 120), np.repeat([0.0, 0.0, 0.0, 0.0, 1.0, 1.0], 120)
-    state[4 * 120 : 4 * 120 + 60] = 0.0
-    quiet = [step_chance(rng.standard_normal(720), state, run) for _ in range(200)]
-    assert np.mean(np.array(quiet) < 0.05) < 0.09  # 0.05 and two standard errors of 200 tries
-    assert step_chance(rng.standard_normal(720) + 3.0 * state, state, run) < 1e-4
-    assert step_chance(3.0 * state, (run > 3).astype(float), run) == 1.0  # changes between runs only
 
 
 def test_cost_that_grows_with_warmth_is_not_called_temperature():
