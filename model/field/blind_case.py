@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.errors import InputError
-from model.field.conditions import Conditions, Day
+from model.field.conditions import Conditions, Day, Halts
 from model.field.drives import Drive
 from model.field.effects import Effect
 from model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
@@ -80,18 +80,13 @@ class BlindTruth:
 
 @dataclass(frozen=True)
 class _Driven:
-    """One run: what was driven in which conditions, what came of it, and what would have come of it without effects.
-
-    halts_at, halts_s : stations after which the robot stands for so long.
-    """
+    """One run: what was driven in which conditions, what came of it, and what would have come of it without effects."""
 
     site: Site
     drive: Drive
     conditions: Conditions
     trace: Trace
     plain: Trace
-    halts_at: NDArray[np.int64]
-    halts_s: FloatArray
 
 
 def make_blind_case(
@@ -221,15 +216,15 @@ def _drive_day(
         drawn = Conditions.drawn(rng, start_s=clock, driven_m=metres, charge=charge, day=weather)
         conditions = conditions_for(effects, drawn, robot, rng, payload_logged=payload_logged)
         chance = int(rng.integers(2**31))
+        halts_at = np.sort(rng.choice(drive.x.size - 1, int(rng.integers(2, 5)), replace=False))
+        conditions = replace(conditions, halts=Halts(halts_at, rng.uniform(3.0, 12.0, halts_at.size)))
         trace = simulate_trace(
             site, robot, drive, rng=np.random.default_rng(chance), effects=effects, conditions=conditions
         )
         plain = trace
         if effects:
             plain = simulate_trace(site, robot, drive, rng=np.random.default_rng(chance), conditions=conditions)
-        halts_at = np.sort(rng.choice(trace.t.size - 1, int(rng.integers(2, 5)), replace=False))
-        halts_s = rng.uniform(3.0, 12.0, halts_at.size)
-        driven.append(_Driven(site, drive, conditions, trace, plain, halts_at, halts_s))
+        driven.append(_Driven(site, drive, conditions, trace, plain))
         metres += drive.length_m
         charge -= float(trace.energy_j()[-1]) / 3600.0 / robot.declared.battery_wh
         clock += float(trace.t[-1]) + float(rng.uniform(0.3, 1.6)) * 3600.0
@@ -238,7 +233,7 @@ def _drive_day(
 
 def _log(trace: Trace, run: _Driven, robot: FieldRobot, effects: Sequence[Effect], seed: int, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    trace = with_stands(trace, run.halts_at, run.halts_s)
+    trace = with_stands(trace, run.conditions.halts)
     words = run.site.words_at(trace.x, trace.y)
     log = log_trace(
         trace, robot, rng=np.random.default_rng(seed), terrain=words, conditions=run.conditions,
@@ -253,7 +248,7 @@ def _gain(effects: Sequence[Effect]) -> float:
 
 def _truth(run: _Driven, effects: Sequence[Effect]) -> RunTruth:
     gain = _gain(effects)
-    trace, plain = (with_stands(each, run.halts_at, run.halts_s) for each in (run.trace, run.plain))
+    trace, plain = (with_stands(each, run.conditions.halts) for each in (run.trace, run.plain))
     return RunTruth(
         t=trace.t + Logger().standing_s + run.conditions.start_s,
         drawn_j=gain * trace.energy_j(),

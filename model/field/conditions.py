@@ -50,12 +50,27 @@ class Wind:
 
 
 @dataclass(frozen=True)
+class Halts:
+    """Where a run stands still: for so many `seconds` after each of these `stations` of its path, (k,) both."""
+
+    stations: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    seconds: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def waited_s(self, n: int) -> FloatArray:
+        """How long the run has stood before it leaves for each of n stations, (n,): a halt delays what comes after."""
+        halts = np.zeros(n + 1)
+        np.add.at(halts, self.stations + 1, self.seconds)
+        return np.cumsum(halts)[:n]
+
+
+@dataclass(frozen=True)
 class Conditions:
     """Of one run. start_s : stamp of its first row, seconds of the log's clock (its days begin at multiples of 86,400).
 
     driven_m : already driven that day. mean_c, swing_c : the day's temperature; it is coldest at 4 h and warmest at
     16 h. payload_kg : what the log says is carried (`payload_logged`), and what truly is where an effect says so.
-    charge : of the battery at the start, 0..1. seed : of what a driver does at random under an effect.
+    charge : of the battery at the start, 0..1. seed : of what a driver does at random under an effect. halts : while
+    the robot stands, wind and day go on.
     """
 
     start_s: float = 10.0 * 3600.0
@@ -68,6 +83,7 @@ class Conditions:
     payload_logged: bool = True
     charge: float = 0.95
     seed: int = 0
+    halts: Halts = field(default_factory=Halts)
 
     def temperature_c(self, t: FloatArray) -> FloatArray:
         """Of the air [degC] at seconds t (n,) of the run."""

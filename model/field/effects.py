@@ -31,7 +31,8 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ride:
-    """A drive under way: all that a force or a loss may depend on. t [s] and path_m : (n,) since the start."""
+    """A drive under way: all that a force or a loss may depend on. t [s], without halts, and path_m : (n,) since the
+    start."""
 
     drive: Drive
     motion: Motion
@@ -43,6 +44,11 @@ class Ride:
     @property
     def weight_n(self) -> float:
         return float(self.robot.kernel_parameters()[0])
+
+    @property
+    def clock_s(self) -> FloatArray:
+        """Since the start with all halts (n,): what wind and temperature go by."""
+        return self.t + self.conditions.halts.waited_s(self.t.size)
 
     @property
     def duration_s(self) -> FloatArray:
@@ -127,7 +133,7 @@ class Within(Effect):
         value = {
             "grade_deg": lambda: ride.grade_deg,
             "speed_mps": lambda: ride.drive.speed_mps,
-            "temperature_c": lambda: ride.conditions.temperature_c(ride.t),
+            "temperature_c": lambda: ride.conditions.temperature_c(ride.clock_s),
         }[self.quantity]()
         return (value >= self.above) & (value <= self.below)
 

@@ -56,7 +56,7 @@ class AirDrag(Effect):
     @staticmethod
     def _met(ride: Ride) -> FloatArray:
         """Speed of the air against the robot times its part along the motion [m2/s2], > 0 from ahead."""
-        wind, source = ride.conditions.wind.at(ride.t)
+        wind, source = ride.conditions.wind.at(ride.clock_s)
         ahead = ride.drive.speed_mps + wind * np.cos(ride.drive.heading_rad - source)
         aside = wind * np.sin(ride.drive.heading_rad - source)
         return np.hypot(ahead, aside) * ahead
@@ -142,11 +142,11 @@ class ColdGrease(Effect):
     unit: ClassVar[str] = "J/m/K"
 
     def force_n(self, ride: Ride) -> FloatArray:
-        stiff = np.expm1((self.warm_c - ride.conditions.temperature_c(ride.t)) / self.scale_k)
+        stiff = np.expm1((self.warm_c - ride.conditions.temperature_c(ride.clock_s)) / self.scale_k)
         return self.share * ride.weight_n * stiff / math.expm1(self.warm_c / self.scale_k)
 
     def amount(self, ride: Ride) -> FloatArray:
-        return ride.along_path(ride.conditions.temperature_c(ride.t) - self.warm_c)
+        return ride.along_path(ride.conditions.temperature_c(ride.clock_s) - self.warm_c)
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class Drift(Effect):
     def _age(self, ride: Ride) -> FloatArray:
         if self.over == "km":
             return (ride.conditions.driven_m + ride.path_m) / 1000.0
-        return np.maximum(((ride.conditions.start_s + ride.t) % 86400.0) / 3600.0 - _FIRST_HOUR, 0.0)
+        return np.maximum(((ride.conditions.start_s + ride.clock_s) % 86400.0) / 3600.0 - _FIRST_HOUR, 0.0)
 
 
 @dataclass(frozen=True)

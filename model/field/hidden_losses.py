@@ -89,7 +89,7 @@ class HotMotors(Effect):
     name: ClassVar[str] = "learned:motor_temperature"
 
     def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:
-        air = float(ride.conditions.temperature_c(ride.t).mean())
+        air = float(ride.conditions.temperature_c(ride.clock_s).mean())
         drawn = wheels_w
         for _ in range(4):  # more power makes more warmth
             warmth = motor_temperature_c(drawn, ride.duration_s, air)

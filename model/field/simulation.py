@@ -9,10 +9,10 @@ from functools import reduce
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from model.errors import InputError
-from model.field.conditions import Conditions
+from model.field.conditions import Conditions, Halts
 from model.field.drives import Drive
 from model.field.effects import Effect, Ride
 from model.field.electrics import wheel_power_w
@@ -139,12 +139,9 @@ def simulate_segments(
     return true_segments(simulate_trace(site, robot, drive, rng=rng), max_driven_m=max_driven_m)
 
 
-def with_stands(trace: Trace, stations: ArrayLike, seconds: ArrayLike) -> Trace:
-    """The same drive with halts: for so many seconds each, after these stations. Each halt adds a station."""
-    after = np.asarray(stations, dtype=np.int64)
-    halts = np.zeros(trace.t.size)
-    np.add.at(halts, after, np.asarray(seconds, dtype=np.float64))
-    waited = np.cumsum(halts)
+def with_stands(trace: Trace, halts: Halts) -> Trace:
+    """The same drive with its halts. Each of them adds a station."""
+    after, waited = halts.stations, halts.waited_s(trace.t.size + 1)
     columns = {}
     for item in fields(Trace):
         values = getattr(trace, item.name)
@@ -153,8 +150,8 @@ def with_stands(trace: Trace, stations: ArrayLike, seconds: ArrayLike) -> Trace:
             continue
         halted = values[after]
         if item.name == "t":
-            values = values + waited - halts  # a halt delays what comes after its station
-            halted = trace.t[after] + waited[after]
+            values = values + waited[:-1]
+            halted = trace.t[after] + waited[after + 1]
         elif item.name == "speed_mps" or item.name == "wheels_w":
             halted = np.zeros(after.size)
         elif item.name in ("power_w", "explained_w"):

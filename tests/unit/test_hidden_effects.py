@@ -8,7 +8,7 @@ import pytest
 
 from model.errors import InputError, NotFoundError
 from model.field.blind_case import make_blind_case
-from model.field.conditions import Conditions, Day, Wind
+from model.field.conditions import Conditions, Day, Halts, Wind
 from model.field.drives import drive_along, winding
 from model.field.effects import Effect, Within
 from model.field.hidden_draws import EFFECT_NAMES, day_for, draw_effect
@@ -249,12 +249,23 @@ def test_a_gusty_wind_has_its_mean_and_its_spread():
 
 def test_a_halt_takes_time_and_standing_power_only():
     driven = trace(HotelLoad(5.0))
-    halted = with_stands(driven, [100, 250], [4.0, 6.0])
+    halted = with_stands(driven, Halts(np.array([100, 250]), np.array([4.0, 6.0])))
     assert halted.t[-1] == pytest.approx(driven.t[-1] + 10.0)
     assert halted.energy_j()[-1] == pytest.approx(driven.energy_j()[-1] + 10.0 * (IDLE + 5.0))
     np.testing.assert_array_equal(halted.x[101], halted.x[100])
     assert halted.t[101] - halted.t[100] == pytest.approx(4.0)
     assert (np.diff(halted.t) > 0).all()
+
+
+def test_the_wind_goes_on_while_the_robot_stands():
+    halts = Halts(np.array([100, 250]), np.array([4.0, 6.0]))
+    there = Conditions(wind=Wind.gusty(5.0, 0.0, np.random.default_rng(5)), halts=halts)
+    halted = with_stands(trace(AirDrag(0.5), conditions=there), halts)
+    moving = halted.speed_mps > 0
+    wind, source = there.wind.at(halted.t)
+    ahead = 0.5 + wind * np.cos(source)
+    force = 0.5 * 1.2 * 0.5 * ahead * np.hypot(ahead, wind * np.sin(source))
+    np.testing.assert_allclose(halted.power_w[moving], (LEVEL_W + 0.5 * force)[moving], rtol=1e-6)
 
 
 def test_winding_stays_inside_and_bends():
