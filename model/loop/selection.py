@@ -18,6 +18,7 @@ _COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
 _SURE, _LITTLE = 0.01, 0.02
 _ROUNDS = 3
+_TOLERANCE = 0.1
 _LEFT = 0.75  # of the work, as far as anybody knows, after each judging of all candidates
 _CURVES = {
     "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
@@ -217,7 +218,7 @@ class Search:
                 if again is not None and again.candidate.name not in others and self.better(rest, again, one):
                     found = [*found[:k], again, *found[k + 1 :]]
             least, k = min((self.worth(found, f), k) for k, f in enumerate(found) if not interactions_of(f, found))
-            if len(found) > 1 and least < 0.5 * self.floor(found[k].verdict.term):
+            if len(found) > 1 and least < self._least(found[k]):
                 found = found[:k] + found[k + 1 :]
             if found == before:
                 break
@@ -252,9 +253,9 @@ class Search:
         named = self.named(again) and not self.named(one)
         return new < (1.0 + _LITTLE if named else 1.0 - _LITTLE) * old
 
-    def error(self, chosen: Sequence[int]) -> float:
-        """Held-out squared error [scaled] of a choice of terms."""
-        return float(self.evidence.held_out(self.evidence.columns_of(chosen)).sum())
+    def error(self, chosen: Sequence[int], *, free: bool = False) -> float:
+        """Held-out squared error [scaled] of a choice of terms, with any level (`free`) or one within its doubt."""
+        return float(self.evidence.held_out(self.evidence.columns_of(chosen), free=free).sum())
 
     def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
         """The effects that an effect must hold its own against: not an interaction that it is part of; and what answers
@@ -263,12 +264,39 @@ class Search:
         others = [f for f in found if f is not one and one.candidate.name not in f.candidate.parts]
         return [f for f in others if one.candidate.response or not f.candidate.response]
 
-    def worth(self, found: Sequence[Found], one: Found) -> float:
-        """Share by which the held-out error would grow without an effect, and the interactions that it is part of."""
+    def worth(self, found: Sequence[Found], one: Found, *, free: bool = False) -> float:
+        """Share by which the held-out error would grow without an effect, and the interactions that it is part of;
+        with the level free in both fits, if asked."""
         rest = [f.verdict.term for f in self.beside(found, one)]
         its = [f.verdict.term for f in (one, *interactions_of(one, found))]
-        without = self.error(rest)
-        return (without - self.error([*rest, *its])) / max(without, 1e-12)
+        without = self.error(rest, free=free)
+        return (without - self.error([*rest, *its], free=free)) / max(without, 1e-12)
+
+    def without_shadows(self, found: list[Found]) -> list[Found]:
+        """Without what only fills in where the others have not quite the right form, the weakest first."""
+        while shadows := [f for f in found if not interactions_of(f, found) and self.shadow(found, f)]:
+            weakest = min(shadows, key=lambda f: self.worth(found, f))
+            found = [f for f in found if f is not weakest]
+        return found
+
+    def shadow(self, found: Sequence[Found], one: Found) -> bool:
+        """Whether an effect is but the shadow of others: beside them it does no more than lift the level, which a form
+        that is not quite right leaves off by more than the base model does; or no physical form speaks for it, and
+        nine tenths of what it explains alone they explain too (a tolerance below 0.1: Marquardt 1970)."""
+        rest = [f.verdict.term for f in self.beside(found, one)]
+        if not rest:
+            return False
+        if self.worth(found, one, free=True) < self._least(one):
+            return True
+        if self.named(one):
+            return False
+        left = self.error(rest) - self.error([*rest, one.verdict.term])
+        own = (k for k, c in enumerate(self.owner) if c.name == one.candidate.name)
+        return left < _TOLERANCE * (self.error([]) - min(self.error([k]) for k in own))
+
+    def _least(self, one: Found) -> float:
+        """What an effect that was taken must still be worth."""
+        return 0.5 * self.floor(one.verdict.term)
 
     def by_worth(self, found: list[Found]) -> list[Found]:
         """The most telling first; what answers to the drive comes after what explains it."""

@@ -70,7 +70,7 @@ def trace(
             search.refuse(wrong)
             found, needless = [], set()
         verdicts = search.best_of_each(found)
-    found = search.by_worth(search.two_named(found))
+    found = search.by_worth(search.two_named(search.without_shadows(found)))
     remaining = [v for v in verdicts if v[0].name not in {f.candidate.name for f in found}]
     names = {f.candidate.name: search.rivals(found, f) for f in found}
     least = min((v.p_value for _, v in remaining if search.clears_floor(v)), default=None)
