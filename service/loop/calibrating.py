@@ -64,7 +64,10 @@ def calibrate_on_runs(
     """
     target = out / "model"
     if target.exists():
-        raise ConflictError(f"{target} is there already: a model version is never changed", path=str(target))
+        raise ConflictError(
+            f"{target} is there already: a model version is never changed. Choose another folder or remove this one",
+            path=str(target),
+        )
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
     segments = runs.segments

@@ -71,7 +71,7 @@ def test_runs_of_another_place_are_refused_in_words(field, tmp_path):
               str(tmp_path / "out")],
     )  # fmt: skip
     assert done.exit_code == 3
-    assert "belong together" in done.output
+    assert "the runs lie off the heightmap" in done.output
 
 
 def test_a_missing_input_is_not_there(field, tmp_path):

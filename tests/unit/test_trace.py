@@ -43,7 +43,8 @@ def made_up(rng, *, runs=6, each=120, heading=None) -> Drive:
             "y": 25.0 + 15.0 * smooth_noise(rng, each), "length_m": np.ones(each), "duration_s": duration,
             "traction_per_m": ROBOT.weight_n * (0.08 + grade), "turned_rad": turned, "turned_abs_rad": np.abs(turned),
             "gentle_turn_rad": np.stack([np.minimum(np.abs(turned), 2.0 * r) for r in TURN_LIMITS_RADPS], axis=1),
-            "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "cross": 0.04 * smooth_noise(rng, each),
+            "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "grades": np.repeat(grade[:, None], 5, axis=1),
+            "cross": 0.04 * smooth_noise(rng, each),
             "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)), "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
             "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)), "elevation_m": smooth_noise(rng, each),
             "hollow_m": 0.05 * smooth_noise(rng, each),
@@ -309,7 +310,7 @@ def test_where_an_effect_begins_is_fitted_and_in_doubt():
 
 
 def test_a_metre_over_the_brow_is_partly_uphill_and_partly_downhill():
-    drive = replace(made_up(np.random.default_rng(2), each=40), grades=None)
+    drive = made_up(np.random.default_rng(2), each=40)
     brow = replace(drive, grades=np.tile([0.04, 0.02, 0.0, -0.02, -0.04], (len(drive), 1)))
     assert inside(brow, {"over": "grade", "above": 0.01}) == pytest.approx(0.375)  # trapezoids over a quarter metre
     down = Term("braking", "braking", ("",), {"from_grade": 0.0}, {}, (1.0,))
