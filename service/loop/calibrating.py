@@ -21,9 +21,9 @@ from model.loop.calibrated import (
 )
 from model.loop.calibration import Calibration, calibrate
 from model.loop.report import report_document
-from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.loop.next_drive import next_drive
 from service.loop.rerouting import Comparison, Task, compare_routes
 from service.loop.residuals import base_residuals, residuals_on
 from service.loop.runs import CalibrationRuns
@@ -101,9 +101,21 @@ def calibrate_on_runs(
     report["runs"] = {
         "names": list(segments.runs), "rows": runs.rows, "repairs": runs.repairs, "left_out": segments.left_out,
     }  # fmt: skip
+    report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)
     _tell(progress, 1.0)
     return Calibrated(report, found, routes)
+
+
+def _next_drive(
+    found: Calibration, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: CalibrationRuns, seed: int
+) -> dict[str, Any]:
+    if not runs.placed:
+        return {"why_not": "the runs have no positions"}
+    try:
+        return next_drive(found, predictor, heightmap, robot, seed=seed).as_dict()
+    except (InputError, InfeasibleError) as error:  # nothing was found, or no route fits
+        return {"why_not": error.message}
 
 
 _READ, _TRACED = 0.3, 0.8  # of the work
@@ -156,47 +168,3 @@ def _write(target: Path, model: str | Path, predictor: Predictor, correction: Co
     target.mkdir(parents=True)
     shutil.copytree(model, target / BASE_FOLDER)
     return save_calibrated(target, correction, {"folder": BASE_FOLDER, "version": version})
-
-
-def suggest_next_drive(
-    model: str | Path,
-    heightmap: Heightmap,
-    robot: Robot,
-    runs: CalibrationRuns,
-    *,
-    effect: str | None = None,
-    length_m: float = 200.0,
-    seed: int = 0,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[Suggestion, list[str]]:
-    """The drive that tells an effect from what these runs confuse it with, or pins its coefficient; and those rivals.
-
-    effect : a candidate's name; the first confounded one, or the least certain one found, unless given. Raises
-    InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
-    """
-    predictor = load_model(model)
-    measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
-    base = base_residuals(model, predictor, heightmap, robot, runs.base)
-    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
-    best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
-    best |= {e.term.name: e.term for e in found.effects}
-    name = effect or next(iter(found.trace.confounded), None)
-    if name is None and found.effects:
-        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
-    if name is None:
-        raise InputError("these runs show nothing that the model lacks: name the effect that you are in doubt about")
-    if name not in best:
-        raise InputError(
-            f"there is no candidate {name!r} on these runs; there are {', '.join(sorted(best))}", name=name
-        )
-    rivals = found.trace.confounded.get(name, [])
-    others = [e.term for e in found.effects if e.term.name != name]
-
-    def traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
-        return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
-
-    suggestion = suggest_drive(
-        found.residuals, best[name], [*(best[r] for r in rivals), *others], heightmap, robot, traction,
-        length_m=length_m, seed=seed,
-    )  # fmt: skip
-    return suggestion, rivals
