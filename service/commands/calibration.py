@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from model.terrain.heightmap import Heightmap
     from service.loop.runs import CalibrationRuns
 
-_SHOWN = 4  # coefficients of an effect
 _CORNERS = 8  # of a route
 
 Odometry = Annotated[
@@ -120,20 +119,17 @@ def _read(
 
 
 def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
+    from service.loop.page import coefficient_words
+
     unit = "A s" if document["target"] == "charge_as" else "J"
     names = ", ".join(effect["name"] for effect in document["effects"])
     answer.say(f"[bold]Found {names}[/]" if names else "[bold]Nothing found[/] that the model lacks")
     rows = {}
     for effect in document["effects"]:
-        shown = effect["coefficients"][:_SHOWN]
-        values = ", ".join(
-            f"{c['name'] + ' ' if len(shown) > 1 else ''}{c['value']:.4g} {c['unit']} "
-            f"({c['ci95'][0]:.4g} to {c['ci95'][1]:.4g})".replace("  ", " ")
-            for c in shown
-        )
-        more = f" and {len(effect['coefficients']) - _SHOWN} more" if len(effect["coefficients"]) > _SHOWN else ""
         plans = "" if effect["in_plans"] else "; a diagnosis, not in plans"
-        rows[effect["name"]] = f"{values}{more}, p = {effect['p_value']:.2g}, {effect['where']}{plans}"
+        rows[effect["name"]] = (
+            f"{', '.join(coefficient_words(effect))}; p = {effect['p_value']:.2g}, {effect['where']}{plans}"
+        )
     rows |= _error_words(document["error"], unit, "")
     if "kept_aside" in document:
         rows |= _error_words(document["kept_aside"]["error"], unit, ", kept aside")

@@ -94,6 +94,8 @@ def calibrate_on_runs(
                 why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
     report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
+    if routes is not None:
+        report["map"] = routes.map_as_dict()
     if routes is not None and segments.charge:
         report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
     if aside is not None:

@@ -50,6 +50,12 @@ def test_idle_power_is_told_from_friction_by_speed():
     assert found.shrinkage < 0.3
 
 
+def test_no_more_is_asked_for_than_there_is_time_for():
+    for length in (20.0, 80.0):
+        found = suggest_drive(straight_runs(), HOTEL, [FRICTION], field(), ROBOT, level, length_m=length)
+        assert len(found.speeds) * np.floor(found.length_m) <= 1.25 * length
+
+
 def test_no_known_ground_no_drive():
     with pytest.raises(InfeasibleError, match="known ground"):
         suggest_drive(straight_runs(), TURNING, [], field(known=False), ROBOT, level)
