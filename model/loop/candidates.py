@@ -30,6 +30,7 @@ _USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
+_BENT_STEPS = 6
 _MOST_RUNS = 12  # that may each have something of their own
 
 
@@ -201,14 +202,28 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
         yield Candidate("wind", (calm,), "one line to and fro, and one across it")
     else:
-        air = (
+        air = [
             Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
             Term("wind", "wind_measured", (f"{unit}/m per m/s",), {"quadratic": False}),
-        )
-        yield Candidate("wind", air, "one line to and fro in a wind")
+        ]
+        if not residuals.charge:
+            air += [bent for term in air if (bent := _bent(residuals, term)) is not None]
+        yield Candidate("wind", tuple(air), "one line to and fro in a wind")
     if "payload" in usable:
         logged = Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0})
         yield Candidate("payload", (logged,), "the same loop with and without a load")
+
+
+def _bent(residuals: Residuals, force: Term) -> Term | None:
+    """A force as the price feels it that it makes; None where the runs show no such force against the motion."""
+    weight = residuals.moving / residuals.scale**2
+    felt = None
+    for _ in range(_BENT_STEPS):
+        column = replace(force, settings={**force.settings, "felt": felt}).columns(residuals.drive)[:, 0]
+        felt = float(np.sum(weight * column * residuals.residual) / max(np.sum(weight * column**2), 1e-300))
+        if felt <= 0.0:
+            return None
+    return replace(force, settings={**force.settings, "felt": felt})
 
 
 def _wind_logged(residuals: Residuals, usable: Sequence[str]) -> bool:
