@@ -30,6 +30,7 @@ _USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
+_LEAST_GENTLE = 0.01
 _BENT_STEPS = 6
 _MOST_RUNS = 12  # that may each have something of their own
 
@@ -74,7 +75,7 @@ def find_candidates(
     drive, moving = residuals.drive, residuals.moving
     unit, amount = ("A s", "A") if residuals.charge else ("J", "W")
     refused: dict[str, str] = {}
-    found = list(_of_path(unit, _ripple(residuals, columns.get("ripple"))))
+    found = [_turning(residuals, unit), *_of_path(unit, _ripple(residuals, columns.get("ripple")))]
     found.append(
         Candidate("hotel_load", (Term("hotel_load", "hotel_load", (amount,)),),
                   "drive the same line at two speeds, and stand for a minute")
@@ -113,19 +114,24 @@ def _merged(found: list[Candidate]) -> list[Candidate]:
     return list(by_name.values())
 
 
-def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
+def _turning(residuals: Residuals, unit: str) -> Candidate:
     rad = f"{unit}/rad"
-    saturating = tuple(Term("turning", "turning", (rad,), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
+    turned = residuals.drive.turned_abs_rad
+    shares = turned @ residuals.drive.gentle_turn_rad / max(float(turned @ turned), 1e-12)
+    saturating = [
+        Term("turning", "turning", (rad,), {"limit_radps": limit, "share": round(float(share), 4)})
+        for limit, share in zip(TURN_LIMITS_RADPS, shares, strict=True)
+        if share > _LEAST_GENTLE
+    ]
     both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS[:5])
     plain = Term("turning", "turning", (rad,), {"limit_radps": None})
     sides = Term("turning", "turning_sides", (rad, rad))
     slopes = tuple(replace(plain, where={"over": "grade", side: g}) for side in ("above", "below") for g in _GRADES)
-    yield Candidate(
-        "turning",
-        (plain, *saturating, *both, sides, *slopes),
-        "curves of several radii on level ground, both ways",
-        sign=1,
-    )
+    forms = (plain, *saturating, *both, sides, *slopes)
+    return Candidate("turning", forms, "curves of several radii on level ground, both ways", sign=1)
+
+
+def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     speeds = tuple(
         Term("speed", "speed", (f"{unit}/m per m/s",) if p == 1 else (f"{unit}/m per (m/s)^{p}",),
              {"power": p, "absolute": absolute})

@@ -53,11 +53,15 @@ def quantity(drive: Drive, name: str) -> FloatArray:
 
 
 @_formula
-def turning(drive: Drive, *, limit_radps: float | None = None) -> FloatArray:
-    """J/rad. Scrubbing while the heading changes, to either side; up to a rate where it saturates."""
+def turning(drive: Drive, *, limit_radps: float | None = None, share: float = 1.0) -> FloatArray:
+    """J/rad. Scrubbing while the heading changes, to either side; up to a rate where it saturates.
+
+    share : of a radian that is turned no faster than that, as runs drive it: with it the coefficient is that of their
+    usual radian, whatever the rate.
+    """
     if limit_radps is None:
         return drive.turned_abs_rad[:, None]
-    return drive.gentle_turn_rad[:, [TURN_LIMITS_RADPS.index(limit_radps)]]
+    return drive.gentle_turn_rad[:, [TURN_LIMITS_RADPS.index(limit_radps)]] / share
 
 
 @_formula
