@@ -115,7 +115,7 @@ def _routes(heightmap: Heightmap, length_m: float, rng: np.random.Generator) -> 
             "a line to and fro": [(0.0, -reach), (0.0, reach), (0.0, -reach)],
             "a square": [(-reach, -reach), (-reach, reach), (reach, reach), (reach, -reach), (-reach, -reach)],
             "a slalom": [(0.15 * reach * (-1) ** k, reach * (k / 6.0 - 0.5)) for k in range(7)],
-            f"circles of {radius:.1f} m": circle,
+            f"circles of {radius:.1f} m radius": circle,
         }
         for kind, corners in shapes.items():
             p = np.asarray(corners)

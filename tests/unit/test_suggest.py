@@ -9,7 +9,7 @@ from model.loop.effects import Term
 from model.loop.residual import residuals_of
 from model.loop.suggest import suggest_drive
 from model.terrain.heightmap import Heightmap
-from tests.unit.test_trace import ROBOT, made_up, noisy
+from tests.reference.drives import ROBOT, made_up, noisy
 
 TURNING = Term("turning", "turning", ("J/rad",), {"limit_radps": None})
 HOTEL = Term("hotel_load", "hotel_load", ("W",))
