@@ -68,6 +68,8 @@ def calibrate_on_runs(
             f"{target} is there already: a model version is never changed. Choose another folder or remove this one",
             path=str(target),
         )
+    begun = out / "model.partial"  # a calibration that is cut off leaves no model
+    shutil.rmtree(begun, ignore_errors=True)
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
     segments = runs.segments
@@ -79,7 +81,7 @@ def calibrate_on_runs(
     version, routes, why_not = None, None, "nothing was found that changes a route"
     if found.terms:
         correction = correction_of(found, std)
-        version = _write(target, model, predictor, correction)
+        version = _write(begun, model, predictor, correction)
         after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
         driven = measured.drive.take(measured.moving)  # on ground that the map knows
         places = np.column_stack([driven.x, driven.y])
@@ -105,6 +107,8 @@ def calibrate_on_runs(
     }  # fmt: skip
     report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)
+    if found.terms:
+        begun.rename(target)
     _tell(progress, 1.0)
     return Calibrated(report, found, routes)
 
