@@ -27,7 +27,7 @@ from service.loop.next_drive import next_drive
 from service.loop.rerouting import Comparison, Task, compare_routes
 from service.loop.residuals import base_residuals, residuals_on
 from service.loop.runs import CalibrationRuns
-from service.models import load_model
+from service.models import CALIBRATED_FOLDER, load_model, model_name
 
 FloatArray = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def calibrate_on_runs(
     start and goal whose routes before and after are compared, as `compare_routes`. Raises InputError, RunsError,
     ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
     """
-    target = out / "model"
+    target = out / CALIBRATED_FOLDER
     if target.exists():
         raise ConflictError(
             f"{target} is there already: a model version is never changed. Choose another folder or remove this one",
@@ -82,7 +82,7 @@ def calibrate_on_runs(
     if found.terms:
         correction = correction_of(found, std)
         version = _write(begun, model, predictor, correction)
-        after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
+        after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
         driven = measured.drive.take(measured.moving)  # on ground that the map knows
         places = np.column_stack([driven.x, driven.y])
         why_not = "the runs have no positions"

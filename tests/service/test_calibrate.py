@@ -58,6 +58,7 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     again = json.loads((tmp_path / "again.json").read_text())
+    assert again["model"] == f"{tmp_path.name}/model"
     assert again["mean_relative_error"] < report["error"]["before"]["mean_relative"]
     assert calibrate(field, tmp_path).exit_code == 6  # the version is there already
 
