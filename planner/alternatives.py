@@ -8,24 +8,33 @@ energy fields, and all plateaus come out of them at once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from model.errors import InputError
-from planner.buckets import SEED, SETTLED, TURNED_LEFT, TURNED_RIGHT, state_before
-from planner.edges import Points
+from planner.buckets import SETTLED
+from planner.edges import Points, path_price
 from planner.fields import field_from, field_towards
+from planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
 from planner.lattice import CostLattice
 from planner.moves import MoveTable
+from planner.refine import refine_path, subdivided
 from planner.search import GridPath, grid_search, joined_points
 from planner.states import Search
 
+STRETCH = 1.3
+"""Most energy of another way, in multiples of the best one's."""
+LEAST_SHARE = 0.3
+"""Of another way's length, how much lies apart from every way before it."""
+
 
 def alternative_paths(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, count: int = 3, stretch: float = 1.3,
-    plateau: float = 0.1, apart_m: float | None = None, share: float = 0.3,
+    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, count: int = 3, stretch: float = STRETCH,
+    plateau: float = 0.1, apart_m: float | None = None, share: float = LEAST_SHARE,
 ) -> list[GridPath]:  # fmt: skip
     """The best way and up to `count` - 1 others, cheapest first.
 
@@ -43,13 +52,11 @@ def alternative_paths(
     found = [best]
     if count == 1 or best.energy_j <= 0.0:
         return found
-    spacing = lattice.frame.resolution_m
-    if apart_m is None:
-        apart_m = max(3.0 * spacing, 0.05 * spacing * float(np.hypot(*np.diff(best.points, axis=0).T).sum()))
+    apart_m = _least_apart_m(lattice, best.points) if apart_m is None else apart_m
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
     via, length = _plateaus(ahead, behind, table)
     good = np.flatnonzero((length >= plateau * best.energy_j) & (via <= stretch * best.energy_j))
-    apart = _metres_from(lattice, best)
+    apart = _metres_from(lattice, best.points)
     for state in good[np.argsort(via[good] - length[good], kind="stable")]:  # long plateaus first
         into = ahead.trace(table, int(state))[::-1] // ahead.layers
         cells = np.append(into, behind.trace(table, int(state))[1:] // behind.layers)
@@ -59,15 +66,47 @@ def alternative_paths(
         found.append(GridPath(joined_points(lattice, start, cells, goal), float(via[state]), 0))
         if len(found) == count:
             break
-        apart = np.minimum(apart, _metres_from(lattice, found[-1]))
+        apart = np.minimum(apart, _metres_from(lattice, found[-1].points))
     return sorted(found, key=lambda path: path.energy_j)
 
 
-def _metres_from(lattice: CostLattice, path: GridPath) -> NDArray[np.float64]:
-    """(cells,) distance [m] of every cell from the nearest vertex of a grid path."""
+def improved_ways(lattice: CostLattice, best: Points, others: Sequence[Points]) -> list[Points]:
+    """Grid paths (n, 2) (row, col) after the any-angle step, those that still lie apart from `best` and each other.
+
+    Where the step draws one into a way before it, both sides of its place farthest from them are improved instead.
+    """
+    apart_m, limit = _least_apart_m(lattice, best), STRETCH * max(path_price(lattice, best), 0.0)
+    apart, kept = _metres_from(lattice, best), []
+    for other in others:
+        way = refine_path(lattice, other)
+        if _share_beyond(lattice, way, apart, apart_m) < LEAST_SHARE:
+            far = int(np.argmax(apart[_cells(lattice, other)][1:-1])) + 1
+            ahead, behind = (refine_path(lattice, half) for half in (other[: far + 1], other[far:]))
+            way = np.vstack([ahead, behind[1:]])
+        if _share_beyond(lattice, way, apart, apart_m) >= LEAST_SHARE and path_price(lattice, way) <= limit:
+            kept.append(way)
+            apart = np.minimum(apart, _metres_from(lattice, way))
+    return kept
+
+
+def _least_apart_m(lattice: CostLattice, best: Points) -> float:
+    """A twentieth of the best way's length, at least three cells [m]."""
+    return lattice.frame.resolution_m * max(3.0, 0.05 * float(np.hypot(*np.diff(best, axis=0).T).sum()))
+
+
+def _cells(lattice: CostLattice, points: Points) -> NDArray[np.int64]:
+    row, col = np.rint(points).astype(np.int64).T
+    return np.asarray(row * lattice.frame.cols + col)
+
+
+def _share_beyond(lattice: CostLattice, way: Points, apart: NDArray[np.float64], apart_m: float) -> float:
+    return float(np.mean(apart[_cells(lattice, subdivided(way, 1.0))] > apart_m))
+
+
+def _metres_from(lattice: CostLattice, way: Points) -> NDArray[np.float64]:
+    """(cells,) distance [m] of every cell from the nearest that lies along a way."""
     away = np.ones(lattice.frame.shape, dtype=bool)
-    row, col = np.rint(path.points).astype(int).T
-    away[row, col] = False
+    away.ravel()[_cells(lattice, subdivided(way, 1.0))] = False
     return distance_transform_edt(away).ravel() * lattice.frame.resolution_m
 
 

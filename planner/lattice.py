@@ -116,6 +116,12 @@ class CostLattice:
         """(rows, cols, headings) uint8 `Blocked` codes at every bin."""
         return self.blocked_at(heading_bins(self.headings))
 
+    def mean_energy_per_m(self) -> NDArray[np.float64]:
+        """(rows, cols) [J/m], mean over the headings that may be driven; NaN where there are none."""
+        free = self.blocked_by_heading() == Blocked.FREE
+        total, count = np.where(free, self.energy_per_m, 0.0).sum(axis=2, dtype=np.float64), free.sum(axis=2)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
     def blocked_shares(self) -> dict[str, float]:
         """Share of (cell, heading) pairs under each reason, `free` included; the values sum to 1."""
         counts = np.bincount(self.blocked_by_heading().ravel(), minlength=len(Blocked))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from model.errors import InputError, NoRouteError
-from planner.alternatives import alternative_paths
+from planner.alternatives import alternative_paths, improved_ways
 from planner.edges import Points, path_price
 from planner.landmarks import Landmarks, make_landmarks
 from planner.lattice import CostLattice
@@ -151,8 +151,8 @@ class RoutePlanner:
         ways = [points]
         if alternatives > 0:
             table = self._table(neighbours, distance=False)
-            others = alternative_paths(lattice, table, start, goal, count=alternatives + 1)[1:]
-            ways += [refine_path(lattice, way.points) if refine else way.points for way in others]
+            others = [w.points for w in alternative_paths(lattice, table, start, goal, count=alternatives + 1)[1:]]
+            ways += improved_ways(lattice, points, others) if refine else others
             ways.sort(key=lambda way: path_price(lattice, way))  # once improved, another one may be the cheapest
         details["seconds"] = time.perf_counter() - began
         route, *rest = (self._route(way, notes) for way in ways)

@@ -159,14 +159,13 @@ def _view(lattice: CostLattice, view: str, heading_deg: float | None) -> tuple[I
     by_heading = lattice.blocked_by_heading()
     free = by_heading == Blocked.FREE
     some = free.any(axis=2)
+    codes = np.where(some, 0, by_heading.min(axis=2)).astype(np.uint8)
+    if view == "mean":
+        return lattice.mean_energy_per_m(), codes, "Energy per metre, mean over headings"
     by_bin = lattice.energy_per_m
     dearest = np.where(free, by_bin, -np.inf).max(axis=2)
-    codes = np.where(some, 0, by_heading.min(axis=2)).astype(np.uint8)
-    if view == "directionality":
-        cheapest = np.where(free, by_bin, np.inf).min(axis=2)
-        return np.where(some, dearest - cheapest, np.nan), codes, "How much the heading matters"
-    total = np.where(free, by_bin, 0.0).sum(axis=2, dtype=np.float64)
-    return total / np.maximum(free.sum(axis=2), 1), codes, "Energy per metre, mean over headings"
+    cheapest = np.where(free, by_bin, np.inf).min(axis=2)
+    return np.where(some, dearest - cheapest, np.nan), codes, "How much the heading matters"
 
 
 def _thinned(values: Image, frame: GridFrame) -> tuple[Image, Extent]:

@@ -30,6 +30,8 @@ _USUAL = {"temperature": 20.0}
 _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
+_LEAST_GENTLE = 0.01
+_BENT_STEPS = 6
 _MOST_RUNS = 12  # that may each have something of their own
 
 
@@ -73,7 +75,7 @@ def find_candidates(
     drive, moving = residuals.drive, residuals.moving
     unit, amount = ("A s", "A") if residuals.charge else ("J", "W")
     refused: dict[str, str] = {}
-    found = list(_of_path(unit, _ripple(residuals, columns.get("ripple"))))
+    found = [_turning(residuals, unit), *_of_path(unit, _ripple(residuals, columns.get("ripple")))]
     found.append(
         Candidate("hotel_load", (Term("hotel_load", "hotel_load", (amount,)),),
                   "drive the same line at two speeds, and stand for a minute")
@@ -112,19 +114,24 @@ def _merged(found: list[Candidate]) -> list[Candidate]:
     return list(by_name.values())
 
 
-def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
+def _turning(residuals: Residuals, unit: str) -> Candidate:
     rad = f"{unit}/rad"
-    saturating = tuple(Term("turning", "turning", (rad,), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS)
+    turned = residuals.drive.turned_abs_rad
+    shares = turned @ residuals.drive.gentle_turn_rad / max(float(turned @ turned), 1e-12)
+    saturating = [
+        Term("turning", "turning", (rad,), {"limit_radps": limit, "share": round(float(share), 4)})
+        for limit, share in zip(TURN_LIMITS_RADPS, shares, strict=True)
+        if share > _LEAST_GENTLE
+    ]
     both = tuple(Term("turning", "turning_both", (rad, rad), {"limit_radps": limit}) for limit in TURN_LIMITS_RADPS[:5])
     plain = Term("turning", "turning", (rad,), {"limit_radps": None})
     sides = Term("turning", "turning_sides", (rad, rad))
     slopes = tuple(replace(plain, where={"over": "grade", side: g}) for side in ("above", "below") for g in _GRADES)
-    yield Candidate(
-        "turning",
-        (plain, *saturating, *both, sides, *slopes),
-        "curves of several radii on level ground, both ways",
-        sign=1,
-    )
+    forms = (plain, *saturating, *both, sides, *slopes)
+    return Candidate("turning", forms, "curves of several radii on level ground, both ways", sign=1)
+
+
+def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     speeds = tuple(
         Term("speed", "speed", (f"{unit}/m per m/s",) if p == 1 else (f"{unit}/m per (m/s)^{p}",),
              {"power": p, "absolute": absolute})
@@ -201,14 +208,28 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
         yield Candidate("wind", (calm,), "one line to and fro, and one across it")
     else:
-        air = (
+        air = [
             Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
             Term("wind", "wind_measured", (f"{unit}/m per m/s",), {"quadratic": False}),
-        )
-        yield Candidate("wind", air, "one line to and fro in a wind")
+        ]
+        if not residuals.charge:
+            air += [bent for term in air if (bent := _bent(residuals, term)) is not None]
+        yield Candidate("wind", tuple(air), "one line to and fro in a wind")
     if "payload" in usable:
         logged = Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0})
         yield Candidate("payload", (logged,), "the same loop with and without a load")
+
+
+def _bent(residuals: Residuals, force: Term) -> Term | None:
+    """A force as the price feels it that it makes; None where the runs show no such force against the motion."""
+    weight = residuals.moving / residuals.scale**2
+    felt = None
+    for _ in range(_BENT_STEPS):
+        column = replace(force, settings={**force.settings, "felt": felt}).columns(residuals.drive)[:, 0]
+        felt = float(np.sum(weight * column * residuals.residual) / max(np.sum(weight * column**2), 1e-300))
+        if felt <= 0.0:
+            return None
+    return replace(force, settings={**force.settings, "felt": felt})
 
 
 def _wind_logged(residuals: Residuals, usable: Sequence[str]) -> bool:

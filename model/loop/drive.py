@@ -35,14 +35,13 @@ class Drive:
     length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
     turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade : tangent of the ground along
     the heading (> 0 uphill), as the axles feel it along the segment; grades : (n, places) the same over a metre, at
-    evenly spaced places from one end of the segment to the other (as `grade` everywhere, unless given); cross : across
-    it (> 0 down to the right).
-    cross_abs, cross_sq : mean of the magnitude and of the square of the tangent across, as the wheels feel it.
-    roughness_m : departure of the square metre from its plane. elevation_m. hollow_m : how much lower than the ground
-    around it, within 2.5 m (< 0 on a rise). since_s, driven_m : since the start of the
-    run; clock_s : since that of the first run. run : number of the run, an index into `runs`, which tells runs apart by
-    name and first stamp. columns, words (in small letters) : what else was logged (NaN, "" : not recorded). robot : as
-    declared. unit_j : joules of one unit of energy here (1, or the nominal voltage for charge in ampere seconds).
+    evenly spaced places from one end of the segment to the other; cross : across it (> 0 down to the right); cross_abs,
+    cross_sq : mean of the magnitude and of the square of the tangent across, as the wheels feel it. roughness_m :
+    departure of the square metre from its plane. elevation_m. hollow_m : how much lower than the ground around it,
+    within 2.5 m (< 0 on a rise). since_s, driven_m : since the start of the run; clock_s : since that of the first run.
+    run : number of the run, an index into `runs`, which tells runs apart by name and first stamp. columns, words (in
+    small letters) : what else was logged (NaN, "" : not recorded). robot : as declared. unit_j : joules of one unit of
+    energy here (1, or the nominal voltage for charge in ampere seconds).
     """
 
     robot: Robot
@@ -58,6 +57,7 @@ class Drive:
     gentle_turn_rad: FloatArray
     gained_m2ps2: FloatArray
     grade: FloatArray
+    grades: FloatArray
     cross: FloatArray
     cross_abs: FloatArray
     cross_sq: FloatArray
@@ -71,11 +71,6 @@ class Drive:
     words: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     unit_j: float = 1.0
     runs: tuple[str, ...] = ()
-    grades: FloatArray = None  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        if self.grades is None:
-            object.__setattr__(self, "grades", np.repeat(self.grade[:, None], _SIDE, axis=1))
 
     def __len__(self) -> int:
         return int(self.x.size)
@@ -193,7 +188,7 @@ def planned_drive(
     with_ground : read slopes, roughness and heights, which takes most of the time; else they are NaN."""
     n = x.size
     zero = np.zeros(n)
-    ground = _ground(heightmap, robot, x, y, heading_rad) if with_ground else dict.fromkeys(_GROUND, np.full(n, np.nan))
+    ground = _ground(heightmap, robot, x, y, heading_rad) if with_ground else _unread_ground(n)
     return Drive(
         robot=robot,
         run=np.zeros(n, dtype=np.int64),
@@ -257,7 +252,9 @@ def concatenate_drives(parts: Sequence[Drive]) -> Drive:
     return replace(parts[0], **changed)
 
 
-_GROUND = ("grade", "cross", "cross_abs", "cross_sq", "roughness_m", "elevation_m", "hollow_m")
+def _unread_ground(n: int) -> dict[str, FloatArray]:
+    names = ("grade", "cross", "cross_abs", "cross_sq", "roughness_m", "elevation_m", "hollow_m")
+    return dict.fromkeys(names, np.full(n, np.nan)) | {"grades": np.full((n, _SIDE), np.nan)}
 
 
 def _ground(

@@ -53,11 +53,15 @@ def quantity(drive: Drive, name: str) -> FloatArray:
 
 
 @_formula
-def turning(drive: Drive, *, limit_radps: float | None = None) -> FloatArray:
-    """J/rad. Scrubbing while the heading changes, to either side; up to a rate where it saturates."""
+def turning(drive: Drive, *, limit_radps: float | None = None, share: float = 1.0) -> FloatArray:
+    """J/rad. Scrubbing while the heading changes, to either side; up to a rate where it saturates.
+
+    share : of a radian that is turned no faster than that, as runs drive it: with it the coefficient is that of their
+    usual radian, whatever the rate.
+    """
     if limit_radps is None:
         return drive.turned_abs_rad[:, None]
-    return drive.gentle_turn_rad[:, [TURN_LIMITS_RADPS.index(limit_radps)]]
+    return drive.gentle_turn_rad[:, [TURN_LIMITS_RADPS.index(limit_radps)]] / share
 
 
 @_formula
@@ -181,16 +185,21 @@ def climbing(drive: Drive) -> FloatArray:
 
 
 @_formula
-def wind_measured(drive: Drive, *, quadratic: bool) -> FloatArray:
-    """N per (m/s)^2 of relative air speed, or N per m/s: the drag along the motion, less that in still air."""
+def wind_measured(drive: Drive, *, quadratic: bool, felt: float | None = None) -> FloatArray:
+    """N per (m/s)^2 of relative air speed, or N per m/s: the drag along the motion, less that in still air.
+
+    felt : a coefficient near to the true one. With it, a push is worth no more than what it spares the drives: as the
+    robot's price says, which bends where the traction that is left comes to nothing.
+    """
     towards = _known(drive, "wind_speed", 0.0) * np.cos(
         np.radians(np.nan_to_num(drive.columns.get("wind_from", np.zeros(len(drive))))) - drive.heading_rad
     )
     across2 = np.maximum(_known(drive, "wind_speed", 0.0) ** 2 - towards**2, 0.0)
-    if not quadratic:
-        return (drive.length_m * towards / drive.unit_j)[:, None]
     ahead = drive.speed_mps + towards
-    drag = ahead * np.sqrt(ahead**2 + across2) - drive.speed_mps**2
+    drag = ahead * np.sqrt(ahead**2 + across2) - drive.speed_mps**2 if quadratic else towards
+    if felt is not None:
+        t = drive.traction_per_m
+        drag = (drive.robot.price_per_m(t + felt * drag) - drive.robot.price_per_m(t)) / felt
     return (drive.length_m * drag / drive.unit_j)[:, None]
 
 

@@ -18,7 +18,7 @@ from model.errors import InputError, RunsError
 from model.frames import GridFrame
 from model.loop.runs import Run, run_of
 from model.loop.segments import Segments
-from model.loop.table import read_table
+from model.loop.table import columns_there, read_table
 from model.loop.track import TURN_LIMITS_RADPS, find_stands
 from model.terrain.heightmap import Heightmap
 
@@ -56,7 +56,10 @@ def read_odometry(path: str | Path, *, track_m: float, terrain: str | None = Non
     numbers = {_OTHER_NAMES.get(key, key): values for key, values in numbers.items()}
     for column in ("t", *_SIDES):
         if column not in numbers:
-            raise RunsError(f"run {path.name}: there is no column {column!r} of numbers", run=path.name, column=column)
+            raise RunsError(
+                f"run {path.name}: there is no column {column!r} of numbers{columns_there(numbers)}",
+                run=path.name, column=column,
+            )  # fmt: skip
     left, right = (_without_blanks(numbers[name]) for name in _SIDES)
     x, y, heading = integrate(numbers["t"], left, right, track_m=track_m)
     motion = {"heading": np.degrees(heading) % 360.0, "speed": (left + right) / 2}

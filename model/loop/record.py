@@ -44,7 +44,6 @@ def read_record(folder: str | Path) -> Residuals | None:
         columns = {k.removeprefix("column:"): arrays.pop(k) for k in list(arrays) if k.startswith("column:")}
         words = {k.removeprefix("word:"): arrays.pop(k) for k in list(arrays) if k.startswith("word:")}
         robot = Robot.from_mapping(about["robot"])
-        arrays.setdefault("hollow_m", np.full(measured.size, np.nan))  # not kept before there was such an effect
         drive = Drive(
             robot=robot,
             **arrays,

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from model.errors import RunsError
-from model.loop.table import LEAST_ROWS, count_repair, read_table
+from model.loop.table import LEAST_ROWS, columns_there, count_repair, read_table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -98,7 +98,7 @@ def run_of(
     """`read_run` of columns already read; repairs : what reading them has counted so far."""
     repairs = {} if repairs is None else repairs
     if "t" not in numbers:
-        raise RunsError(f"run {name}: there is no column 't' (seconds)", run=name, column="t")
+        raise RunsError(f"run {name}: there is no column 't' (seconds){columns_there(numbers)}", run=name, column="t")
     rows = _ordered_rows(numbers["t"], name, repairs)
     numbers = {key: values[rows] for key, values in numbers.items()}
     texts = {key: values[rows] for key, values in texts.items()}
@@ -147,8 +147,9 @@ def _electric(
         current = np.sum([np.abs(numbers.pop(key)) for key in parts], axis=0)
     else:
         raise RunsError(
-            f"run {name}: there is neither a column 'current' nor any 'current_*'", run=name, column="current"
-        )
+            f"run {name}: there is neither a column 'current' nor any 'current_*'{columns_there(numbers)}",
+            run=name, column="current",
+        )  # fmt: skip
     voltage = numbers.pop("voltage", None)
     if voltage is not None and not np.isfinite(voltage).any():
         voltage = None
@@ -181,7 +182,11 @@ def _position(numbers: dict[str, FloatArray], name: str, crs: str | None) -> tup
     if "x" in numbers and "y" in numbers:
         return numbers.pop("x"), numbers.pop("y")
     if "lat" not in numbers or "lon" not in numbers:
-        raise RunsError(f"run {name}: there is neither 'x' and 'y' nor 'lat' and 'lon'", run=name, column="x")
+        raise RunsError(
+            f"run {name}: there is neither 'x' and 'y' nor 'lat' and 'lon'{columns_there(numbers)}",
+            run=name,
+            column="x",
+        )
     if crs is None:
         raise RunsError(f"run {name}: 'lat' and 'lon' need the heightmap's CRS", run=name, column="lat")
     from rasterio.errors import CRSError

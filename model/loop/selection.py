@@ -96,15 +96,13 @@ class Search:
         names = {f.candidate.name for f in found}
         names |= self._refused | {_CURVES[name] for name in names if name in _CURVES}
         tried = [k for k, c in enumerate(self.owner) if c.name not in names]
-        best: dict[str, tuple[Candidate, Verdict]] = {}
+        forms: dict[str, list[Verdict]] = {}
         for verdict in self.evidence.judge(taken, tried):
-            candidate = self.owner[verdict.term]
             if self.senseless(taken, verdict.term):
                 verdict = replace(verdict, p_value=1.0, why="its sign or its size makes no sense")
-            before = best.get(candidate.name)
-            if before is None or self._order(verdict) > self._order(before[1]):
-                best[candidate.name] = candidate, verdict
-        self._best[key] = sorted(best.values(), key=lambda pair: -pair[1].gain)
+            forms.setdefault(self.owner[verdict.term].name, []).append(verdict)
+        best = [(self.owner[v[0].term], self._best_form(v)) for v in forms.values()]
+        self._best[key] = sorted(best, key=lambda pair: -pair[1].gain)
         if self.progress is not None:
             self.progress(1.0 - _LEFT ** len(self._best))
         return self._best[key]
@@ -122,8 +120,14 @@ class Search:
                 if f.candidate.name not in self._refused
                 and self.senseless([g.verdict.term for g in found if g is not f], f.verdict.term)}  # fmt: skip
 
-    def _order(self, verdict: Verdict) -> tuple[bool, float]:
-        return verdict.p_value <= ALPHA and self.clears_floor(verdict), self.score(verdict)
+    def _best_form(self, forms: Sequence[Verdict]) -> Verdict:
+        """Of the ways in which an effect may act; once one of them is more than chance the effect is, and how it acts
+        is a matter of what helps."""
+        helps = [v for v in forms if self.clears_floor(v) and not v.why]
+        chance = min((v.p_value for v in helps), default=1.0)
+        if chance > ALPHA:
+            return max(forms, key=self.score)
+        return replace(max(helps, key=self.score), p_value=chance)
 
     def pick(self, verdicts: Sequence[tuple[Candidate, Verdict]], found: Sequence[Found]) -> Found | None:
         """The effect to take next, None when there is none: of those that do as well as the best, a named one that no

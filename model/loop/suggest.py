@@ -29,6 +29,7 @@ Traction = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 _STEP_M = 0.1
 _PLACES = 24
 _SLOW = 0.6  # of the cruising speed
+_ROOM = 1.25  # times the length that there is time for: more than that a round at every speed may not take
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,8 @@ def suggest_drive(
         if once is None:
             continue
         for pace, speeds in (("", (robot.speed_mps,)), (", slow and fast", (_SLOW * robot.speed_mps, robot.speed_mps))):
+            if len(speeds) * len(once) > _ROOM * length_m:
+                continue
             drive = _over_and_over(once, speeds, length_m)
             scale = np.maximum(drive.predicted, usual)
             then = _spread(old + _information(drive, [effect, *rivals], scale), len(effect.units))
@@ -105,14 +108,14 @@ def _routes(heightmap: Heightmap, length_m: float, rng: np.random.Generator) -> 
     for _ in range(_PLACES):
         x, y = rng.uniform(west, east), rng.uniform(south, north)
         turn = float(rng.uniform(0.0, 2.0 * math.pi))
-        reach = float(rng.uniform(0.15, 0.4)) * min(side, length_m)
+        reach = float(rng.uniform(0.15, 0.4)) * min(side, length_m / 4.0)
         radius = float(rng.uniform(0.8, 4.0))
         circle = [(radius * math.cos(a), radius * math.sin(a)) for a in np.linspace(0.0, 2.0 * math.pi, 37)]
         shapes = {
             "a line to and fro": [(0.0, -reach), (0.0, reach), (0.0, -reach)],
             "a square": [(-reach, -reach), (-reach, reach), (reach, reach), (reach, -reach), (-reach, -reach)],
             "a slalom": [(0.15 * reach * (-1) ** k, reach * (k / 6.0 - 0.5)) for k in range(7)],
-            f"circles of {radius:.1f} m": circle,
+            f"circles of {radius:.1f} m radius": circle,
         }
         for kind, corners in shapes.items():
             p = np.asarray(corners)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,11 @@ def count_repair(repairs: dict[str, int], key: str, count: int) -> None:
     """Add to a count of repairs; a key is there only when its count is not zero."""
     if count:
         repairs[key] = repairs.get(key, 0) + int(count)
+
+
+def columns_there(numbers: Iterable[str]) -> str:
+    """The end of a sentence about a column that is missing."""
+    return f"; its other columns of numbers are {', '.join(sorted(numbers)) or 'none'}"
 
 
 def read_table(
@@ -82,7 +87,7 @@ def _decoded(content: str | bytes, name: str) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise RunsError(f"run {name}: {error}", run=name) from error
+        raise RunsError(f"run {name} is neither a text in CSV (UTF-8) nor a Parquet file: {error}", run=name) from error
 
 
 def _csv_columns(text: str, name: str, repairs: dict[str, int]) -> tuple[list[str], int, Iterator[list[str]]]:

@@ -6,14 +6,13 @@ import json
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
 from service.commands.options import (
     BaseRuns,
-    HeightmapFile,
     MaybeHeightmap,
     ModelName,
     RobotFile,
@@ -23,7 +22,25 @@ from service.commands.options import (
 )
 from service.commands.words import energy_words
 
-_SHOWN = 4  # coefficients of an effect
+if TYPE_CHECKING:
+    from model.robot import Robot
+    from model.terrain.heightmap import Heightmap
+    from service.loop.runs import CalibrationRuns
+
+_CORNERS = 8  # of a route
+
+Odometry = Annotated[
+    float | None,
+    typer.Option(
+        "--odometry",
+        metavar="TRACK",
+        help="The runs have no positions: integrate speed_left and speed_right on level ground (no `--heightmap`), "
+        "for wheels whose sides are so far apart as the robot turns [m].",
+    ),
+]
+TerrainFromName = Annotated[
+    bool, typer.Option("--terrain-from-name", help="With `--odometry`: snow_02.csv was driven on snow.")
+]
 
 
 def calibrate(
@@ -42,18 +59,8 @@ def calibrate(
             "and after.",
         ),
     ] = None,
-    odometry: Annotated[
-        float | None,
-        typer.Option(
-            metavar="TRACK",
-            help="The runs have no positions: integrate speed_left and speed_right on level ground (no `--heightmap`), "
-            "for wheels whose sides are so far apart as the robot turns [m].",
-        ),
-    ] = None,
-    terrain_from_name: Annotated[
-        bool,
-        typer.Option("--terrain-from-name", help="With `--odometry`: snow_02.csv was driven on snow."),
-    ] = False,
+    odometry: Odometry = None,
+    terrain_from_name: TerrainFromName = False,
     start: Annotated[
         Any, typer.Option(metavar="X,Y", parser=parse_point, help="Task whose route is compared before and after [m].")
     ] = None,
@@ -67,27 +74,13 @@ def calibrate(
 
     Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv' --out found`
     """
-    from model.terrain.readers import read_heightmap
     from service.loop.calibrating import calibrate_on_runs
     from service.loop.page import report_page
-    from service.loop.runs import read_calibration_runs, read_odometry_runs
 
     if (start is None) != (goal is None):
         raise typer.BadParameter("--start and --goal go together")
-    if (heightmap is None) == (odometry is None):
-        raise typer.BadParameter("give either --heightmap, or --odometry for runs without positions")
-    if terrain_from_name and odometry is None:
-        raise typer.BadParameter("--terrain-from-name goes with --odometry")
     answer, began, driven_by = Answer(json_file), time.perf_counter(), robot_of(robot)
-    aside = find_runs(keep_aside or [])
-    files = [file for file in find_runs(runs) if file not in aside]
-    more = {"base_files": find_runs(base_runs or []), "aside_files": aside}
-    if odometry is not None:
-        read, ground = read_odometry_runs(files, track_m=odometry, terrain_from_name=terrain_from_name, **more)
-    else:
-        assert heightmap is not None
-        ground = read_heightmap(heightmap)
-        read = read_calibration_runs(files, driven_by, crs=ground.frame.crs, **more)
+    read, ground = _read(runs, base_runs, heightmap, driven_by, odometry, terrain_from_name, keep_aside=keep_aside)
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
             model, ground, driven_by, read, out=out, task=None if start is None else (start, goal), seed=seed,
@@ -103,36 +96,57 @@ def calibrate(
     answer.document(made.document)
 
 
+def _read(
+    runs: list[str], base_runs: list[str] | None, heightmap: Path | None, robot: Robot, odometry: float | None,
+    terrain_from_name: bool, *, keep_aside: list[str] | None = None,
+) -> tuple[CalibrationRuns, Heightmap]:  # fmt: skip
+    """The runs that the options name, and the map or level ground that they were driven on."""
+    from model.terrain.readers import read_heightmap
+    from service.loop.runs import read_calibration_runs, read_odometry_runs
+
+    if (heightmap is None) == (odometry is None):
+        raise typer.BadParameter("give either --heightmap, or --odometry for runs without positions")
+    if terrain_from_name and odometry is None:
+        raise typer.BadParameter("--terrain-from-name goes with --odometry")
+    aside = find_runs(keep_aside or [])
+    files = [file for file in find_runs(runs) if file not in aside]
+    more = {"base_files": find_runs(base_runs or []), "aside_files": aside}
+    if odometry is not None:
+        return read_odometry_runs(files, track_m=odometry, terrain_from_name=terrain_from_name, **more)
+    assert heightmap is not None
+    ground = read_heightmap(heightmap)
+    return read_calibration_runs(files, robot, crs=ground.frame.crs, **more), ground
+
+
 def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
+    from service.loop.page import coefficient_words
+
     unit = "A s" if document["target"] == "charge_as" else "J"
     names = ", ".join(effect["name"] for effect in document["effects"])
     answer.say(f"[bold]Found {names}[/]" if names else "[bold]Nothing found[/] that the model lacks")
     rows = {}
     for effect in document["effects"]:
-        shown = effect["coefficients"][:_SHOWN]
-        values = ", ".join(
-            f"{c['name'] + ' ' if len(shown) > 1 else ''}{c['value']:.4g} {c['unit']} "
-            f"({c['ci95'][0]:.4g} to {c['ci95'][1]:.4g})".replace("  ", " ")
-            for c in shown
-        )
-        more = f" and {len(effect['coefficients']) - _SHOWN} more" if len(effect["coefficients"]) > _SHOWN else ""
         plans = "" if effect["in_plans"] else "; a diagnosis, not in plans"
-        rows[effect["name"]] = f"{values}{more}, p = {effect['p_value']:.2g}, {effect['where']}{plans}"
+        rows[effect["name"]] = (
+            f"{', '.join(coefficient_words(effect))}; p = {effect['p_value']:.2g}, {effect['where']}{plans}"
+        )
     rows |= _error_words(document["error"], unit, "")
     if "kept_aside" in document:
         rows |= _error_words(document["kept_aside"]["error"], unit, ", kept aside")
     for group in document["confounded"]:
         rows[f"like {group[0]}"] = f"these runs cannot tell it from {', '.join(group[1:])}"
     rows["a route"] = _route_words(document["route"])
+    rows["drive next"] = _drive_words(document["next_drive"])
     answer.table(rows)
     answer.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
 
 
 def _error_words(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
     rows = {}
-    for key in ("mean_relative", "rmse"):
-        scale, suffix = (100.0, " %") if key == "mean_relative" else (1.0, f" {unit}")
-        rows[f"{key.replace('_', ' ')} error{where}"] = (
+    for key, name, scale, suffix in (
+        ("mean_relative", "mean relative", 100.0, " %"), ("rmse", "root mean square", 1.0, f" {unit}"),
+    ):  # fmt: skip
+        rows[f"{name} error{where}"] = (
             f"{scale * error['before'][key]:.3g}{suffix} before, {scale * error['after'][key]:.3g}{suffix} after, "
             f"{scale * error['after_planner'][key]:.3g}{suffix} with what a planner knows"
         )
@@ -152,9 +166,25 @@ def _route_words(route: Mapping[str, Any]) -> str:
     )
 
 
+def _drive_words(drive: Mapping[str, Any]) -> str:
+    if "why_not" in drive:
+        return f"no suggestion: {drive['why_not']}"
+    rivals = f" from {', '.join(drive['tells_from'])}" if drive["tells_from"] else ""
+    x, y = drive["points"][0]
+    return (
+        f"{drive['kind']} near {x:.1f},{y:.1f} for {drive['total_length_m']:.0f} m at {_pace(drive)}: to "
+        f"{'tell' if rivals else 'pin'} {drive['effect']}{rivals}, whose interval would be "
+        f"{drive['expected_interval_share']:.0%} as wide"
+    )
+
+
+def _pace(drive: Mapping[str, Any]) -> str:
+    return " and ".join(f"{v:.2f} m/s" for v in drive["speeds_mps"])
+
+
 def suggest_drive(
-    heightmap: HeightmapFile,
     runs: Runs,
+    heightmap: MaybeHeightmap = None,
     model: ModelName = "default",
     robot: RobotFile = None,
     effect: Annotated[
@@ -163,45 +193,31 @@ def suggest_drive(
     ] = None,
     length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About as far as there is time for.")] = 200.0,
     base_runs: BaseRuns = None,
+    odometry: Odometry = None,
+    terrain_from_name: TerrainFromName = False,
     json_file: JsonFile = None,
 ) -> None:
     """Suggest **what to drive next**: the route that tells confounded effects apart or pins a coefficient best.
 
     Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv'`
     """
-    from model.terrain.readers import read_heightmap
-    from service.loop.calibrating import suggest_next_drive
-    from service.loop.runs import read_calibration_runs
+    from service.loop.next_drive import suggest_next_drive
 
-    answer = Answer(json_file)
-    ground, driven_by = read_heightmap(heightmap), robot_of(robot)
-    read = read_calibration_runs(
-        find_runs(runs), driven_by, crs=ground.frame.crs, base_files=find_runs(base_runs or [])
-    )
+    answer, driven_by = Answer(json_file), robot_of(robot)
+    read, ground = _read(runs, base_runs, heightmap, driven_by, odometry, terrain_from_name)
     with progress_bar("Tracing") as report:
-        found, rivals = suggest_next_drive(
+        found = suggest_next_drive(
             model, ground, driven_by, read, effect=effect, length_m=length, progress=report
-        )
-    corners = [[round(float(x), 2), round(float(y), 2)] for x, y in found.points]
-    answer.say(f"[bold]Drive {found.kind}[/] to learn about {found.effect}")
-    shown = corners if len(corners) <= 9 else corners[:: len(corners) // 8]
+        ).as_dict()
+    answer.say(f"[bold]Drive {found['kind']}[/] to learn about {found['effect']}")
+    corners = found["points"][:: max(1, len(found["points"]) // _CORNERS)]
     rows = {
-        "through": " ".join(f"{x:.1f},{y:.1f}" for x, y in shown),
-        "one round": f"{found.length_m:.0f} m, over and over for {length:.0f} m, at "
-        + " and ".join(f"{v:.2f} m/s" for v in found.speeds),
-        "expected": f"an interval {found.shrinkage:.0%} as wide as now",
+        "through": " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+        + ("" if odometry is None else ", with 0,0 wherever there is room"),
+        "one round": f"{found['length_m']:.0f} m, over and over for {length:.0f} m, at {_pace(found)}",
+        "expected": f"an interval {found['expected_interval_share']:.0%} as wide as now",
     }
-    if rivals:
-        rows["tells it from"] = ", ".join(rivals)
+    if found["tells_from"]:
+        rows["tells it from"] = ", ".join(found["tells_from"])
     answer.table(rows)
-    answer.document(
-        {
-            "effect": found.effect,
-            "tells_from": rivals,
-            "kind": found.kind,
-            "points": corners,
-            "speeds_mps": list(found.speeds),
-            "length_m": found.length_m,
-            "expected_interval_share": found.shrinkage,
-        }
-    )
+    answer.document(found)

@@ -85,6 +85,7 @@ def find_runs(patterns: list[str]) -> list[Path]:
         inside = [f"{pattern}/*.csv", f"{pattern}/*.parquet"] if Path(pattern).is_dir() else [pattern]
         found = sorted(Path(name) for each in inside for name in glob(each))
         if not found:
-            raise NotFoundError(f"no run is called {pattern}", pattern=pattern)
+            where = f"the folder {pattern} holds no" if Path(pattern).is_dir() else f"{pattern!r} names no"
+            raise NotFoundError(f"{where} CSV or Parquet file (looked for from {Path.cwd()})", pattern=pattern)
         files += found
     return list(dict.fromkeys(files))

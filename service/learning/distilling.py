@@ -24,6 +24,7 @@ from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.learning.pretraining import MAX_TURN_RAD
 from service.learning.runs import read_segments
+from service.loop.plausible import check_runs
 
 DISTILLING = TrainingOptions(epochs=30, batch=128, learning_rate=1e-3, keep_last=True)
 ANSWERS = 20_000
@@ -78,6 +79,7 @@ def distil_on_runs(
     if not isinstance(parent.net, CompactNet):
         raise ModelError(f"{start_from} is no compact model: a student cannot start from it")
     _, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    check_runs(segments, heightmap, robot)
     unseen = [str(name) for name in learned.training.get("held_out_runs", [])]
     held = [number for number, name in enumerate(segments.runs) if name in unseen]
     if not held:

@@ -14,6 +14,7 @@ from model.loop.prediction import predict_segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.learning.runs import read_segments
+from service.loop.plausible import check_runs
 
 
 def evaluate_on_runs(
@@ -26,6 +27,7 @@ def evaluate_on_runs(
     `left_out`: what was mended in the logs, and what was not made a segment, by rule. Raises RunsError, InputError.
     """
     runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    check_runs(segments, heightmap, robot)
     said = predict_segments(predictor, heightmap, robot, segments)
     known = np.isfinite(said.energy_j)
     found = errors(said.energy_j[known], segments.energy_j[known], segments.run[known])

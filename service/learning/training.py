@@ -29,6 +29,7 @@ from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from service.learning.pretraining import MAX_TURN_RAD
 from service.learning.runs import read_segments
+from service.loop.plausible import check_runs
 from service.loop.residuals import keep_base_runs
 
 LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
@@ -95,6 +96,7 @@ def train_on_runs(
     if backbone is not None and (architecture != "resnet18" or start_from is not None):
         raise InputError("weights for a backbone go with the resnet18 architecture, and not with a model to start from")
     runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    check_runs(segments, heightmap, robot)
     parent = read_artifact(start_from) if start_from is not None else None
     start: Network | None = parent.net if parent is not None else None
     if backbone is not None:

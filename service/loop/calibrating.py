@@ -21,13 +21,13 @@ from model.loop.calibrated import (
 )
 from model.loop.calibration import Calibration, calibrate
 from model.loop.report import report_document
-from model.loop.suggest import Suggestion, suggest_drive
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.loop.next_drive import next_drive
 from service.loop.rerouting import Comparison, Task, compare_routes
 from service.loop.residuals import base_residuals, residuals_on
 from service.loop.runs import CalibrationRuns
-from service.models import load_model
+from service.models import CALIBRATED_FOLDER, load_model, model_name
 
 FloatArray = NDArray[np.float64]
 
@@ -62,9 +62,14 @@ def calibrate_on_runs(
     start and goal whose routes before and after are compared, as `compare_routes`. Raises InputError, RunsError,
     ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
     """
-    target = out / "model"
+    target = out / CALIBRATED_FOLDER
     if target.exists():
-        raise ConflictError(f"{target} is there already: a model version is never changed", path=str(target))
+        raise ConflictError(
+            f"{target} is there already: a model version is never changed. Choose another folder or remove this one",
+            path=str(target),
+        )
+    begun = out / "model.partial"  # a calibration that is cut off leaves no model
+    shutil.rmtree(begun, ignore_errors=True)
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
     segments = runs.segments
@@ -76,8 +81,8 @@ def calibrate_on_runs(
     version, routes, why_not = None, None, "nothing was found that changes a route"
     if found.terms:
         correction = correction_of(found, std)
-        version = _write(target, model, predictor, correction)
-        after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
+        version = _write(begun, model, predictor, correction)
+        after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
         driven = measured.drive.take(measured.moving)  # on ground that the map knows
         places = np.column_stack([driven.x, driven.y])
         why_not = "the runs have no positions"
@@ -91,6 +96,8 @@ def calibrate_on_runs(
                 why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
     report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
+    if routes is not None:
+        report["map"] = routes.map_as_dict()
     if routes is not None and segments.charge:
         report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
     if aside is not None:
@@ -98,9 +105,23 @@ def calibrate_on_runs(
     report["runs"] = {
         "names": list(segments.runs), "rows": runs.rows, "repairs": runs.repairs, "left_out": segments.left_out,
     }  # fmt: skip
+    report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)
+    if found.terms:
+        begun.rename(target)
     _tell(progress, 1.0)
     return Calibrated(report, found, routes)
+
+
+def _next_drive(
+    found: Calibration, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: CalibrationRuns, seed: int
+) -> dict[str, Any]:
+    if not runs.placed:
+        return {"why_not": "the runs have no positions"}
+    try:
+        return next_drive(found, predictor, heightmap, robot, seed=seed).as_dict()
+    except (InputError, InfeasibleError) as error:  # nothing was found, or no route fits
+        return {"why_not": error.message}
 
 
 _READ, _TRACED = 0.3, 0.8  # of the work
@@ -153,47 +174,3 @@ def _write(target: Path, model: str | Path, predictor: Predictor, correction: Co
     target.mkdir(parents=True)
     shutil.copytree(model, target / BASE_FOLDER)
     return save_calibrated(target, correction, {"folder": BASE_FOLDER, "version": version})
-
-
-def suggest_next_drive(
-    model: str | Path,
-    heightmap: Heightmap,
-    robot: Robot,
-    runs: CalibrationRuns,
-    *,
-    effect: str | None = None,
-    length_m: float = 200.0,
-    seed: int = 0,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[Suggestion, list[str]]:
-    """The drive that tells an effect from what these runs confuse it with, or pins its coefficient; and those rivals.
-
-    effect : a candidate's name; the first confounded one, or the least certain one found, unless given. Raises
-    InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
-    """
-    predictor = load_model(model)
-    measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
-    base = base_residuals(model, predictor, heightmap, robot, runs.base)
-    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
-    best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
-    best |= {e.term.name: e.term for e in found.effects}
-    name = effect or next(iter(found.trace.confounded), None)
-    if name is None and found.effects:
-        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
-    if name is None:
-        raise InputError("these runs show nothing that the model lacks: name the effect that you are in doubt about")
-    if name not in best:
-        raise InputError(
-            f"there is no candidate {name!r} on these runs; there are {', '.join(sorted(best))}", name=name
-        )
-    rivals = found.trace.confounded.get(name, [])
-    others = [e.term for e in found.effects if e.term.name != name]
-
-    def traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
-        return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
-
-    suggestion = suggest_drive(
-        found.residuals, best[name], [*(best[r] for r in rivals), *others], heightmap, robot, traction,
-        length_m=length_m, seed=seed,
-    )  # fmt: skip
-    return suggestion, rivals

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from model.energy.predictor import Predictor
 from model.errors import InfeasibleError, NoRouteError
+from model.frames import GridFrame
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 from planner.lattice_build import build_lattice
@@ -20,6 +21,7 @@ from planner.route import Route, price_route
 from service.models import planning_robot
 from service.spreads import std_along
 
+FloatArray = NDArray[np.float64]
 Point = tuple[float, float]
 Task = tuple[Point, Point]
 
@@ -55,12 +57,15 @@ class Rerouted:
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """shown : the task that is told of. tried : all of them. given : whether somebody asked for it. turn_j_per_rad :
-    what turning costs in plans, before and after."""
+    what turning costs in plans, before and after. price_per_m : of the map's cells, (rows, cols) [J/m], mean over the
+    headings that may be driven, before and after; NaN where there are none. frame : of both."""
 
     shown: Rerouted
     tried: tuple[Rerouted, ...]
     given: bool
     turn_j_per_rad: tuple[float, float]
+    frame: GridFrame
+    price_per_m: tuple[FloatArray, FloatArray]
 
     @property
     def chosen(self) -> str:
@@ -71,6 +76,16 @@ class Comparison:
             return "between the two places farthest apart that the runs visited"
         return f"of {len(self.tried)} tasks between places that the runs visited, the one whose route gains most"
 
+    def map_as_dict(self) -> dict[str, Any]:
+        """What a calibration changes on the map, JSON-able; nineteen places in twenty change by `low` to `high`."""
+        before, after = self.price_per_m
+        low, high = (float(q) for q in np.nanquantile(after - before, [0.025, 0.975]))
+        return {
+            "mean_price_per_m": {"before": float(np.nanmean(before)), "after": float(np.nanmean(after))},
+            "change_per_m": {"low": low, "high": high},
+            "turn_j_per_rad": {"before": self.turn_j_per_rad[0], "after": self.turn_j_per_rad[1]},
+        }
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-able; energies are at the new prices unless they say otherwise."""
         shown = self.shown
@@ -80,7 +95,6 @@ class Comparison:
             "after": _route(shown.after, shown.std_j[1]) | {"energy_at_old_prices_j": shown.old_j},
             "saving_j": shown.saving_j,
             "saving_percent": 100.0 * shown.saving_share,
-            "turn_j_per_rad": {"before": self.turn_j_per_rad[0], "after": self.turn_j_per_rad[1]},
             "tried": [
                 {"start": list(r.task[0]), "goal": list(r.task[1]), "saving_percent": 100.0 * r.saving_share}
                 for r in self.tried
@@ -98,7 +112,7 @@ def compare_routes(
     robot: Robot,
     before: Predictor,
     after: Predictor,
-    places: NDArray[np.float64],
+    places: FloatArray,
     *,
     task: Task | None = None,
     seed: int = 0,
@@ -130,7 +144,8 @@ def compare_routes(
         raise NoRouteError("no two of the places that the runs visited are joined by a route", tasks=len(tasks))
     shown = max(tried, key=lambda r: r.saving_share)
     turning = robots[0].turn_j_per_rad, robots[1].turn_j_per_rad
-    return Comparison(shown, tuple(tried), task is not None, turning)
+    prices = old.mean_energy_per_m(), new.mean_energy_per_m()
+    return Comparison(shown, tuple(tried), task is not None, turning, new.frame, prices)
 
 
 def _reroute(planners: tuple[RoutePlanner, RoutePlanner], task: Task) -> Rerouted:
@@ -145,11 +160,11 @@ def _reroute(planners: tuple[RoutePlanner, RoutePlanner], task: Task) -> Reroute
     return Rerouted(task, before, repriced, after, old_j, (_last(along[0]), _last(along[1])))
 
 
-def _last(std_j: NDArray[np.float64] | None) -> float | None:
+def _last(std_j: FloatArray | None) -> float | None:
     return None if std_j is None else float(std_j[-1]) if std_j.size else 0.0
 
 
-def drawn_tasks(places: NDArray[np.float64], *, seed: int) -> list[Task]:
+def drawn_tasks(places: FloatArray, *, seed: int) -> list[Task]:
     """Start and goal of the two places (n, 2) farthest apart, and of a few seeded pairs that are not much closer."""
     angle = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
     outermost = places[np.unique(np.argmax(places @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))]

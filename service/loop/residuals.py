@@ -19,6 +19,7 @@ from model.loop.residual import LEAST_SEGMENTS, Residuals, residuals_of
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.loop.plausible import check_runs
 
 FloatArray = NDArray[np.float64]
 _MARK = "beside "  # of columns that only go along
@@ -29,9 +30,8 @@ def residuals_on(
 ) -> tuple[Residuals, dict[str, FloatArray], FloatArray]:
     """Residuals of segments against a model; of each row what the battery's meters said (means of voltage, current and
     power, energy, the current's ripple), which no effect may copy; and (n,) the standard deviation [J] that the model
-    believes in. Raises RunsError where fewer than `least` segments are usable."""
-    if len(segments) == 0:
-        raise RunsError("the runs hold no segment of 1 m: did the robot move, and is its position recorded?")
+    believes in. Raises RunsError as `check_runs`, and where fewer than `least` segments are usable."""
+    check_runs(segments, heightmap, robot)
     said = predict_segments(predictor, heightmap, robot, segments)
     std = said.std_j
     if std is None:

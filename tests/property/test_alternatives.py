@@ -1,5 +1,7 @@
 """Other ways: each drivable, priced as it claims, truly another one, and the obvious ones are found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from model.robot import Robot
 from planner.alternatives import alternative_paths
 from planner.edges import path_price
 from planner.moves import move_table
+from planner.plan import RoutePlanner
 from planner.search import grid_search
 from tests.reference.lattices import ascii_lattice, random_lattice
 
@@ -36,6 +39,23 @@ def test_the_ways_round_two_islands_are_three(turn):
     assert through[0] == 5
     assert sorted(through[1:3]) == [1, 9]  # north and south of both, hugging them
     assert len(paths) == 3
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.01])
+def test_the_any_angle_step_draws_no_other_way_into_the_best(turn):
+    lattice, at = ascii_lattice(ISLANDS, robot=Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn))
+    plan = RoutePlanner(lattice).plan(at["a"], at["b"], alternatives=4)
+    north_or_south = 2.0 * np.hypot(5.0, 4.0) + 14.0  # along the outer corners of both islands
+    assert [way.length_m for way in plan.others] == pytest.approx([north_or_south] * 2, rel=0.02)
+
+
+def test_where_bends_cost_more_than_any_detour_saves_there_is_one_way():
+    plain, at = ascii_lattice("\n".join(["." * 30] * 9 + ["a" + "." * 28 + "b"] + ["." * 30] * 9))
+    prices = np.random.default_rng(3).uniform(40.0, 50.0, plain.traction_per_m.shape).astype(np.float32)
+    lattice = replace(plain, robot=replace(plain.robot, turn_j_per_rad=2000.0), traction_per_m=prices)
+    plan = RoutePlanner(lattice).plan(at["a"], at["b"], alternatives=4)
+    assert plan.route.length_m == pytest.approx(29.0)
+    assert plan.others == ()
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)

@@ -10,6 +10,7 @@ from model.loop.record import read_record
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
 from service.cli import app
+from service.loop.page import coefficient_words
 from service.loop.residuals import keep_base_runs
 from service.loop.runs import read_calibration_runs
 
@@ -44,6 +45,11 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
         "http://creativecommons.org", ""
     )
+    assert '<meta name="viewport"' in page
+    for heading in ("What changes on the map", "What to drive next", "All that was tried", "mended in the logs"):
+        assert f"{heading}</h2>" in page
+    assert ("points" in report["next_drive"]) == bool(report["effects"] or report["confounded"])
+    assert "drive next" in done.output
     if report["model"]["after"] is None:
         return
     done = runner.invoke(
@@ -52,8 +58,22 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     again = json.loads((tmp_path / "again.json").read_text())
+    assert again["model"] == f"{tmp_path.name}/model"
     assert again["mean_relative_error"] < report["error"]["before"]["mean_relative"]
     assert calibrate(field, tmp_path).exit_code == 6  # the version is there already
+
+
+def test_a_calibration_cut_off_leaves_no_model_and_can_be_done_again(field, tmp_path, monkeypatch):
+    def cut_off(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("service.loop.calibrating.compare_routes", cut_off)
+        assert calibrate(field, tmp_path).exit_code != 0
+    assert not (tmp_path / "model").exists()
+    done = calibrate(field, tmp_path)
+    assert done.exit_code == 0, done.output
+    assert {p.name for p in tmp_path.iterdir()} <= {"model", "report.json", "report.html"}
 
 
 def test_runs_of_another_place_are_refused_in_words(field, tmp_path):
@@ -71,7 +91,7 @@ def test_runs_of_another_place_are_refused_in_words(field, tmp_path):
               str(tmp_path / "out")],
     )  # fmt: skip
     assert done.exit_code == 3
-    assert "belong together" in done.output
+    assert "the runs lie off the heightmap" in done.output
 
 
 def test_a_missing_input_is_not_there(field, tmp_path):
@@ -110,7 +130,7 @@ def test_runs_kept_aside_are_judged_by_and_nothing_else(field, tmp_path):
     assert all(set(error[key]["by_run"]) == {"run_02.csv"} for key in ("before", "after", "after_planner"))
     assert "run_02.csv" not in report["error"]["before"]["by_run"]
     assert report["kept_aside"]["segments"] > 20
-    assert "Runs kept aside" in (tmp_path / "report.html").read_text()
+    assert "runs kept aside" in (tmp_path / "report.html").read_text()
     # without effects nothing is added, with them another way of stating the model's answer gives the same number
     if report["model"]["after"] is None:
         assert error["after"] == error["before"]
@@ -188,6 +208,22 @@ def test_wheel_speeds_stand_in_for_positions(tmp_path):
     assert found["turning x terrain_class"]["value"] == pytest.approx(-28.0, rel=0.1)
     assert report["error"]["after"]["rmse"] < 0.4 * report["error"]["before"]["rmse"]
     assert "8 runs, 7,200 rows" in done.output
+    assert report["next_drive"] == {"why_not": "the runs have no positions"}
     for wrong in (["--heightmap", str(out / "report.json")], []):
         given = options if wrong else options[3:]
         assert runner.invoke(app, ["calibrate", *given, *wrong, "--out", str(out / "no")]).exit_code == 2
+        assert runner.invoke(app, ["suggest-drive", *given, *wrong]).exit_code == 2
+    done = runner.invoke(app, ["suggest-drive", *options, "--length", "60", "--json", str(tmp_path / "drive.json")])
+    assert done.exit_code == 0, done.output
+    assert "wherever there is room" in done.output
+    drive = json.loads((tmp_path / "drive.json").read_text())
+    assert len(drive["speeds_mps"]) * int(drive["length_m"]) <= 1.25 * 60.0  # a round at each speed, in whole metres
+
+
+def test_of_many_coefficients_the_least_and_the_greatest_are_told():
+    def effect(*values):
+        return {"coefficients": [{"name": f"at {v}", "value": v, "unit": "J", "ci95": [v - 1, v + 1]} for v in values]}
+
+    assert coefficient_words(effect(3, 5)) == ["at 3: 3 J (2 to 4)", "at 5: 5 J (4 to 6)"]
+    told = coefficient_words(effect(3, 9, 5, -2, 4))
+    assert told == ["5 values, the least and the greatest", "at -2: -2 J (-3 to -1)", "at 9: 9 J (8 to 10)"]

@@ -11,7 +11,7 @@ from model.energy.artifact import read_artifact
 from model.energy.domain import Domain
 from model.energy.physics import tan_grade
 from model.energy.predictor import load_predictor
-from model.errors import InputError, ModelError
+from model.errors import InputError, ModelError, RunsError
 from model.frames import GridFrame
 from model.loop.calibrated import CalibratedPredictor, Correction
 from model.loop.prediction import predict_segments
@@ -70,9 +70,9 @@ def test_segments_at_the_maps_edge_are_counted_though_their_turned_squares_leave
 
 def test_runs_beside_the_map_are_refused_in_words(tmp_path):
     files = [drive(tmp_path, f"{k}.csv", y=500.0 + k) for k in range(2)]
-    with pytest.raises(InputError, match="straight over ground that the heightmap knows"):
+    with pytest.raises(RunsError, match="lie off the heightmap: they span"):
         train(files, tmp_path / "model")
-    with pytest.raises(InputError, match="straight over ground that the heightmap knows"):
+    with pytest.raises(RunsError, match="lie off the heightmap: they span"):
         train_on_runs(waves(), ROBOT, files, out=tmp_path / "model", epochs=1)
 
 

@@ -42,6 +42,9 @@ def test_turning_straightens_the_route() -> None:
     assert document["saving_j"] == pytest.approx(document["before"]["energy_j"] - document["after"]["energy_j"])
     assert document["before"]["energy_at_old_prices_j"] < document["before"]["energy_j"]
     assert document["after"]["energy_std_j"] > 0.0
+    changed = told.map_as_dict()
+    assert changed["turn_j_per_rad"] == {"before": 0.0, "after": 200.0}
+    assert changed["change_per_m"] == pytest.approx({"low": 0.0, "high": 0.0}, abs=1e-3)  # straight metres
 
 
 def test_where_everything_got_dearer_alike_the_way_stays() -> None:
@@ -51,6 +54,8 @@ def test_where_everything_got_dearer_alike_the_way_stays() -> None:
     assert told.chosen == "given"
     assert told.shown.task == task
     assert told.shown.saving_share == pytest.approx(0.0, abs=2e-3)
+    ten = 5.0 / Robot().speed_mps  # J more for a metre
+    assert told.map_as_dict()["change_per_m"] == pytest.approx({"low": ten, "high": ten}, abs=1e-2)
 
 
 def test_a_task_that_cannot_be_driven_says_why() -> None:

@@ -9,7 +9,7 @@ from model.loop.effects import Term
 from model.loop.residual import residuals_of
 from model.loop.suggest import suggest_drive
 from model.terrain.heightmap import Heightmap
-from tests.unit.test_trace import ROBOT, made_up, noisy
+from tests.reference.drives import ROBOT, made_up, noisy
 
 TURNING = Term("turning", "turning", ("J/rad",), {"limit_radps": None})
 HOTEL = Term("hotel_load", "hotel_load", ("W",))
@@ -48,6 +48,12 @@ def test_idle_power_is_told_from_friction_by_speed():
     found = suggest_drive(straight_runs(), HOTEL, [FRICTION], field(), ROBOT, level)
     assert "slow and fast" in found.kind
     assert found.shrinkage < 0.3
+
+
+def test_no_more_is_asked_for_than_there_is_time_for():
+    for length in (20.0, 80.0):
+        found = suggest_drive(straight_runs(), HOTEL, [FRICTION], field(), ROBOT, level, length_m=length)
+        assert len(found.speeds) * np.floor(found.length_m) <= 1.25 * length
 
 
 def test_no_known_ground_no_drive():

@@ -5,68 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from model.errors import ConflictError, ModelError, RunsError
 from model.loop.bounds import bounded
 from model.loop.calibrated import Correction, read_calibrated, save_calibrated
-from model.loop.calibration import calibrate
-from model.loop.drive import Drive
 from model.loop.effects import Term, inside
 from model.loop.fitting import fit_terms
 from model.loop.record import read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
-from model.loop.track import TURN_LIMITS_RADPS
-from model.robot import Robot
+from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
 
-ROBOT = Robot(mass_kg=40.0, idle_power_w=12.0, speed_mps=0.5)
 BEFORE = {"name": "made up", "version": "1"}
-
-
-def smooth_noise(rng, n, length=8.0):
-    rough = rng.standard_normal(n + 60)
-    return lfilter([1.0], [1.0, -np.exp(-1.0 / length)], rough)[60:] * np.sqrt(1.0 - np.exp(-2.0 / length))
-
-
-def made_up(rng, *, runs=6, each=120, heading=None) -> Drive:
-    """A drive that wanders over 50 x 50 m with a turn now and then."""
-    parts = []
-    for run in range(runs):
-        turned = np.where(rng.random(each) < 0.2, rng.normal(0.0, 0.6, each), rng.normal(0.0, 0.01, each))
-        way = np.cumsum(turned) + rng.uniform(0, 6.3) if heading is None else np.full(each, heading)
-        duration = 2.0 * np.exp(0.05 * smooth_noise(rng, each)) + 0.6 * np.abs(turned)
-        clock = 3600.0 * run + np.cumsum(duration)
-        grade = 0.05 * smooth_noise(rng, each)
-        parts.append({
-            "run": np.full(each, run), "x": 25.0 + 15.0 * smooth_noise(rng, each), "heading_rad": way % 6.2832,
-            "y": 25.0 + 15.0 * smooth_noise(rng, each), "length_m": np.ones(each), "duration_s": duration,
-            "traction_per_m": ROBOT.weight_n * (0.08 + grade), "turned_rad": turned, "turned_abs_rad": np.abs(turned),
-            "gentle_turn_rad": np.stack([np.minimum(np.abs(turned), 2.0 * r) for r in TURN_LIMITS_RADPS], axis=1),
-            "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "cross": 0.04 * smooth_noise(rng, each),
-            "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)), "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
-            "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)), "elevation_m": smooth_noise(rng, each),
-            "hollow_m": 0.05 * smooth_noise(rng, each),
-            "since_s": clock - clock[0], "driven_m": np.arange(each) + 1.0, "clock_s": clock,
-            "temperature": 15.0 + run + 0.3 * smooth_noise(rng, each),
-        })  # fmt: skip
-    columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
-    logged = {"temperature": columns.pop("temperature")}
-    return Drive(robot=ROBOT, **columns, columns=logged, runs=tuple(f"run{k}@0" for k in range(runs)))
-
-
-def noisy(rng, drive, extra=0.0, share=0.07):
-    """Measured energies: noise is a share, a part of it alike in neighbours and 1 % alike in whole runs."""
-    n = len(drive)
-    levels = 0.01 * rng.standard_normal(drive.run.max() + 1)
-    noise = share * (0.8 * rng.standard_normal(n) + 0.6 * smooth_noise(rng, n)) + levels[drive.run]
-    return (drive.predicted + extra) * (1.0 + noise)
-
-
-def found_in(drive, measured, **options):
-    names = tuple(f"run{k}" for k in range(int(drive.run.max()) + 1))
-    return calibrate(residuals_of(drive, measured, names, charge=False), **options)
-
 
 EFFECTS = {
     "turning": lambda d: 60.0 * d.turned_abs_rad,
@@ -309,7 +259,7 @@ def test_where_an_effect_begins_is_fitted_and_in_doubt():
 
 
 def test_a_metre_over_the_brow_is_partly_uphill_and_partly_downhill():
-    drive = replace(made_up(np.random.default_rng(2), each=40), grades=None)
+    drive = made_up(np.random.default_rng(2), each=40)
     brow = replace(drive, grades=np.tile([0.04, 0.02, 0.0, -0.02, -0.04], (len(drive), 1)))
     assert inside(brow, {"over": "grade", "above": 0.01}) == pytest.approx(0.375)  # trapezoids over a quarter metre
     down = Term("braking", "braking", ("",), {"from_grade": 0.0}, {}, (1.0,))
