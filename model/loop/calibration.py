@@ -30,7 +30,8 @@ _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 class Effect:
     """An effect that was found, fitted. coefficients : what is new in these runs; those of the term hold what the base
     model's own runs show as well. low, high : 95 % intervals. share : of the residual's squared size that goes with it,
-    and with the interactions that it is part of. planner : stated in what a planner knows beforehand."""
+    and with the interactions that it is part of. planner : stated in what a planner knows beforehand. shadow : of other
+    effects, whose form it mends, and no cause of its own."""
 
     term: Term
     coefficients: FloatArray
@@ -40,6 +41,7 @@ class Effect:
     share: float
     planner: bool
     reveals: str
+    shadow: bool = False
 
 
 @dataclass(frozen=True)
@@ -201,6 +203,7 @@ def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
             Effect(
                 term, np.asarray(term.coefficients) - fit.own[skip + k], low, high, found.verdict.p_value,
                 float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(term), found.candidate.reveals,
+                found in traced.shadows,
             )
         )  # fmt: skip
     return tuple(out)

@@ -14,7 +14,7 @@ from model.loop.effects import Term
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
     """The report. before : the base model's provenance; after : the calibrated model's version, None where there is
-    none."""
+    none. `effects` are causes; `shadows` are in the model too, and mend the form of the effects."""
     moving = found.residuals.moving
     held = (found.residuals.measured - found.held_out)[moving]
     held = held / np.maximum(found.held_out[moving], 0.05 * np.median(found.residuals.measured[moving]))
@@ -24,7 +24,8 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "target": "charge_as" if found.residuals.charge else "energy_j",
         "segments": {"fit": segments, "held_out": segments},
         "error": {"before": found.before, "after": found.after, "after_planner": found.after_planner},
-        "effects": [_effect(e) for e in found.effects],
+        "effects": [_effect(e) for e in found.effects if not e.shadow],
+        "shadows": [_effect(e) for e in found.effects if e.shadow],
         "candidates": _candidates(found),
         "confounded": [[name, *rivals] for name, rivals in found.trace.confounded.items()],
         "to_separate": {
@@ -72,6 +73,8 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
         }  # fmt: skip
         if candidate.name not in taken:
             row["why_not"] = verdict_words(last.get(candidate.name, verdict))
+        elif taken[candidate.name].shadow:
+            row |= {"taken": False, "why_not": "it mends the form of the effects found, and is no cause of its own"}
         out.append(row)
     first = [r for r in out if r["taken"]]
     return [*sorted(first, key=lambda r: list(taken).index(r["name"])), *(r for r in out if not r["taken"])]

@@ -257,9 +257,14 @@ class Search:
         named = self.named(again) and not self.named(one)
         return new < (1.0 + _LITTLE if named else 1.0 - _LITTLE) * old
 
-    def error(self, chosen: Sequence[int], *, free: bool = False) -> float:
+    def error(self, chosen: Sequence[int], *, free: bool = False, blocks: bool = False) -> float:
         """Held-out squared error [scaled] of a choice of terms, with any level (`free`) or one within its doubt."""
-        return float(self.evidence.held_out(self.evidence.columns_of(chosen), free=free).sum())
+        return float(self.evidence.held_out(self.evidence.columns_of(chosen), free=free, blocks=blocks).sum())
+
+    def saved(self, rest: Sequence[int], terms: Sequence[int], *, free: bool = False) -> float:
+        """Held-out squared error [scaled] that terms take away on top of others, runs held out alike in both fits."""
+        blocks = self.evidence.own(self.evidence.columns_of([*rest, *terms]))
+        return self.error(rest, free=free, blocks=blocks) - self.error([*rest, *terms], free=free)
 
     def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
         """The effects that an effect must hold its own against: not an interaction that it is part of; and what answers
@@ -273,30 +278,27 @@ class Search:
         with the level free in both fits, if asked."""
         rest = [f.verdict.term for f in self.beside(found, one)]
         its = [f.verdict.term for f in (one, *interactions_of(one, found))]
-        without = self.error(rest, free=free)
-        return (without - self.error([*rest, *its], free=free)) / max(without, 1e-12)
+        return self.saved(rest, its, free=free) / max(self.error(rest, free=free), 1e-12)
 
-    def without_shadows(self, found: list[Found]) -> list[Found]:
-        """Without what only fills in where the others have not quite the right form, the weakest first."""
-        while shadows := [f for f in found if not interactions_of(f, found) and self.shadow(found, f)]:
-            weakest = min(shadows, key=lambda f: self.worth(found, f))
-            found = [f for f in found if f is not weakest]
-        return found
+    def shadows(self, found: Sequence[Found]) -> list[Found]:
+        """The effects that only fill in where the others have not quite the right form, the weakest first."""
+        causes = list(found)
+        while shadows := [f for f in causes if not interactions_of(f, causes) and self._shadow(causes, f)]:
+            causes.remove(min(shadows, key=lambda f: self.worth(causes, f)))
+        return [f for f in found if f not in causes]
 
-    def shadow(self, found: Sequence[Found], one: Found) -> bool:
+    def _shadow(self, found: Sequence[Found], one: Found) -> bool:
         """Whether an effect is but the shadow of others: beside them it does no more than lift the level, which a form
-        that is not quite right leaves off by more than the base model does; or no physical form speaks for it, and
-        nine tenths of what it explains alone they explain too (a tolerance below 0.1: Marquardt 1970)."""
+        that is not quite right leaves off by more than the base model does; or no physical form speaks for it, and of
+        what it explains alone they explain nine tenths (a tolerance below 0.1: Marquardt 1970)."""
         rest = [f.verdict.term for f in self.beside(found, one)]
         if not rest:
             return False
         if self.worth(found, one, free=True) < self._least(one):
             return True
-        if self.named(one):
-            return False
-        left = self.error(rest) - self.error([*rest, one.verdict.term])
-        own = (k for k, c in enumerate(self.owner) if c.name == one.candidate.name)
-        return left < _TOLERANCE * (self.error([]) - min(self.error([k]) for k in own))
+        own = [k for k, c in enumerate(self.owner) if c.name == one.candidate.name]
+        alone = max(self.saved([], [k]) for k in own)
+        return not self.named(one) and self.saved(rest, [one.verdict.term]) < _TOLERANCE * alone
 
     def _least(self, one: Found) -> float:
         """What an effect that was taken must still be worth."""

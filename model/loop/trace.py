@@ -4,7 +4,8 @@ Forward: of all effects that chance cannot explain and that help on held-out run
 one that helps most is taken; where a physical form does as well as a learned curve, the physical one. Columns that
 answer to the drive (commands, measured attitude) come once nothing else is found. An interaction brings along those of
 the effects it joins that show themselves beside it. After each step every effect is chosen anew given the others, and
-one that the others make needless is dropped.
+one that the others make needless is dropped. In the end causes are told from shadows: what only fills in where the form
+of a cause is not quite right helps to predict, but is no reason of its own.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ MAX_EFFECTS = 6
 @dataclass(frozen=True)
 class Trace:
     """What was found. ranking : every candidate's best verdict before anything was taken, best first. confounded :
-    names that these runs cannot tell from an effect found. remaining_p : of the best candidate left, over all."""
+    names that these runs cannot tell from an effect found. remaining_p : of the best candidate left, over all.
+    shadows : those found that are no causes of their own."""
 
     found: list[Found]
     ranking: list[tuple[Candidate, Verdict]]
@@ -31,6 +33,7 @@ class Trace:
     remaining: list[tuple[Candidate, Verdict]]
     remaining_p: float
     evidence: Evidence = field(repr=False)
+    shadows: list[Found] = field(default_factory=list)
 
     @property
     def chosen(self) -> list[int]:
@@ -70,12 +73,13 @@ def trace(
             search.refuse(wrong)
             found, needless = [], set()
         verdicts = search.best_of_each(found)
-    found = search.by_worth(search.two_named(search.without_shadows(found)))
+    found = search.by_worth(search.two_named(found))
+    shadows = search.shadows(found)
     remaining = [v for v in verdicts if v[0].name not in {f.candidate.name for f in found}]
-    names = {f.candidate.name: search.rivals(found, f) for f in found}
+    names = {f.candidate.name: search.rivals(found, f) for f in found if f not in shadows}
     least = min((v.p_value for _, v in remaining if search.clears_floor(v)), default=None)
     if least is None:
         least = max((v.p_value for _, v in remaining), default=1.0)
     if progress is not None:
         progress(1.0)
-    return Trace(found, ranking, {k: v for k, v in names.items() if v}, remaining, least, evidence)
+    return Trace(found, ranking, {k: v for k, v in names.items() if v}, remaining, least, evidence, shadows)

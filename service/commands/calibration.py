@@ -119,7 +119,7 @@ def _read(
 
 
 def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
-    from service.loop.page import coefficient_words
+    from service.loop.page import coefficient_words, shadow_words
 
     unit = "A s" if document["target"] == "charge_as" else "J"
     names = ", ".join(effect["name"] for effect in document["effects"])
@@ -130,6 +130,8 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
         rows[effect["name"]] = (
             f"{', '.join(coefficient_words(effect))}; p = {effect['p_value']:.2g}, {effect['where']}{plans}"
         )
+    if words := shadow_words(document):
+        rows["beside it"] = words
     rows |= _error_words(document["error"], unit, "")
     if "kept_aside" in document:
         rows |= _error_words(document["kept_aside"]["error"], unit, ", kept aside")

@@ -63,7 +63,7 @@ def next_drive(
     best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
     best |= {e.term.name: e.term for e in found.effects}
     name = effect or next(iter(found.trace.confounded), None)
-    lasting = [e for e in found.effects if "runs" not in e.term.where]  # another day has another wind
+    lasting = [e for e in found.effects if not e.shadow and "runs" not in e.term.where]  # another day has another wind
     if name is None and lasting:
         name = max(lasting, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
     if name is None:

@@ -111,7 +111,18 @@ def _effects(document: Mapping[str, Any]) -> str:
         "beforehand what the effect goes with. That there is more to find in what remains has p = "
         f"{document['remaining']['p_value']:.2g}.</p>"
     )
-    return _table(["effect", "where", "coefficients", "p", "share", "in plans"], rows) + note
+    return _table(["effect", "where", "coefficients", "p", "share", "in plans"], rows) + note + _shadows(document)
+
+
+def _shadows(document: Mapping[str, Any]) -> str:
+    names = shadow_words(document)
+    return f"<p>{escape(names)}</p>" if names else ""
+
+
+def shadow_words(document: Mapping[str, Any]) -> str:
+    """What mends the form of the effects found; empty where nothing does."""
+    names = ", ".join(shadow["name"] for shadow in document["shadows"])
+    return f"{names}: in the model, to mend the form of the effects; no cause of its own" if names else ""
 
 
 def _confounded(document: Mapping[str, Any]) -> str:

@@ -1,0 +1,68 @@
+"""Causes are told from their shadows: what mends the form of a cause stays in the model and is no second name."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from model.loop.report import report_document
+from service.loop.page import shadow_words
+from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
+
+BEFORE = {"name": "made up", "version": "1"}
+
+
+def told(found):
+    """(names of the causes, names of the shadows) in the report."""
+    document = report_document(found, before=BEFORE, after="2")
+    assert [e.term.name for e in found.effects if e.shadow] == [s["name"] for s in document["shadows"]]
+    return [e["name"] for e in document["effects"]], [s["name"] for s in document["shadows"]], document
+
+
+def leaning(rng):
+    """A drive whose wheels lean more than the map knows, with the roll logged; and the squared tangent they feel."""
+    drive = made_up(rng)
+    felt = drive.cross + 0.012 * smooth_noise(rng, len(drive))
+    squared = drive.cross**2
+    drive = replace(
+        drive, cross_abs=np.abs(drive.cross), cross_sq=squared, columns=drive.columns | {"roll": np.degrees(felt)}
+    )
+    return drive, felt**2
+
+
+def test_a_measured_tilt_is_the_shadow_of_the_slope_across():
+    rng = np.random.default_rng(3)
+    drive, squared = leaning(rng)
+    found = found_in(drive, noisy(rng, drive, 25.0 * ROBOT.weight_n * squared))
+    causes, shadows, document = told(found)
+    assert causes == ["cross_slope"]
+    assert shadows == ["learned:roll"]
+    assert shadow_words(document).startswith("learned:roll:")
+    (row,) = [c for c in document["candidates"] if c["name"] == "learned:roll"]
+    assert not row["taken"]
+    assert "no cause" in row["why_not"]
+    alone = [e.term for e in found.effects if not e.shadow]
+    both = [e.term for e in found.effects]
+    extra = 25.0 * ROBOT.weight_n * squared
+    off = [np.mean((extra - sum(t.energy(drive) for t in some)) ** 2) for some in (alone, both)]
+    assert off[1] < 0.7 * off[0]  # it stays in the model for what it is good for
+
+
+def test_a_measured_tilt_alone_is_no_shadow():
+    rng = np.random.default_rng(4)
+    drive, squared = leaning(rng)
+    level = np.zeros(len(drive))
+    drive = replace(drive, cross=level, cross_abs=level, cross_sq=level)  # a map that knows nothing of it
+    causes, shadows, document = told(found_in(drive, noisy(rng, drive, 25.0 * ROBOT.weight_n * squared)))
+    assert "learned:roll" in causes
+    assert shadows == []
+    assert shadow_words(document) == ""
+
+
+def test_a_true_second_effect_is_a_cause_whatever_its_form():
+    """Turning, and a loss that grows with the roughness along a curve that no formula has."""
+    rng = np.random.default_rng(5)
+    drive = made_up(rng)
+    bumps = 20.0 * np.tanh((drive.roughness_m / 0.01 - 1.0) / 0.3)
+    causes, shadows, _ = told(found_in(drive, noisy(rng, drive, 60.0 * drive.turned_abs_rad + bumps)))
+    assert set(causes) == {"turning", "learned:roughness"}
+    assert shadows == []
