@@ -147,8 +147,8 @@ class Search:
     def named(self, one: Found) -> bool:
         """Whether a physical form speaks for an effect: a curve, a drift, a field over the map and coefficients for
         every run say only that something changes."""
-        field = self.evidence.terms[one.verdict.term].formula == "place"
-        return not (field or one.candidate.learned or one.candidate.name == "drift" or self.by_run(one))
+        curve = self.evidence.terms[one.verdict.term].formula in ("smooth", "heading", "place")
+        return not (curve or one.candidate.name == "drift" or self.by_run(one))
 
     def by_run(self, one: Found) -> bool:
         return self.evidence.own(self.evidence.columns[one.verdict.term])
