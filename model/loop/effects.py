@@ -65,7 +65,7 @@ class Term:
     def is_force(self) -> bool:
         """Whether it pushes against the motion over every metre, so that it is felt as far as the drives pull."""
         shares = any(self.settings.get(key) for key in ("of_motion", "of_all", "of_time"))
-        return self.settings.get("of", self.formula) in FORCES and not shares
+        return not shares and self.settings.get("of", self.formula) in FORCES
 
     def bent(self, residuals: Residuals, spread_n: float | None = None) -> Term:
         """A force as far as it is felt, being as large as the residuals say; any other effect as it is. spread_n : see
