@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from model.errors import InputError
-from planner.buckets import SEED, SETTLED, TURNED_LEFT, TURNED_RIGHT, state_before
+from planner.buckets import SETTLED
 from planner.edges import Points, path_price
 from planner.fields import field_from, field_towards
+from planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
 from planner.lattice import CostLattice
 from planner.moves import MoveTable
 from planner.refine import refine_path, subdivided

@@ -11,9 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.buckets import DROVE, SEED, SETTLED, state_before
+from planner.buckets import SETTLED
 from planner.edges import Points
 from planner.fields import EnergyField, field_towards
+from planner.headings import DROVE, SEED, state_before
 from planner.heuristics import guide_everywhere
 from planner.lattice import CostLattice
 from planner.moves import move_table, repriced

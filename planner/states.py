@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.buckets import SEED, Guide, search_cells, search_headings, trace_cells, trace_headings
+from planner.buckets import Guide, search_cells, trace_cells
+from planner.headings import SEED, search_headings, trace_headings
 from planner.lattice import CostLattice
 from planner.moves import MoveTable
 

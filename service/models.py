@@ -12,6 +12,8 @@ from model.loop.calibrated import CALIBRATION_FILE, CalibratedPredictor, read_ca
 from model.robot import Robot
 
 DEFAULT_MODEL = "default"
+CALIBRATED_FOLDER = "model"
+"""Where a calibration leaves its model, beside its report."""
 _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -44,7 +46,13 @@ def load_model(spec: str | Path) -> Predictor:
             f"{folder} was calibrated on {base}, but that model is now {predictor.provenance()['version']}",
             expected=base["version"],
         )
-    return CalibratedPredictor(predictor, correction, name=folder.resolve().name, version=version)
+    return CalibratedPredictor(predictor, correction, name=model_name(folder), version=version)
+
+
+def model_name(folder: Path) -> str:
+    """What a calibrated model is called: its folder's name, and that of the folder it was written to beside it."""
+    own = folder.resolve()
+    return f"{own.parent.name}/{own.name}" if own.name == CALIBRATED_FOLDER else own.name
 
 
 def planning_robot(predictor: Predictor, robot: Robot) -> Robot:

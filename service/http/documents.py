@@ -9,7 +9,8 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service.problems import MEDIA_TYPE
-from service.schemas.planning import CostmapOptions, CostmapRequest, Problem, UploadOptions
+from service.schemas.base import Problem
+from service.schemas.maps import CostmapOptions, CostmapRequest, UploadOptions
 
 _REF = "#/components/schemas/{model}"
 _FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}

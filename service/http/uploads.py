@@ -16,7 +16,7 @@ from starlette.datastructures import FormData, UploadFile
 
 from model.errors import InputError
 from service.http.state import Service
-from service.schemas.planning import UploadOptions
+from service.schemas.maps import UploadOptions
 from service.storage.tables import HeightmapRow, RunsRow
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -25,6 +25,7 @@ from service.loop.calibrating import calibrate_on_runs
 from service.loop.page import report_page
 from service.loop.rerouting import Task
 from service.loop.runs import read_calibration_runs
+from service.models import CALIBRATED_FOLDER
 from service.storage.store import Store
 
 REPORT, PAGE = "report.json", "report.html"
@@ -75,7 +76,7 @@ class Calibrator:
         )
         try:
             _in_a_process(work, report)
-            made = out / "model"
+            made = out / CALIBRATED_FOLDER
             if made.exists():
                 self._models_dir.mkdir(parents=True, exist_ok=True)
                 shutil.move(made, self._models_dir / row.id)

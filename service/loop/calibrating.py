@@ -27,7 +27,7 @@ from service.loop.next_drive import next_drive
 from service.loop.rerouting import Comparison, Task, compare_routes
 from service.loop.residuals import base_residuals, residuals_on
 from service.loop.runs import CalibrationRuns
-from service.models import load_model
+from service.models import CALIBRATED_FOLDER, load_model, model_name
 
 FloatArray = NDArray[np.float64]
 
@@ -62,12 +62,14 @@ def calibrate_on_runs(
     start and goal whose routes before and after are compared, as `compare_routes`. Raises InputError, RunsError,
     ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
     """
-    target = out / "model"
+    target = out / CALIBRATED_FOLDER
     if target.exists():
         raise ConflictError(
             f"{target} is there already: a model version is never changed. Choose another folder or remove this one",
             path=str(target),
         )
+    begun = out / "model.partial"  # a calibration that is cut off leaves no model
+    shutil.rmtree(begun, ignore_errors=True)
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
     segments = runs.segments
@@ -79,8 +81,8 @@ def calibrate_on_runs(
     version, routes, why_not = None, None, "nothing was found that changes a route"
     if found.terms:
         correction = correction_of(found, std)
-        version = _write(target, model, predictor, correction)
-        after = CalibratedPredictor(predictor, correction, name=target.name, version=version)
+        version = _write(begun, model, predictor, correction)
+        after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
         driven = measured.drive.take(measured.moving)  # on ground that the map knows
         places = np.column_stack([driven.x, driven.y])
         why_not = "the runs have no positions"
@@ -105,6 +107,8 @@ def calibrate_on_runs(
     }  # fmt: skip
     report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)
+    if found.terms:
+        begun.rename(target)
     _tell(progress, 1.0)
     return Calibrated(report, found, routes)
 

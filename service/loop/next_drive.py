@@ -63,10 +63,13 @@ def next_drive(
     best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
     best |= {e.term.name: e.term for e in found.effects}
     name = effect or next(iter(found.trace.confounded), None)
-    if name is None and found.effects:
-        name = max(found.effects, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
+    lasting = [e for e in found.effects if "runs" not in e.term.where]  # another day has another wind
+    if name is None and lasting:
+        name = max(lasting, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
     if name is None:
-        raise InputError("these runs show nothing that the model lacks: name the effect that you are in doubt about")
+        raise InputError(
+            "these runs show nothing that the model lacks on any day: name the effect that you are in doubt about"
+        )
     if name not in best:
         raise InputError(
             f"there is no candidate {name!r} on these runs; there are {', '.join(sorted(best))}", name=name

@@ -27,7 +27,7 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #1d2424; background: #fbfaf7
   vertical-align: top; font-variant-numeric: tabular-nums } th { font-weight: 600 } div.table { overflow-x: auto }
   svg, img { width: 100%; height: auto; margin-top: .6rem } div.figures { display: grid; gap: 1rem;
   grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)) } div.small { grid-template-columns:
-  repeat(auto-fill, minmax(min(14rem, 100%), 1fr)) } p.note { color: #5a6464 }
+  repeat(auto-fill, minmax(min(14rem, 100%), 1fr)) } p.note { color: #5a6464 } p.warning { color: #b9532f }
 """
 _AGAINST = (
     '<p class="note">Mean residual in equal shares of the segments with two standard errors: red before, green after, '
@@ -50,7 +50,7 @@ def report_page(made: Calibrated, heightmap: Heightmap) -> str:
     )
     parts = [
         f"<h1>{escape(title)}</h1><p>{lead}</p>",
-        "".join(f'<p class="note">Warning: {escape(warning)}</p>' for warning in document["warnings"]),
+        "".join(f'<p class="warning">Warning: {escape(warning)}</p>' for warning in document["warnings"]),
         "<h2>Effects</h2>" + _effects(document),
         _confounded(document),
         "<h2>How far off the model is</h2>" + _errors(document, unit) + error_figure(found),
@@ -146,11 +146,11 @@ def _map(made: Calibrated) -> str:
         f"headings; a turn of 90 degrees {turn['before'] * np.pi / 2:.0f} J before and "
         f"{turn['after'] * np.pi / 2:.0f} J after."
     )
-    if max(abs(change["least"]), abs(change["most"])) < _ALIKE * abs(price["after"]):
+    if max(abs(change["low"]), abs(change["high"])) < _ALIKE * abs(price["after"]):
         return f"<p>{lead} No place becomes dearer than another.</p>"
     return (
-        f"<p>{lead} From place to place the change lies between {change['least']:+.1f} and {change['most']:+.1f} J/m."
-        f"</p>{change_figure(made.routes)}"
+        f"<p>{lead} At nineteen places in twenty the change lies between {change['low']:+.1f} and "
+        f"{change['high']:+.1f} J/m.</p>{change_figure(made.routes)}"
     )
 
 

@@ -122,7 +122,7 @@ def change_figure(routes: Comparison) -> str:
     west, south, east, north = routes.frame.bounds
     before, after = routes.price_per_m
     change = after - before
-    low, high = float(np.nanmin(change)), float(np.nanmax(change))
+    low, high = routes.map_as_dict()["change_per_m"].values()
     colours = "Reds" if low > 0 else "Blues_r"
     if low <= 0 <= high:
         colours, low, high = "RdBu_r", -max(-low, high), max(-low, high)
@@ -134,7 +134,7 @@ def change_figure(routes: Comparison) -> str:
             ax.plot(x, y, line, color="k", lw=1.8, label=name, path_effects=[withStroke(linewidth=4, foreground="w")])
         ax.set(xlabel="east of the map's edge [m]", ylabel="north of it [m]")
         ax.legend(fontsize=8)
-        ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="dearer by [J/m]")
+        ax.figure.colorbar(shown, ax=ax, shrink=0.8, extend="both", label="dearer by [J/m]")
 
     return _figure(draw, (2 * _WIDE, 4.4))
 

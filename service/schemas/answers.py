@@ -14,20 +14,11 @@ from planner.budget import Verdict
 from planner.plan import Plan
 from planner.route import Route, geojson
 from service.problems import jsonable
+from service.schemas.base import RobotOut
 from service.schemas.loop import CalibrationOut, RunOut, RunsOut
-from service.schemas.planning import (
-    BatteryIn,
-    CostmapOut,
-    FeasibilityOut,
-    HeightmapOut,
-    PathOut,
-    PieceOut,
-    RobotOut,
-    RouteOut,
-    ShortestOut,
-    VerdictOut,
-)
-from service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
+from service.schemas.maps import CostmapOut, HeightmapOut
+from service.schemas.planning import BatteryIn, FeasibilityOut, PathOut, PieceOut, RouteOut, ShortestOut, VerdictOut
+from service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, JobRow, RunsRow
 from service.workflows import Assessment
 
 
@@ -53,12 +44,7 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
         }
     provenance = summary.get("provenance")
     return CostmapOut(
-        id=row.id,
-        status=row.status,  # type: ignore[arg-type]
-        progress=row.progress,
-        created_at=_utc(row.created_at),
-        finished_at=_utc(row.finished_at) if row.finished_at else None,
-        heightmap_id=row.heightmap_id,
+        **_job(row),
         robot=RobotOut(**row.request["robot"]),
         model=row.request["model"],
         headings=row.request["headings"],
@@ -68,9 +54,20 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
         blocked=summary.get("blocked"),
         warnings=(provenance or {}).get("warnings", []),
         provenance=provenance,
-        problem=row.problem,  # type: ignore[arg-type]
         links=links,
     )
+
+
+def _job(row: JobRow) -> dict[str, Any]:
+    return {
+        "id": row.id,
+        "status": row.status,
+        "progress": row.progress,
+        "created_at": _utc(row.created_at),
+        "finished_at": _utc(row.finished_at) if row.finished_at else None,
+        "heightmap_id": row.heightmap_id,
+        "problem": row.problem,
+    }
 
 
 def runs_out(row: RunsRow) -> RunsOut:
@@ -84,12 +81,7 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
     if row.status == DONE:
         links["page"] = f"{base}/report.html"
     return CalibrationOut(
-        id=row.id,
-        status=row.status,  # type: ignore[arg-type]
-        progress=row.progress,
-        created_at=_utc(row.created_at),
-        finished_at=_utc(row.finished_at) if row.finished_at else None,
-        heightmap_id=row.heightmap_id,
+        **_job(row),
         runs=asked["runs"],
         base_runs=asked["base_runs"],
         aside_runs=asked.get("aside_runs", []),
@@ -97,7 +89,6 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
         model=asked["model"],
         calibrated_model=summary.get("model"),
         report=summary.get("report") if with_report else None,
-        problem=row.problem,  # type: ignore[arg-type]
         links=links,
     )
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from service.models import DEFAULT_MODEL
-from service.schemas.planning import Answer, Point, Problem, Request, RobotIn, RobotOut
+from service.schemas.base import Answer, JobOut, Point, Problem, Request, RobotIn, RobotOut
 
 
 class RunOut(Answer):
@@ -70,15 +70,10 @@ class CalibrationRequest(Request):
         return self
 
 
-class CalibrationOut(Answer):
+class CalibrationOut(JobOut):
     """A calibration: asked for, being made, or done. What is only known when done is null before."""
 
     id: str = Field(examples=["cal-2f7719c0be04"])
-    status: Literal["queued", "running", "done", "failed"]
-    progress: float = Field(ge=0, le=1, description="0..1", examples=[1.0])
-    created_at: dt.datetime = Field(description="UTC")
-    finished_at: dt.datetime | None = Field(description="UTC")
-    heightmap_id: str = Field(examples=["hm-5f0c2a9d41be"])
     runs: list[str] = Field(description="ids of the runs")
     base_runs: list[str] = Field(description="ids of the runs that they were held against")
     aside_runs: list[str] = Field(description="ids of the runs that it was only judged by")

@@ -1,231 +1,13 @@
-"""What requests and answers look like: every field with its unit."""
+"""Questions to a cost map, paths and verdicts, and their answers: every field with its unit."""
 
 from __future__ import annotations
 
-import datetime as dt
-from dataclasses import fields
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic import Field, model_validator
 
-from model.robot import Robot
-from planner.lattice_build import DEFAULT_HEADINGS
 from planner.plan import PLANNERS
-from planner.tiles import HEADING_LIMITS
-from service.models import DEFAULT_MODEL
-
-
-class Request(BaseModel):
-    """Strict: unknown fields, numbers in quotes, NaN and infinity are refused."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class Answer(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-Point = Annotated[
-    list[float],
-    Field(min_length=2, max_length=3, description="world [x, y] in the map's CRS [m], east and north; z is ignored"),
-]
-PathPoint = Annotated[
-    list[float | None],
-    Field(min_length=2, max_length=3, description="world [x, y] or [x, y, z] [m]; z, which may be null, is ignored"),
-]
-Point3 = Annotated[
-    list[float | None], Field(min_length=3, max_length=3, description="world [x, y, z] [m]; z null where unknown")
-]
-
-_ROBOT_WORDS = {
-    "name": "what the robot is called",
-    "mass_kg": "mass [kg]",
-    "width_m": "width over the wheels [m]",
-    "length_m": "length [m]",
-    "wheel_radius_m": "wheel radius [m]; a higher step blocks",
-    "nominal_voltage_v": "nominal battery voltage [V]",
-    "speed_mps": "cruising speed [m/s]",
-    "battery_wh": "energy of the full battery [Wh]",
-    "idle_power_w": "power drawn by everything but the motion [W]",
-    "max_grade_deg": "steepest slope along the motion, up and down [deg]",
-    "max_cross_slope_deg": "steepest slope across the motion [deg]",
-    "rolling_resistance": "coefficient of rolling resistance, dimensionless",
-    "regeneration": "share of the energy released downhill that returns to the battery, 0..0.99",
-    "turn_j_per_rad": "energy of turning by one radian [J/rad]",
-}
-_KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
-
-RobotIn = create_model(  # type: ignore[call-overload]
-    "RobotIn",
-    __base__=Request,
-    __doc__="A robot; a field left out has the default robot's value (in a question: the cost map's).",
-    **{
-        key: (kind | None, Field(default=None, description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
-        for key, kind in _KIND.items()
-    },
-)
-RobotOut = create_model(  # type: ignore[call-overload]
-    "RobotOut",
-    __base__=Answer,
-    __doc__="The robot whose prices and limits these are.",
-    **{
-        key: (kind, Field(description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
-        for key, kind in _KIND.items()
-    },
-)
-
-
-def robot_values(robot: BaseModel | None) -> dict[str, Any]:
-    """The fields that a request gave."""
-    return robot.model_dump(exclude_none=True) if robot is not None else {}
-
-
-class UploadOptions(BaseModel):
-    """What a heightmap file may leave unsaid; as query parameters or form fields."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    name: str | None = Field(
-        default=None, min_length=1, max_length=200, description="what to call it; else the file's name"
-    )
-    resolution_m: float | None = Field(
-        default=None,
-        description="side of a cell [m]; needed where the file does not say, refused where it says otherwise",
-    )
-    west_m: float = Field(default=0.0, description="x of the map's west edge [m], where the file does not say")
-    north_m: float | None = Field(
-        default=None,
-        description="y of the map's north edge [m], where the file does not say; else south is y = 0",
-    )
-    crs: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=4000,
-        description="CRS in metres, e.g. EPSG:32630, where the file does not say",
-    )
-    scale_m: float | None = Field(default=None, description="metres per stored count; a PNG needs it")
-    offset_m: float = Field(default=0.0, description="height of stored count 0 [m]")
-    nodata: float | None = Field(
-        default=None, description="stored value that means unknown, where the file does not declare it"
-    )
-
-
-class HeightmapOut(Answer):
-    """A heightmap that is kept."""
-
-    id: str = Field(examples=["hm-5f0c2a9d41be"])
-    name: str = Field(examples=["uma_rescue_area_1m.tif"])
-    created_at: dt.datetime = Field(description="UTC")
-    rows: int = Field(description="cells from north to south", examples=[200])
-    cols: int = Field(description="cells from west to east", examples=[300])
-    resolution_m: float = Field(description="side of a cell [m]", examples=[1.0])
-    crs: str | None = Field(description="coordinate reference system, null when unknown", examples=["EPSG:32630"])
-    bounds: list[float] = Field(
-        min_length=4, max_length=4, description="[west, south, east, north] [m]", examples=[[0.0, 0.0, 300.0, 200.0]]
-    )
-    known_share: float = Field(description="share of cells whose height is known, 0..1", examples=[0.98])
-    height_min_m: float = Field(description="lowest known height [m]", examples=[48.2])
-    height_max_m: float = Field(description="highest known height [m]", examples=[73.9])
-    hash: str = Field(description="identity of heights and position", examples=["9e107d9d372bb682"])
-    links: dict[str, str]
-
-
-class CostmapOptions(Request):
-    """How to make a cost map."""
-
-    robot: RobotIn | None = Field(default=None, description="default: the paper's 4WD robot")  # type: ignore[valid-type]
-    model: str = Field(
-        default=DEFAULT_MODEL, max_length=100, description="`physics`, `default`, or the id of a trained model",
-        examples=["physics"],
-    )  # fmt: skip
-    spacing_m: float = Field(default=1.0, ge=0.01, le=10_000.0, description="side of a cell [m]", examples=[1.0])
-    headings: int = Field(
-        default=DEFAULT_HEADINGS,
-        ge=HEADING_LIMITS[0],
-        le=HEADING_LIMITS[1],
-        description="number of heading bins",
-        examples=[16],
-    )
-
-
-class CostmapRequest(CostmapOptions):
-    """A cost map of a heightmap that is kept already."""
-
-    heightmap_id: str = Field(max_length=100, examples=["hm-5f0c2a9d41be"])
-
-
-class FrameOut(Answer):
-    """Where the cost map's cells lie; row 0 is north."""
-
-    rows: int = Field(examples=[200])
-    cols: int = Field(examples=[300])
-    spacing_m: float = Field(description="side of a cell [m]", examples=[1.0])
-    bounds: list[float] = Field(min_length=4, max_length=4, description="[west, south, east, north] [m]")
-    crs: str | None = Field(examples=["EPSG:32630"])
-
-
-class SpreadOut(Answer):
-    """Over all cells and headings that may be driven."""
-
-    min: float = Field(description="[J/m]")
-    mean: float = Field(description="[J/m]")
-    max: float = Field(description="[J/m]")
-
-
-class BlockedOut(Answer):
-    """Share of (cell, heading) pairs, 0..1, under each reason."""
-
-    free: float
-    outside: float = Field(description="the square metre around the cell leaves the heightmap")
-    unknown: float = Field(description="a height in it is unknown")
-    step: float = Field(description="a height jump above the wheel radius")
-    grade: float = Field(description="steeper along the motion than max_grade_deg")
-    cross_slope: float = Field(description="steeper across the motion than max_cross_slope_deg")
-
-
-class Problem(BaseModel):
-    """RFC 9457 problem details."""
-
-    type: str = Field(examples=["urn:joulemap:problem:blocked"])
-    title: str = Field(examples=["The question has no answer"])
-    status: int = Field(examples=[422])
-    detail: str = Field(examples=["start (3, 4) stands on blocked ground: step"])
-    code: str = Field(description="the leaf of the error tree", examples=["blocked"])
-    request_id: str | None = Field(examples=["3f9c1a7be2d04c55"])
-    context: dict[str, Any] = Field(description="the offending value and the limit", examples=[{"reason": "step"}])
-
-
-class CostmapOut(Answer):
-    """A cost map: asked for, being made, or done. What is only known when done is null before."""
-
-    id: str = Field(examples=["cm-0d4b8f6a2c17"])
-    status: Literal["queued", "running", "done", "failed"]
-    progress: float = Field(ge=0, le=1, description="0..1", examples=[1.0])
-    created_at: dt.datetime = Field(description="UTC")
-    finished_at: dt.datetime | None = Field(description="UTC")
-    heightmap_id: str = Field(examples=["hm-5f0c2a9d41be"])
-    robot: RobotOut  # type: ignore[valid-type]
-    model: str = Field(description="the model's name or id", examples=["physics"])
-    headings: int = Field(description="number of heading bins; bin k points to 360 k / headings degrees", examples=[16])
-    spacing_m: float = Field(description="side of a cell [m]", examples=[1.0])
-    frame: FrameOut | None
-    energy_per_m: SpreadOut | None = Field(description="null too where nothing may be driven")
-    blocked: BlockedOut | None
-    warnings: list[str] = Field(description="where map or robot lie outside what the model knows")
-    provenance: dict[str, Any] | None = Field(description="model, heightmap, settings and versions it was made with")
-    problem: Problem | None = Field(description="why it failed")
-    links: dict[str, str]
-
-
-class AtOut(Answer):
-    """Energy per metre at one place over all headings."""
-
-    x: float = Field(description="[m]")
-    y: float = Field(description="[m]")
-    elevation_m: float | None = Field(description="[m]; null where unknown")
-    headings_deg: list[float] = Field(description="clockwise from north [deg]")
-    energy_per_m: list[float | None] = Field(description="[J/m] per heading; null where it may not be driven")
-    blocked: list[str | None] = Field(description="reason per heading; null where it may be driven")
+from service.schemas.base import Answer, PathPoint, Point, Point3, Request, RobotIn
 
 
 class BatteryIn(Request):
@@ -248,7 +30,7 @@ class PathRequest(Request):
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="for the sampling planners")
     alternatives: int = Field(default=0, ge=0, le=10, description="other good ways to look for, at most")
     battery: BatteryIn | None = Field(default=None, description="asks for a verdict")
-    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")  # type: ignore[valid-type]
+    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")
 
 
 class PieceOut(Answer):
@@ -326,7 +108,7 @@ class FeasibilityRequest(Request):
     goal: Point | None = Field(default=None, examples=[[80.0, 15.0]])
     round_trip: bool = Field(default=False, description="and back: a path reversed, or the best way back")
     battery: BatteryIn | None = Field(default=None, description="default: the robot's own, full, without a reserve")
-    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")  # type: ignore[valid-type]
+    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")
 
     @model_validator(mode="after")
     def _one_task(self) -> FeasibilityRequest:

@@ -11,7 +11,8 @@ from planner.plan import RoundTrip
 from planner.route import geojson
 from planner.tours import MAX_STOPS
 from service.schemas.answers import route_values, verdict_out
-from service.schemas.planning import BatteryIn, Point, Request, RobotIn, RouteOut, VerdictOut
+from service.schemas.base import Point, Request, RobotIn
+from service.schemas.planning import BatteryIn, RouteOut, VerdictOut
 
 
 class TourRequest(Request):

@@ -11,7 +11,7 @@ import shutil
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from sqlalchemy import create_engine, delete, event, func, select, text, update
 from sqlalchemy.engine import Engine
@@ -44,10 +44,10 @@ from service.storage.tables import (
     kind_of,
 )
 
+Row = TypeVar("Row", bound=Base)
+
 _TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
 _STALE_UPLOAD_S = 86_400.0
-
-
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -125,11 +125,7 @@ class Store:
 
     def heightmap(self, heightmap_id: str) -> HeightmapRow:
         """The row. Raises NotFoundError."""
-        with self._sessions() as session:
-            row = session.get(HeightmapRow, heightmap_id)
-        if row is None:
-            raise NotFoundError(f"there is no heightmap {heightmap_id[:80]!r}", heightmap_id=heightmap_id[:80])
-        return row
+        return self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id)
 
     def open_heightmap(self, heightmap_id: str) -> Ground:
         """The heightmap, read by windows. Raises NotFoundError."""
@@ -174,11 +170,7 @@ class Store:
 
     def runs(self, runs_id: str) -> RunsRow:
         """The row. Raises NotFoundError."""
-        with self._sessions() as session:
-            row = session.get(RunsRow, runs_id)
-        if row is None:
-            raise NotFoundError(f"there are no runs {runs_id[:80]!r}", runs_id=runs_id[:80])
-        return row
+        return self._row(RunsRow, "are no runs", runs_id=runs_id)
 
     def run_files(self, runs_id: str) -> list[Path]:
         """The files of runs that were sent together. Raises NotFoundError."""
@@ -226,19 +218,11 @@ class Store:
 
     def costmap(self, costmap_id: str) -> CostmapRow:
         """The row. Raises NotFoundError."""
-        with self._sessions() as session:
-            row = session.get(CostmapRow, costmap_id)
-        if row is None:
-            raise NotFoundError(f"there is no cost map {costmap_id[:80]!r}", costmap_id=costmap_id[:80])
-        return row
+        return self._row(CostmapRow, "is no cost map", costmap_id=costmap_id)
 
     def calibration(self, calibration_id: str) -> CalibrationRow:
         """The row. Raises NotFoundError."""
-        with self._sessions() as session:
-            row = session.get(CalibrationRow, calibration_id)
-        if row is None:
-            raise NotFoundError(f"there is no calibration {calibration_id[:80]!r}", calibration_id=calibration_id[:80])
-        return row
+        return self._row(CalibrationRow, "is no calibration", calibration_id=calibration_id)
 
     def costmaps(self, *, limit: int, offset: int) -> tuple[list[CostmapRow], int]:
         """One page, newest first, and how many there are."""
@@ -316,6 +300,14 @@ class Store:
 
     def _runs_folder(self, runs_id: str) -> Path:
         return self._dir / "runs" / runs_id
+
+    def _row(self, table: type[Row], there: str, **key: str) -> Row:
+        ((name, row_id),) = key.items()
+        with self._sessions() as session:
+            row = session.get(table, row_id)
+        if row is None:
+            raise NotFoundError(f"there {there} {row_id[:80]!r}", **{name: row_id[:80]})
+        return row
 
     def _page(self, table: type[Any], limit: int, offset: int) -> tuple[list[Any], int]:
         with self._sessions() as session:

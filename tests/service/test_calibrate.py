@@ -58,8 +58,22 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     again = json.loads((tmp_path / "again.json").read_text())
+    assert again["model"] == f"{tmp_path.name}/model"
     assert again["mean_relative_error"] < report["error"]["before"]["mean_relative"]
     assert calibrate(field, tmp_path).exit_code == 6  # the version is there already
+
+
+def test_a_calibration_cut_off_leaves_no_model_and_can_be_done_again(field, tmp_path, monkeypatch):
+    def cut_off(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("service.loop.calibrating.compare_routes", cut_off)
+        assert calibrate(field, tmp_path).exit_code != 0
+    assert not (tmp_path / "model").exists()
+    done = calibrate(field, tmp_path)
+    assert done.exit_code == 0, done.output
+    assert {p.name for p in tmp_path.iterdir()} <= {"model", "report.json", "report.html"}
 
 
 def test_runs_of_another_place_are_refused_in_words(field, tmp_path):

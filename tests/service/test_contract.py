@@ -30,7 +30,7 @@ from schemathesis.specs.openapi.checks import (
 from model.robot import Robot
 from planner.plan import SAMPLING_PLANNERS
 from service.http.app import create_app, openapi_document
-from service.schemas.planning import RobotIn, RobotOut
+from service.schemas.base import RobotIn, RobotOut
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
 

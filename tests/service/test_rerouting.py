@@ -44,7 +44,7 @@ def test_turning_straightens_the_route() -> None:
     assert document["after"]["energy_std_j"] > 0.0
     changed = told.map_as_dict()
     assert changed["turn_j_per_rad"] == {"before": 0.0, "after": 200.0}
-    assert changed["change_per_m"] == pytest.approx({"least": 0.0, "most": 0.0}, abs=1e-3)  # straight metres
+    assert changed["change_per_m"] == pytest.approx({"low": 0.0, "high": 0.0}, abs=1e-3)  # straight metres
 
 
 def test_where_everything_got_dearer_alike_the_way_stays() -> None:
@@ -55,7 +55,7 @@ def test_where_everything_got_dearer_alike_the_way_stays() -> None:
     assert told.shown.task == task
     assert told.shown.saving_share == pytest.approx(0.0, abs=2e-3)
     ten = 5.0 / Robot().speed_mps  # J more for a metre
-    assert told.map_as_dict()["change_per_m"] == pytest.approx({"least": ten, "most": ten}, abs=1e-2)
+    assert told.map_as_dict()["change_per_m"] == pytest.approx({"low": ten, "high": ten}, abs=1e-2)
 
 
 def test_a_task_that_cannot_be_driven_says_why() -> None:

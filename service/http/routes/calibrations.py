@@ -19,8 +19,8 @@ from service.jobs.calibrations import PAGE
 from service.loop.calibrating import refuse_calibrated
 from service.models import find_predictor
 from service.schemas.answers import calibration_out
+from service.schemas.base import robot_values
 from service.schemas.loop import CalibrationOut, CalibrationRequest
-from service.schemas.planning import robot_values
 from service.storage.tables import CALIBRATION, CalibrationRow
 
 router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])

@@ -15,7 +15,7 @@ from service.http.state import Service, with_kernels
 from service.http.zip_stream import zip_folder
 from service.pictures import lattice_image
 from service.schemas.answers import number
-from service.schemas.planning import AtOut
+from service.schemas.maps import AtOut
 from service.workflows import costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])

@@ -19,7 +19,8 @@ from service.http.state import Service, get_service
 from service.http.uploads import invalid, media_type, take_form
 from service.models import find_predictor
 from service.schemas.answers import costmap_out
-from service.schemas.planning import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions, robot_values
+from service.schemas.base import robot_values
+from service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions
 from service.storage.tables import CostmapRow, HeightmapRow
 from service.workflows import check_lattice
 

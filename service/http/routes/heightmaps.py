@@ -11,7 +11,7 @@ from service.http.documents import problems, upload_body
 from service.http.state import Service, get_service
 from service.http.uploads import media_type, take_form, take_raw
 from service.schemas.answers import heightmap_out
-from service.schemas.planning import HeightmapOut, UploadOptions
+from service.schemas.maps import HeightmapOut, UploadOptions
 
 router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
 ServiceDep = Annotated[Service, Depends(get_service)]

@@ -15,7 +15,8 @@ from service.http.documents import problems
 from service.http.state import Service, with_kernels
 from service.problems import jsonable
 from service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
-from service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest, robot_values
+from service.schemas.base import robot_values
+from service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
 from service.schemas.tours import TourOut, TourRequest, tour_out
 from service.storage.tables import CostmapRow
 from service.workflows import assess, judge_routes

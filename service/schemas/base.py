@@ -1,0 +1,99 @@
+"""What all requests and answers are made of: strictness, points, robots, problems, jobs."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import fields
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from model.robot import Robot
+
+
+class Request(BaseModel):
+    """Strict: unknown fields, numbers in quotes, NaN and infinity are refused."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Answer(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+Point = Annotated[
+    list[float],
+    Field(min_length=2, max_length=3, description="world [x, y] in the map's CRS [m], east and north; z is ignored"),
+]
+PathPoint = Annotated[
+    list[float | None],
+    Field(min_length=2, max_length=3, description="world [x, y] or [x, y, z] [m]; z, which may be null, is ignored"),
+]
+Point3 = Annotated[
+    list[float | None], Field(min_length=3, max_length=3, description="world [x, y, z] [m]; z null where unknown")
+]
+
+_ROBOT_WORDS = {
+    "name": "what the robot is called",
+    "mass_kg": "mass [kg]",
+    "width_m": "width over the wheels [m]",
+    "length_m": "length [m]",
+    "wheel_radius_m": "wheel radius [m]; a higher step blocks",
+    "nominal_voltage_v": "nominal battery voltage [V]",
+    "speed_mps": "cruising speed [m/s]",
+    "battery_wh": "energy of the full battery [Wh]",
+    "idle_power_w": "power drawn by everything but the motion [W]",
+    "max_grade_deg": "steepest slope along the motion, up and down [deg]",
+    "max_cross_slope_deg": "steepest slope across the motion [deg]",
+    "rolling_resistance": "coefficient of rolling resistance, dimensionless",
+    "regeneration": "share of the energy released downhill that returns to the battery, 0..0.99",
+    "turn_j_per_rad": "energy of turning by one radian [J/rad]",
+}
+_KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
+
+RobotIn = create_model(  # type: ignore[call-overload]
+    "RobotIn",
+    __base__=Request,
+    __doc__="A robot; a field left out has the default robot's value (in a question: the cost map's).",
+    **{
+        key: (kind | None, Field(default=None, description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
+        for key, kind in _KIND.items()
+    },
+)
+RobotOut = create_model(  # type: ignore[call-overload]
+    "RobotOut",
+    __base__=Answer,
+    __doc__="The robot whose prices and limits these are.",
+    **{
+        key: (kind, Field(description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
+        for key, kind in _KIND.items()
+    },
+)
+
+
+def robot_values(robot: BaseModel | None) -> dict[str, Any]:
+    """The fields that a request gave."""
+    return robot.model_dump(exclude_none=True) if robot is not None else {}
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem details."""
+
+    type: str = Field(examples=["urn:joulemap:problem:blocked"])
+    title: str = Field(examples=["The question has no answer"])
+    status: int = Field(examples=[422])
+    detail: str = Field(examples=["start (3, 4) stands on blocked ground: step"])
+    code: str = Field(description="the leaf of the error tree", examples=["blocked"])
+    request_id: str | None = Field(examples=["3f9c1a7be2d04c55"])
+    context: dict[str, Any] = Field(description="the offending value and the limit", examples=[{"reason": "step"}])
+
+
+class JobOut(Answer):
+    """What is asked for, being made, or done."""
+
+    id: str
+    status: Literal["queued", "running", "done", "failed"]
+    progress: float = Field(ge=0, le=1, description="0..1", examples=[1.0])
+    created_at: dt.datetime = Field(description="UTC")
+    finished_at: dt.datetime | None = Field(description="UTC")
+    heightmap_id: str = Field(examples=["hm-5f0c2a9d41be"])

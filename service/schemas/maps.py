@@ -1,0 +1,144 @@
+"""Heightmaps and cost maps in requests and answers: every field with its unit."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from planner.lattice_build import DEFAULT_HEADINGS
+from planner.tiles import HEADING_LIMITS
+from service.models import DEFAULT_MODEL
+from service.schemas.base import Answer, JobOut, Problem, Request, RobotIn, RobotOut
+
+
+class UploadOptions(BaseModel):
+    """What a heightmap file may leave unsaid; as query parameters or form fields."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: str | None = Field(
+        default=None, min_length=1, max_length=200, description="what to call it; else the file's name"
+    )
+    resolution_m: float | None = Field(
+        default=None,
+        description="side of a cell [m]; needed where the file does not say, refused where it says otherwise",
+    )
+    west_m: float = Field(default=0.0, description="x of the map's west edge [m], where the file does not say")
+    north_m: float | None = Field(
+        default=None,
+        description="y of the map's north edge [m], where the file does not say; else south is y = 0",
+    )
+    crs: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=4000,
+        description="CRS in metres, e.g. EPSG:32630, where the file does not say",
+    )
+    scale_m: float | None = Field(default=None, description="metres per stored count; a PNG needs it")
+    offset_m: float = Field(default=0.0, description="height of stored count 0 [m]")
+    nodata: float | None = Field(
+        default=None, description="stored value that means unknown, where the file does not declare it"
+    )
+
+
+class HeightmapOut(Answer):
+    """A heightmap that is kept."""
+
+    id: str = Field(examples=["hm-5f0c2a9d41be"])
+    name: str = Field(examples=["uma_rescue_area_1m.tif"])
+    created_at: dt.datetime = Field(description="UTC")
+    rows: int = Field(description="cells from north to south", examples=[200])
+    cols: int = Field(description="cells from west to east", examples=[300])
+    resolution_m: float = Field(description="side of a cell [m]", examples=[1.0])
+    crs: str | None = Field(description="coordinate reference system, null when unknown", examples=["EPSG:32630"])
+    bounds: list[float] = Field(
+        min_length=4, max_length=4, description="[west, south, east, north] [m]", examples=[[0.0, 0.0, 300.0, 200.0]]
+    )
+    known_share: float = Field(description="share of cells whose height is known, 0..1", examples=[0.98])
+    height_min_m: float = Field(description="lowest known height [m]", examples=[48.2])
+    height_max_m: float = Field(description="highest known height [m]", examples=[73.9])
+    hash: str = Field(description="identity of heights and position", examples=["9e107d9d372bb682"])
+    links: dict[str, str]
+
+
+class CostmapOptions(Request):
+    """How to make a cost map."""
+
+    robot: RobotIn | None = Field(default=None, description="default: the paper's 4WD robot")
+    model: str = Field(
+        default=DEFAULT_MODEL, max_length=100, description="`physics`, `default`, or the id of a trained model",
+        examples=["physics"],
+    )  # fmt: skip
+    spacing_m: float = Field(default=1.0, ge=0.01, le=10_000.0, description="side of a cell [m]", examples=[1.0])
+    headings: int = Field(
+        default=DEFAULT_HEADINGS,
+        ge=HEADING_LIMITS[0],
+        le=HEADING_LIMITS[1],
+        description="number of heading bins",
+        examples=[16],
+    )
+
+
+class CostmapRequest(CostmapOptions):
+    """A cost map of a heightmap that is kept already."""
+
+    heightmap_id: str = Field(max_length=100, examples=["hm-5f0c2a9d41be"])
+
+
+class FrameOut(Answer):
+    """Where the cost map's cells lie; row 0 is north."""
+
+    rows: int = Field(examples=[200])
+    cols: int = Field(examples=[300])
+    spacing_m: float = Field(description="side of a cell [m]", examples=[1.0])
+    bounds: list[float] = Field(min_length=4, max_length=4, description="[west, south, east, north] [m]")
+    crs: str | None = Field(examples=["EPSG:32630"])
+
+
+class SpreadOut(Answer):
+    """Over all cells and headings that may be driven."""
+
+    min: float = Field(description="[J/m]")
+    mean: float = Field(description="[J/m]")
+    max: float = Field(description="[J/m]")
+
+
+class BlockedOut(Answer):
+    """Share of (cell, heading) pairs, 0..1, under each reason."""
+
+    free: float
+    outside: float = Field(description="the square metre around the cell leaves the heightmap")
+    unknown: float = Field(description="a height in it is unknown")
+    step: float = Field(description="a height jump above the wheel radius")
+    grade: float = Field(description="steeper along the motion than max_grade_deg")
+    cross_slope: float = Field(description="steeper across the motion than max_cross_slope_deg")
+
+
+class CostmapOut(JobOut):
+    """A cost map: asked for, being made, or done. What is only known when done is null before."""
+
+    id: str = Field(examples=["cm-0d4b8f6a2c17"])
+    robot: RobotOut
+    model: str = Field(description="the model's name or id", examples=["physics"])
+    headings: int = Field(description="number of heading bins; bin k points to 360 k / headings degrees", examples=[16])
+    spacing_m: float = Field(description="side of a cell [m]", examples=[1.0])
+    frame: FrameOut | None
+    energy_per_m: SpreadOut | None = Field(description="null too where nothing may be driven")
+    blocked: BlockedOut | None
+    warnings: list[str] = Field(description="where map or robot lie outside what the model knows")
+    provenance: dict[str, Any] | None = Field(description="model, heightmap, settings and versions it was made with")
+    problem: Problem | None = Field(description="why it failed")
+    links: dict[str, str]
+
+
+class AtOut(Answer):
+    """Energy per metre at one place over all headings."""
+
+    x: float = Field(description="[m]")
+    y: float = Field(description="[m]")
+    elevation_m: float | None = Field(description="[m]; null where unknown")
+    headings_deg: list[float] = Field(description="clockwise from north [deg]")
+    energy_per_m: list[float | None] = Field(description="[J/m] per heading; null where it may not be driven")
+    blocked: list[str | None] = Field(description="reason per heading; null where it may be driven")
