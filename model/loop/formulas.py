@@ -302,7 +302,7 @@ GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "hollow", 
 """Formulas and quantities that read the ground under a drive."""
 
 FORCES = frozenset(
-    {"friction", "cross_slope", "roughness", "wind_measured", "wind_constant", "heading", "speed", "temperature", "drift",
-     "words", "disk", "place", "reversing", "acceleration", "length"}
+    {"friction", "cross_slope", "roughness", "wind_measured", "wind_constant", "heading", "speed", "temperature",
+     "drift", "words", "disk", "place", "reversing", "acceleration", "length"}
 )  # fmt: skip
 """Formulas of what pushes against the motion, and curves of the length."""
