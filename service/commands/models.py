@@ -230,7 +230,7 @@ def train(
     answer.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
     answer.table(
         {
-            "learned from": f"{model.segments} segments of {len(model.runs)} runs",
+            "learned from": f"{model.segments} segments of {_runs(len(model.runs))}",
             "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
             + (", flattered a little: they said when to stop" if model.stopped_by_held_out else ""),
             "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",

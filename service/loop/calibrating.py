@@ -116,10 +116,8 @@ def calibrate_on_runs(
 def _next_drive(
     found: Calibration, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: CalibrationRuns, seed: int
 ) -> dict[str, Any]:
-    if not runs.placed:
-        return {"why_not": "the runs have no positions"}
     try:
-        return next_drive(found, predictor, heightmap, robot, seed=seed).as_dict()
+        return next_drive(found, predictor, heightmap, robot, placed=runs.placed, seed=seed).as_dict()
     except (InputError, InfeasibleError) as error:  # nothing was found, or no route fits
         return {"why_not": error.message}
 

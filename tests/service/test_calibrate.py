@@ -208,7 +208,8 @@ def test_wheel_speeds_stand_in_for_positions(tmp_path):
     assert found["turning x terrain_class"]["value"] == pytest.approx(-28.0, rel=0.1)
     assert report["error"]["after"]["rmse"] < 0.4 * report["error"]["before"]["rmse"]
     assert "8 runs, 7,200 rows" in done.output
-    assert report["next_drive"] == {"why_not": "the runs have no positions"}
+    assert not report["next_drive"]["placed"]
+    assert "of level ground" in (out / "report.html").read_text()
     for wrong in (["--heightmap", str(out / "report.json")], []):
         given = options if wrong else options[3:]
         assert runner.invoke(app, ["calibrate", *given, *wrong, "--out", str(out / "no")]).exit_code == 2
