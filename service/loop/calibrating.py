@@ -70,6 +70,7 @@ def calibrate_on_runs(
         )
     begun = out / "model.partial"  # a calibration that is cut off leaves no model
     shutil.rmtree(begun, ignore_errors=True)
+    out.mkdir(parents=True, exist_ok=True)  # what cannot be written there is known before it is computed
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
     segments = runs.segments

@@ -76,6 +76,14 @@ def test_a_calibration_cut_off_leaves_no_model_and_can_be_done_again(field, tmp_
     assert {p.name for p in tmp_path.iterdir()} <= {"model", "report.json", "report.html"}
 
 
+def test_an_out_that_cannot_be_written_is_known_at_once(field, tmp_path):
+    file = tmp_path / "taken"
+    file.write_text("")
+    done = calibrate(field, file)
+    assert done.exit_code == 1
+    assert f"{file}: File exists" in done.output
+
+
 def test_runs_of_another_place_are_refused_in_words(field, tmp_path):
     other = tmp_path / "moved.csv"
     lines = (field / "run_01.csv").read_text().splitlines()
