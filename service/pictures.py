@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: floa
     below, above = (priced < low).any(), (priced > high).any()
     extend = "both" if below and above else "min" if below else "max" if above else "neither"
     colours = colormaps["YlGn" if view == "directionality" else "YlGnBu"]
-    image = colours(norm(np.nan_to_num(shown, nan=low)))[..., :3] * _hillshade(ground, extent)[..., None]
+    image = colours(norm(np.nan_to_num(shown, nan=low)))[..., :3] * _faint(_hillshade(ground, extent))
     image[np.isnan(shown)] = 1.0
     axes.imshow(np.clip(image, 0.0, 1.0), extent=extent, interpolation="nearest")
     handles = _mark_blocked(axes, codes, extent)
@@ -95,8 +96,12 @@ def route_picture(
     *,
     title: str,
     names: tuple[str, str] = ("energy-optimal", "shortest"),
+    alternatives: Sequence[Route] = (),
 ) -> bytes:
-    """A PNG of the terrain with two paths between the same places, and under it how both climb and spend."""
+    """A PNG of the terrain with two paths between the same places, and under it how both climb and spend.
+
+    alternatives : other ways, drawn thin on the terrain alone.
+    """
     frame = heightmap.frame
     ground, extent = _thinned(heightmap.heights, frame)
     west, south, east, north = frame.bounds
@@ -115,6 +120,9 @@ def route_picture(
         climb.plot(distance, heights, color=colour, lw=1.8)
         spent.plot(distance, energy / 1000.0, color=colour, lw=1.8)
         spent.plot(distance[-1:], energy[-1:] / 1000.0, "o", color=colour, ms=4)
+    for number, route in enumerate(alternatives, 1):
+        label = f"alternative {number}: {_energy(route.energy_j)}, {route.length_m:.1f} m"
+        axes.plot(*route.points[:, :2].T, color=INK, lw=1.2, ls=["--", ":", "-."][(number - 1) % 3], label=label)
     for point, marker, name in ((best.points[0], "o", "start"), (best.points[-1], "*", "goal")):
         size = 8 if marker == "o" else 15
         axes.plot(point[0], point[1], marker, ms=size, mfc="white", mec=INK, mew=1.5, ls="none", label=name, zorder=5)
@@ -127,8 +135,8 @@ def route_picture(
         labels.append("unknown ground")
         order.append(len(handles) - 1)
     figure.legend(
-        [handles[k] for k in order], [labels[k] for k in order],
-        loc="outside lower center", ncols=len(order) if width > 6.5 else 2, frameon=False, fontsize=9.5,
+        [handles[k] for k in order], [labels[k] for k in order], loc="outside lower center",
+        ncols=len(order) if width > 6.5 and len(order) < 6 else 2, frameon=False, fontsize=9.5,
     )  # fmt: skip
     climb.set_ylabel("elevation [m]")
     spent.set_ylabel("energy [kJ]")
@@ -181,6 +189,11 @@ def _thinned(values: Image, frame: GridFrame) -> tuple[Image, Extent]:
     total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
     count = known.sum(axis=(1, 3))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan), extent
+
+
+def _faint(shade: Image) -> Image:
+    """So little of it that a colour is still that of the bar beside it."""
+    return (0.75 + 0.25 * shade)[..., None]
 
 
 def _hillshade(heights: Image, extent: Extent) -> Image:

@@ -26,7 +26,8 @@ def bounded(residuals: Residuals, terms: Sequence[Term], silent: Sequence[Term])
     for k, term in enumerate(terms):
         if "over" not in term.where:
             continue
-        parts = [part for part in (replace(term, where=_moved(term, v)) for v in _values(residuals, term))
+        moved = (replace(term, where=_moved(term, v)).bent(residuals) for v in _values(residuals, term))
+        parts = [part for part in moved
                  if inside(residuals.drive, part.where)[residuals.moving].sum() >= _LEAST_PART]  # fmt: skip
         others = [*silent, *out[:k], *out[k + 1 :]]
         evidence = Evidence(residuals, [*others, term, *parts], level_doubt=0.0)

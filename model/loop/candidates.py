@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from model.loop.bend import spread_of
 from model.loop.columns import usable_columns
 from model.loop.effects import Term
 from model.loop.formulas import quantity
@@ -31,7 +32,6 @@ _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
 _LEAST_GENTLE = 0.01
-_BENT_STEPS = 6
 _MOST_RUNS = 12  # that may each have something of their own
 
 
@@ -102,7 +102,14 @@ def find_candidates(
         found += _smooth(
             residuals, f"column:{key}", name, unit, planner=key in PLANNER_COLUMNS and not response, response=response
         )
-    return _merged(found), refused
+    found = _merged(found)
+    return found if residuals.charge else _bent(residuals, found), refused
+
+
+def _bent(residuals: Residuals, found: list[Candidate]) -> list[Candidate]:
+    """The same with forces that are felt as far as the drives pull; of a charge nobody knows how far they do."""
+    spread = spread_of(residuals.drive)
+    return [replace(c, variants=tuple(v.bent(residuals, spread) for v in c.variants)) for c in found]
 
 
 def _merged(found: list[Candidate]) -> list[Candidate]:
@@ -208,28 +215,14 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
         yield Candidate("wind", (calm,), "one line to and fro, and one across it")
     else:
-        air = [
+        air = (
             Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
             Term("wind", "wind_measured", (f"{unit}/m per m/s",), {"quadratic": False}),
-        ]
-        if not residuals.charge:
-            air += [bent for term in air if (bent := _bent(residuals, term)) is not None]
-        yield Candidate("wind", tuple(air), "one line to and fro in a wind")
+        )
+        yield Candidate("wind", air, "one line to and fro in a wind")
     if "payload" in usable:
         logged = Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0})
         yield Candidate("payload", (logged,), "the same loop with and without a load")
-
-
-def _bent(residuals: Residuals, force: Term) -> Term | None:
-    """A force as the price feels it that it makes; None where the runs show no such force against the motion."""
-    weight = residuals.moving / residuals.scale**2
-    felt = None
-    for _ in range(_BENT_STEPS):
-        column = replace(force, settings={**force.settings, "felt": felt}).columns(residuals.drive)[:, 0]
-        felt = float(np.sum(weight * column * residuals.residual) / max(np.sum(weight * column**2), 1e-300))
-        if felt <= 0.0:
-            return None
-    return replace(force, settings={**force.settings, "felt": felt})
 
 
 def _wind_logged(residuals: Residuals, usable: Sequence[str]) -> bool:

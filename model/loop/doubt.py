@@ -15,6 +15,7 @@ from model.loop.residual import Residuals
 FloatArray = NDArray[np.float64]
 
 _AS_MUCH = 0.5
+_SPREADS = (0.5, 2.0)
 _OF_THESE_RUNS = frozenset({"by_run", "place", "disk"})
 
 
@@ -104,6 +105,13 @@ def of_others(
         size = np.maximum(np.sqrt(np.mean(a**2, axis=0)), 1e-12)
         squares += (replace(equations, a=a / size).solved / size - found) ** 2
     return np.sqrt(squares / max(len(others), 1))
+
+
+def otherwise_bent(residuals: Residuals, terms: Sequence[Term]) -> list[list[Term]]:
+    """The same terms with forces that vary half and twice as much within a metre: how much is read off a curve."""
+    if not any(t.bend for t in terms):
+        return []
+    return [[t.bent(residuals, times * t.bend.spread_n) if t.bend else t for t in terms] for times in _SPREADS]
 
 
 def found_in_base(

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from model.errors import ModelError
+from model.loop.bend import Bend, bend_of
 from model.loop.drive import Drive
-from model.loop.formulas import FORMULAS, GROUND, quantity
+from model.loop.formulas import FORCES, FORMULAS, GROUND, quantity
+from model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
@@ -38,7 +40,8 @@ def inside(drive: Drive, where: Mapping[str, Any]) -> FloatArray:
 class Term:
     """A formula with its settings: one way in which an effect may act.
 
-    name : the effect's. units : of each coefficient. where : see `inside`. coefficients : empty until fitted.
+    name : the effect's. units : of each coefficient. where : see `inside`. coefficients : empty until fitted. bend : of
+    a force, how far it is felt.
     """
 
     name: str
@@ -47,13 +50,30 @@ class Term:
     settings: Mapping[str, Any] = field(default_factory=dict)
     where: Mapping[str, Any] = field(default_factory=dict)
     coefficients: tuple[float, ...] = ()
+    bend: Bend | None = None
 
     def columns(self, drive: Drive) -> FloatArray:
         """(n, k) per unit of the coefficients; 0 where the ground or a column is not known."""
         if self.formula not in FORMULAS:
             raise ModelError(f"a model has an effect {self.formula!r}, which this version does not know")
         found = np.nan_to_num(FORMULAS[self.formula](drive, **self.settings))
-        return found * inside(drive, self.where)[:, None] if self.where else found
+        if self.where:
+            found = found * inside(drive, self.where)[:, None]
+        return found if self.bend is None else self.bend.columns(drive, found)
+
+    @property
+    def is_force(self) -> bool:
+        """Whether it pushes against the motion over every metre, so that it is felt as far as the drives pull."""
+        shares = any(self.settings.get(key) for key in ("of_motion", "of_all", "of_time"))
+        return not shares and self.settings.get("of", self.formula) in FORCES
+
+    def bent(self, residuals: Residuals, spread_n: float | None = None) -> Term:
+        """A force as far as it is felt, being as large as the residuals say; any other effect as it is. spread_n : see
+        `Bend`; that of the bend it has unless given."""
+        spread = spread_n if spread_n is not None or self.bend is None else self.bend.spread_n
+        if spread is None or not self.is_force:
+            return self
+        return replace(self, bend=bend_of(residuals, replace(self, bend=None).columns(residuals.drive), spread))
 
     @property
     def reads_ground(self) -> bool:
@@ -82,6 +102,7 @@ class Term:
         return {
             "name": self.name, "formula": self.formula, "units": list(self.units), "settings": dict(self.settings),
             "where": dict(self.where), "coefficients": list(self.coefficients),
+            "bend": None if self.bend is None else self.bend.as_dict(),
         }  # fmt: skip
 
     @classmethod
@@ -89,9 +110,10 @@ class Term:
         """Raises ModelError where something is missing."""
         try:
             coefficients = tuple(float(c) for c in values["coefficients"])
+            bend = values.get("bend")
             return cls(
                 str(values["name"]), str(values["formula"]), tuple(values["units"]), dict(values["settings"]),
-                dict(values["where"]), coefficients,
+                dict(values["where"]), coefficients, None if bend is None else Bend.from_dict(bend),
             )  # fmt: skip
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"an effect of the model is not complete: {error!r}") from error

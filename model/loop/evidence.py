@@ -182,7 +182,7 @@ class Evidence:
         p_values = dict.fromkeys(tried, 1.0)
         reasons: dict[int, str] = {}
         for k in tried:
-            block, left, free = every[:, self.columns[k]], lefts[:, self.columns[k]], frees[:, self.columns[k]]
+            block, left, free = (self._beyond_level(k, all_[:, self.columns[k]]) for all_ in (every, lefts, frees))
             if self.terms[k].settings.get("of") in LEVEL_FORMULAS:
                 p_values[k] = self._differ_between_runs(selected_basis, per_run)
                 continue
@@ -213,6 +213,14 @@ class Evidence:
             steps = self._by_steps(level_basis, runs, [k for k, _ in within])
             p_values |= {k: min(p_values[k], p) for k, p in steps.items()}
         return p_values, reasons
+
+    def _beyond_level(self, k: int, block: FloatArray) -> FloatArray:
+        """Columns of a term without what does not depend on its quantity: any column would do to carry that."""
+        if not self.terms[k].settings.get("level"):
+            return block
+        sums = np.where(self.terms[k].formula == "smooth", 1.0, np.arange(block.shape[1]) == 0)
+        level = block @ (sums * self.size[self.columns[k]])
+        return np.asarray(block - np.outer(level, level @ block) / max(float(level @ level), 1e-300))
 
     def _by_shifts(self, basis: FloatArray, runs: IntArray, within: list[tuple[int, FloatArray]]) -> dict[int, float]:
         """p by circular shifts: the share of shiftings in which any term does as well."""

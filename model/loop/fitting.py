@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from model.loop.doubt import Equations, bends, found_in_base, of_others, other_judgements
+from model.loop.doubt import Equations, bends, found_in_base, of_others, other_judgements, otherwise_bent
 from model.loop.effects import Term
 from model.loop.residual import Residuals
 
@@ -51,8 +51,8 @@ def fit_terms(
     What the same formulas find where they are not at work, on the runs of `base`, is the base model's own error along
     them and no part of an effect (a negative control, and the difference of differences: Lipsitch et al. 2010), as far
     as it is more than noise there. The doubts of `model.loop.doubt` are added: about that, about the form of an effect,
-    about terms that do as well in the place of these (`others`), and about the base model's level, which may be off by
-    half of `level_doubt`, a share of the energy.
+    about how far forces are felt, about terms that do as well in the place of these (`others`), and about the base
+    model's level, which may be off by half of `level_doubt`, a share of the energy.
     """
     by_run = any(t.formula == "by_run" for t in terms)
     scale, fold, moving = residuals.scale, residuals.block if by_run else residuals.fold, residuals.moving
@@ -75,6 +75,7 @@ def fit_terms(
         other_judgements(equations, residuals, terms, counts) / size,
         bends(equations, terms, counts) / size,
         of_others(equations, found, residuals, others),
+        of_others(equations, found, residuals, otherwise_bent(residuals, terms)),
         0.5 * level_doubt * level,
         own_doubt,
     ]

@@ -185,21 +185,16 @@ def climbing(drive: Drive) -> FloatArray:
 
 
 @_formula
-def wind_measured(drive: Drive, *, quadratic: bool, felt: float | None = None) -> FloatArray:
-    """N per (m/s)^2 of relative air speed, or N per m/s: the drag along the motion, less that in still air.
-
-    felt : a coefficient near to the true one. With it, a push is worth no more than what it spares the drives: as the
-    robot's price says, which bends where the traction that is left comes to nothing.
-    """
+def wind_measured(drive: Drive, *, quadratic: bool) -> FloatArray:
+    """N per (m/s)^2 of relative air speed, or N per m/s: the drag along the motion, less that in still air."""
     towards = _known(drive, "wind_speed", 0.0) * np.cos(
         np.radians(np.nan_to_num(drive.columns.get("wind_from", np.zeros(len(drive))))) - drive.heading_rad
     )
     across2 = np.maximum(_known(drive, "wind_speed", 0.0) ** 2 - towards**2, 0.0)
+    if not quadratic:
+        return (drive.length_m * towards / drive.unit_j)[:, None]
     ahead = drive.speed_mps + towards
-    drag = ahead * np.sqrt(ahead**2 + across2) - drive.speed_mps**2 if quadratic else towards
-    if felt is not None:
-        t = drive.traction_per_m
-        drag = (drive.robot.price_per_m(t + felt * drag) - drive.robot.price_per_m(t)) / felt
+    drag = ahead * np.sqrt(ahead**2 + across2) - drive.speed_mps**2
     return (drive.length_m * drag / drive.unit_j)[:, None]
 
 
@@ -305,3 +300,9 @@ def _known(drive: Drive, column: str, reference: float) -> FloatArray:
 
 GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "hollow", "braking", "climbing"})
 """Formulas and quantities that read the ground under a drive."""
+
+FORCES = frozenset(
+    {"friction", "cross_slope", "roughness", "wind_measured", "wind_constant", "heading", "speed", "temperature",
+     "drift", "words", "disk", "place", "reversing", "acceleration", "length"}
+)  # fmt: skip
+"""Formulas of what pushes against the motion, and curves of the length."""

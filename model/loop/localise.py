@@ -47,7 +47,7 @@ def localised(
             out[k] = _sharpest(residuals, term, [*silent, *out[:k], *out[k + 1 :]])
         if term.formula in _EVERYWHERE or term.where or term.name in whole:
             continue
-        parts = [replace(term, where=where) for where in _parts(residuals)]
+        parts = [replace(term, where=where).bent(residuals) for where in _parts(residuals)]
         if not parts:
             continue
         others = [*silent, *out[:k], *out[k + 1 :]]
@@ -75,7 +75,8 @@ def _sharpest(residuals: Residuals, term: Term, others: Sequence[Term]) -> Term:
     fields = [term]
     for finer in _FINER:
         settings = {**term.settings, **field_settings(drive, term.settings["width_m"] * finer)}
-        fields.append(replace(term, settings=settings, units=(term.units[0],) * len(settings["centres"])))
+        field = replace(term, settings=settings, units=(term.units[0],) * len(settings["centres"]))
+        fields.append(field.bent(residuals))
     evidence = Evidence(residuals, [*others, *fields], level_doubt=0.0)
     fixed = np.concatenate([evidence.nuisance[:0], *evidence.columns[: len(others)]]).astype(np.int64)
     errors = [evidence.held_out(np.concatenate([fixed, c])).sum() for c in evidence.columns[len(others) :]]

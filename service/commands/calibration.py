@@ -173,8 +173,9 @@ def _drive_words(drive: Mapping[str, Any]) -> str:
         return f"no suggestion: {drive['why_not']}"
     rivals = f" from {', '.join(drive['tells_from'])}" if drive["tells_from"] else ""
     x, y = drive["points"][0]
+    where = f" near {x:.1f},{y:.1f}" if drive["placed"] else ""
     return (
-        f"{drive['kind']} near {x:.1f},{y:.1f} for {drive['total_length_m']:.0f} m at {_pace(drive)}: to "
+        f"{drive['kind']}{where} for {drive['total_length_m']:.0f} m at {_pace(drive)}: to "
         f"{'tell' if rivals else 'pin'} {drive['effect']}{rivals}, whose interval would be "
         f"{drive['expected_interval_share']:.0%} as wide"
     )
@@ -215,7 +216,7 @@ def suggest_drive(
     corners = found["points"][:: max(1, len(found["points"]) // _CORNERS)]
     rows = {
         "through": " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-        + ("" if odometry is None else ", with 0,0 wherever there is room"),
+        + ("" if found["placed"] else ", with 0,0 wherever there is room"),
         "one round": f"{found['length_m']:.0f} m, over and over for {length:.0f} m, at {_pace(found)}",
         "expected": f"an interval {found['expected_interval_share']:.0%} as wide as now",
     }

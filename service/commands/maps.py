@@ -130,7 +130,9 @@ def path(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the sampling planners.")] = 0,
     alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Other good ways to look for, at most.")] = 0,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw both paths and profiles (PNG).")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw all paths, and the profiles of two (PNG).")
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Find the **energy-optimal path** on a cost map, and say what it saves against the shortest one.
@@ -171,7 +173,7 @@ def path(
 
         ground = Heightmap(lattice.elevation_m, lattice.frame, source=str(costmap))
         title = f"{lattice.robot.name} on {costmap.stem}"
-        write_file(picture, route_picture(ground, plan.route, plan.shortest, title=title))
+        write_file(picture, route_picture(ground, plan.route, plan.shortest, title=title, alternatives=plan.others))
     answer.document(found)
 
 

@@ -230,7 +230,7 @@ def train(
     answer.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
     answer.table(
         {
-            "learned from": f"{model.segments} segments of {len(model.runs)} runs",
+            "learned from": f"{model.segments} segments of {_runs(len(model.runs))}",
             "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
             + (", flattered a little: they said when to stop" if model.stopped_by_held_out else ""),
             "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",
@@ -261,7 +261,9 @@ def evaluate(
     answer = Answer(json_file)
     rover = robot_of(robot)
     found = evaluate_on_runs(find_predictor(model), read_heightmap(heightmap), rover, find_runs(runs), charge=charge)
-    answer.say(f"[bold]Model {found['model']}[/] on {len(found['route_relative_errors'])} runs: {_errors_words(found)}")
+    answer.say(
+        f"[bold]Model {found['model']}[/] on {_runs(len(found['route_relative_errors']))}: {_errors_words(found)}"
+    )
     answer.table(
         {
             "segments": f"{found['segments']} ({found['unknown']} more on unknown ground)",
@@ -292,3 +294,7 @@ def _coverage_words(covered: dict[str, float] | None) -> str:
 
 def _errors_words(found: dict[str, Any]) -> str:
     return f"mean error {found['mean_relative_error']:.1%} per 1 m segment"
+
+
+def _runs(count: int) -> str:
+    return "1 run" if count == 1 else f"{count} runs"

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
 from service.commands.options import there
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 
 def serve(
@@ -29,10 +34,8 @@ def serve(
     import uvicorn
 
     from service.http.app import create_app
-    from service.settings import Settings
 
-    given: dict[str, Any] = {"host": host, "port": port, "data_dir": data_dir}
-    settings = Settings(**{key: value for key, value in given.items() if value is not None})
+    settings = _settings(host=host, port=port, data_dir=data_dir)
     uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
 
 
@@ -52,11 +55,10 @@ def worker(
 
     from service.jobs.makers import make_makers
     from service.jobs.worker import Worker
-    from service.settings import Settings
     from service.storage.store import Store
     from service.workflows import warm_up
 
-    settings = Settings() if data_dir is None else Settings(data_dir=data_dir)
+    settings = _settings(data_dir=data_dir)
     store = Store(settings.data_dir, settings.resolved_database_url)
     store.open(as_service=False)
     makers = make_makers(store, settings)
@@ -67,6 +69,27 @@ def worker(
     typer.echo(f"doing jobs of {settings.data_dir.resolve()}")
     at_work.work()
     store.close()
+
+
+def _settings(**given: Any) -> Settings:
+    """Of the options that are given, and of the environment. A wrong one is wrong usage; raises OSError where the data
+    folder cannot be written."""
+    from pydantic import ValidationError
+    from pydantic_settings import SettingsError
+
+    from service.settings import Settings
+
+    try:
+        settings = Settings(**{key: value for key, value in given.items() if value is not None})
+    except ValidationError as error:
+        wrong = [f"JOULEMAP_{e['loc'][0]!s}".upper() + f" is {e['input']!r}: {e['msg']}" for e in error.errors()]
+        raise typer.BadParameter("; ".join(wrong)) from error
+    except SettingsError as error:
+        raise typer.BadParameter(f"{error}: it is a list in JSON") from error
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    if not os.access(settings.data_dir, os.W_OK):
+        raise PermissionError(errno.EACCES, "no right to write there", str(settings.data_dir))
+    return settings
 
 
 def demo(

@@ -70,6 +70,7 @@ def calibrate_on_runs(
         )
     begun = out / "model.partial"  # a calibration that is cut off leaves no model
     shutil.rmtree(begun, ignore_errors=True)
+    out.mkdir(parents=True, exist_ok=True)  # what cannot be written there is known before it is computed
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
     segments = runs.segments
@@ -116,10 +117,8 @@ def calibrate_on_runs(
 def _next_drive(
     found: Calibration, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: CalibrationRuns, seed: int
 ) -> dict[str, Any]:
-    if not runs.placed:
-        return {"why_not": "the runs have no positions"}
     try:
-        return next_drive(found, predictor, heightmap, robot, seed=seed).as_dict()
+        return next_drive(found, predictor, heightmap, robot, placed=runs.placed, seed=seed).as_dict()
     except (InputError, InfeasibleError) as error:  # nothing was found, or no route fits
         return {"why_not": error.message}
 

@@ -24,11 +24,13 @@ USUAL_LENGTH_M = 200.0
 
 @dataclass(frozen=True)
 class NextDrive:
-    """rivals : what these runs confuse the effect with. length_m : about as far as it is driven in all."""
+    """rivals : what these runs confuse the effect with. length_m : about as far as it is driven in all. placed :
+    whether its corners are places of a map, and not only its shape."""
 
     suggestion: Suggestion
     rivals: list[str]
     length_m: float
+    placed: bool
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able. points : corners [m]; length_m : of one round; expected_interval_share : see `Suggestion`."""
@@ -37,6 +39,7 @@ class NextDrive:
             "effect": drive.effect,
             "tells_from": self.rivals,
             "kind": drive.kind,
+            "placed": self.placed,
             "points": [[round(float(x), 2), round(float(y), 2)] for x, y in drive.points],
             "speeds_mps": list(drive.speeds),
             "length_m": drive.length_m,
@@ -51,14 +54,16 @@ def next_drive(
     heightmap: Heightmap,
     robot: Robot,
     *,
+    placed: bool = True,
     effect: str | None = None,
     length_m: float = USUAL_LENGTH_M,
     seed: int = 0,
 ) -> NextDrive:
     """The drive that tells an effect from what a calibration confuses it with, or pins its coefficient.
 
-    effect : a candidate's name; the first confounded one, or the least certain one found, unless given. Raises
-    InputError where nothing was found and no effect is named, InfeasibleError where no route fits.
+    placed : as `CalibrationRuns`. effect : a candidate's name; the first confounded one, or the least certain one
+    found, unless given. Raises InputError where nothing was found and no effect is named, InfeasibleError where no
+    route fits.
     """
     best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
     best |= {e.term.name: e.term for e in found.effects}
@@ -84,7 +89,7 @@ def next_drive(
         found.residuals, best[name], [*(best[r] for r in rivals), *others], heightmap, robot, traction,
         length_m=length_m, seed=seed,
     )  # fmt: skip
-    return NextDrive(suggestion, rivals, length_m)
+    return NextDrive(suggestion, rivals, length_m, placed)
 
 
 def suggest_next_drive(
@@ -103,4 +108,6 @@ def suggest_next_drive(
     measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
     base = base_residuals(model, predictor, heightmap, robot, runs.base)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
-    return next_drive(found, predictor, heightmap, robot, effect=effect, length_m=length_m, seed=seed)
+    return next_drive(
+        found, predictor, heightmap, robot, placed=runs.placed, effect=effect, length_m=length_m, seed=seed
+    )

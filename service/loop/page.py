@@ -205,9 +205,12 @@ def _next_drive(drive: Mapping[str, Any]) -> str:
     )  # fmt: skip
     points = np.array(drive["points"])
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    where = f"within x {west:.1f} to {east:.1f} and y {south:.1f} to {north:.1f}" if drive["placed"] else (
+        f"on {east - west:.1f} x {north - south:.1f} m of level ground"
+    )  # fmt: skip
     pace = " and ".join(f"{speed:.2f} m/s" for speed in drive["speeds_mps"])
     return (
-        f"<p>{escape(drive['kind'].capitalize())}, within x {west:.1f} to {east:.1f} and y {south:.1f} to {north:.1f}, "
+        f"<p>{escape(drive['kind'].capitalize())}, {where}, "
         f"over and over for {drive['total_length_m']:.0f} m at {pace}: of some hundred simple routes on this map this "
         f"one best {escape(aim)}, to an interval {drive['expected_interval_share']:.0%} as wide as now. Its corners "
         "are in report.json; <code>joulemap suggest-drive</code> takes another effect or length.</p>"

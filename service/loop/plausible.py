@@ -41,7 +41,7 @@ def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
     usual = float(robot.price_per_m(np.array(robot.weight_n * robot.rolling_resistance)))
     if usual > 0 and not usual / _FAR_OFF < took < usual * _FAR_OFF:
         raise RunsError(
-            f"a metre took {took:.4g} J, where this robot needs about {usual:.4g} J on level ground: are `t` in s, "
+            f"a metre took {took:,.1f} J, where this robot needs about {usual:,.1f} J on level ground: are `t` in s, "
             "`current` in A and `voltage` in V, and is the robot's file this robot's?",
             measured=took, expected=usual,
         )  # fmt: skip

@@ -76,6 +76,14 @@ def test_a_calibration_cut_off_leaves_no_model_and_can_be_done_again(field, tmp_
     assert {p.name for p in tmp_path.iterdir()} <= {"model", "report.json", "report.html"}
 
 
+def test_an_out_that_cannot_be_written_is_known_at_once(field, tmp_path):
+    file = tmp_path / "taken"
+    file.write_text("")
+    done = calibrate(field, file)
+    assert done.exit_code == 1
+    assert f"{file}: File exists" in done.output
+
+
 def test_runs_of_another_place_are_refused_in_words(field, tmp_path):
     other = tmp_path / "moved.csv"
     lines = (field / "run_01.csv").read_text().splitlines()
@@ -208,7 +216,8 @@ def test_wheel_speeds_stand_in_for_positions(tmp_path):
     assert found["turning x terrain_class"]["value"] == pytest.approx(-28.0, rel=0.1)
     assert report["error"]["after"]["rmse"] < 0.4 * report["error"]["before"]["rmse"]
     assert "8 runs, 7,200 rows" in done.output
-    assert report["next_drive"] == {"why_not": "the runs have no positions"}
+    assert not report["next_drive"]["placed"]
+    assert "of level ground" in (out / "report.html").read_text()
     for wrong in (["--heightmap", str(out / "report.json")], []):
         given = options if wrong else options[3:]
         assert runner.invoke(app, ["calibrate", *given, *wrong, "--out", str(out / "no")]).exit_code == 2

@@ -177,6 +177,19 @@ def test_an_error_is_one_line_and_a_code(folder: Path, arguments: tuple[str, ...
         assert len(errors.splitlines()) == 1
 
 
+@pytest.mark.parametrize("command", ["serve", "worker"])
+def test_wrong_settings_of_a_service_are_named(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    code, _, said = joulemap(command, "--data-dir", tmp_path / "file" / "data")
+    assert (code, "error:" in said, str(tmp_path / "file") in said) == (1, True, True)
+    for name, value in (("MAX_RUNS", "many"), ("WARM_MODELS", "default"), ("DATA_DIR", "s3://bucket/data")):
+        with monkeypatch.context() as environment:
+            environment.setenv(f"JOULEMAP_{name}", value)
+            code, _, said = joulemap(command)
+        assert code == 2
+        assert name.lower() in said.lower()
+
+
 def test_exit_codes_are_the_table_s(folder: Path) -> None:
     with pytest.raises(JoulemapError) as caught:
         RoutePlanner(load_lattice(folder / "dem.zarr")).plan((35.5, 5.5), (4.5, 14.5))

@@ -17,7 +17,7 @@ from planner.lattice import CostLattice
 from planner.lattice_build import build_lattice
 from planner.plan import RoutePlanner
 from service import pictures
-from service.pictures import OPTIMAL, SHORTEST, lattice_image, route_picture
+from service.pictures import INK, OPTIMAL, SHORTEST, lattice_image, route_picture
 
 
 def rough(rows: int = 30, cols: int = 40) -> Heightmap:
@@ -88,6 +88,8 @@ def test_both_paths_are_in_the_picture() -> None:
     png = route_picture(heightmap, plan.route, plan.shortest, title="knoll")
     assert share_of(png, OPTIMAL) > 1e-3
     assert share_of(png, SHORTEST) > 1e-3
+    with_another = route_picture(heightmap, plan.route, plan.route, title="knoll", alternatives=[plan.shortest])
+    assert share_of(with_another, INK) > 1.2 * share_of(png, INK)  # its line
 
 
 def test_a_large_map_is_averaged_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:

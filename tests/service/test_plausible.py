@@ -49,7 +49,7 @@ def test_runs_that_belong_to_map_and_robot_pass():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (times("current", 1000.0), "took 5.12e[+]04 J.*about 51.* J.*`current` in A"),
+        (times("current", 1000.0), "took 51,200.0 J.*about 51.5 J.*`current` in A"),
         (times("voltage", 1000.0), "`voltage` in V"),
         (times("t", 1000.0), "`t` in s"),
         (elsewhere, r"span x 5110.*the map x 100.00..160.00, y 900.00..980.00; are they in.*EPSG:32615"),
