@@ -48,7 +48,8 @@ def test_a_stand_counts_beside_segments_of_its_run_only():
     for name in ("a", "b"):
         drive = line(name=name)
         x, y = (np.concatenate([start, along]) for start, along in zip(rest, (drive.x, drive.y), strict=True))
-        runs.append(cut_segments(run_along(x, y, name=name, temperature=np.full(x.size, 12.0))))
+        amps = np.where(np.arange(x.size) < 100, 0.5, 2.0)
+        runs.append(cut_segments(run_along(x, y, name=name, amps=amps, temperature=np.full(x.size, 12.0))))
     segments = concatenate(runs)
     assert {stand[0] for stand in segments.stands} == {0, 1}
     ground = Heightmap(np.zeros((120, 120), np.float32), GridFrame(50.0, 130.0, 1.0, 120, 120))
@@ -56,7 +57,7 @@ def test_a_stand_counts_beside_segments_of_its_run_only():
         drive, measured = describe_segments(some, ground, Robot(), np.full(len(some), 30.0))
         assert set(drive.run[drive.standing]) == runs_left
         assert (drive.columns["temperature"] == 12.0).all()
-        np.testing.assert_allclose(measured[drive.standing] / drive.duration_s[drive.standing], 56.0, rtol=0.02)
+        np.testing.assert_allclose(measured[drive.standing] / drive.duration_s[drive.standing], 14.0, rtol=0.02)
 
 
 def test_rising_power_is_integrated_exactly():
