@@ -169,6 +169,7 @@ def describe_segments(
     run, seconds, energy = (np.array(values) for values in zip(*segments.stands, strict=True))
     usual = float(np.median(energy / seconds))
     even = np.abs(energy / seconds - usual) < _LIKE_OTHER_STANDS * usual
+    even &= np.isin(run, segments.run)  # of a run without a segment nothing else is known
     stood = _with_stands(drive, run[even].astype(np.int64), seconds[even])
     return stood, np.concatenate([segments.energy_j, energy[even]])
 

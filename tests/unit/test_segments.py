@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from model.errors import InputError, RunsError
+from model.frames import GridFrame
+from model.loop.drive import describe_segments
 from model.loop.runs import Run
 from model.loop.segments import concatenate, cut_segments, driven_only, split_runs
+from model.robot import Robot
+from model.terrain.heightmap import Heightmap
 
 
 def run_along(x, y, *, rate_hz=10.0, volts=28.0, amps=2.0, name="run", **extras) -> Run:
@@ -36,6 +40,24 @@ def test_a_straight_drive_at_constant_power():
     np.testing.assert_allclose(segments.x, 100 + s * 0.5, atol=1e-9)
     np.testing.assert_allclose(segments.y, 50 + s * math.cos(math.radians(30.0)), atol=1e-9)
     assert segments.left_out == {"remainders": 1}
+
+
+def test_a_stand_counts_beside_segments_of_its_run_only():
+    rest = np.full(100, 100.0), np.full(100, 50.0)
+    runs = []
+    for name in ("a", "b"):
+        drive = line(name=name)
+        x, y = (np.concatenate([start, along]) for start, along in zip(rest, (drive.x, drive.y), strict=True))
+        amps = np.where(np.arange(x.size) < 100, 0.5, 2.0)
+        runs.append(cut_segments(run_along(x, y, name=name, amps=amps, temperature=np.full(x.size, 12.0))))
+    segments = concatenate(runs)
+    assert {stand[0] for stand in segments.stands} == {0, 1}
+    ground = Heightmap(np.zeros((120, 120), np.float32), GridFrame(50.0, 130.0, 1.0, 120, 120))
+    for some, runs_left in ((segments, {0, 1}), (segments.take(segments.run == 0), {0})):
+        drive, measured = describe_segments(some, ground, Robot(), np.full(len(some), 30.0))
+        assert set(drive.run[drive.standing]) == runs_left
+        assert (drive.columns["temperature"] == 12.0).all()
+        np.testing.assert_allclose(measured[drive.standing] / drive.duration_s[drive.standing], 14.0, rtol=0.02)
 
 
 def test_rising_power_is_integrated_exactly():
