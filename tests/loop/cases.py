@@ -76,6 +76,7 @@ class Outcome:
     new_before, new_after : the report's, on held-out runs. new_clean : the base model on the same drives without any
     effect. other_* : on the second site, with the base model, the calibrated one, the base model plus the true effect,
     and the base model on the drives without effect. floor : of a perfect model on new/. tried_s : of `calibrate` [s].
+    shadows : what the model holds beside the effects found.
     """
 
     case: str
@@ -93,6 +94,7 @@ class Outcome:
     tried_s: float
     fits: tuple[Fit, ...] = ()
     knowable: bool = True
+    shadows: tuple[str, ...] = ()
 
     @property
     def first_right(self) -> bool:
@@ -125,7 +127,8 @@ class Outcome:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Outcome:
         fits = tuple(Fit(**fit) for fit in values["fits"])
-        return cls(**{**values, "true": tuple(values["true"]), "found": tuple(values["found"]), "fits": fits})
+        names = {key: tuple(values.get(key, ())) for key in ("true", "found", "shadows")}
+        return cls(**{**values, **names, "fits": fits})
 
 
 def _same(found: str, true: str) -> bool:
@@ -173,6 +176,7 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
         seed=seed,
         true=truth.names,
         found=tuple(effect["name"] for effect in report["effects"]),
+        shadows=tuple(effect["name"] for effect in report.get("shadows", [])),
         new_before=report["error"]["before"]["mean_relative"],
         new_after=report["error"]["after"]["mean_relative"],
         new_clean=new_clean,

@@ -11,8 +11,8 @@ from tests.loop.cases import Outcome
 
 HEAD = (
     "| hidden | cases | first right | all named | before | after | clean | floor | after / clean "
-    "| second site: before, after, told, clean | gain | coefficient | covered | wrong names | s |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+    "| second site: before, after, told, clean | gain | coefficient | covered | wrong names | shadows | s |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
 LEGEND = (
@@ -22,7 +22,8 @@ LEGEND = (
     "calibrated one, the base model told what the effect truly took, and the base model without the effect; *gain*: "
     "the share of told's gain that the calibrated one has (median; none for a place, or for a wind or load that is not "
     "logged). *coefficient*: median of |stated - true| / |true| where a unit is shared; *covered*: true ones within "
-    "the stated 95 % interval. *s*: median of the calibration."
+    "the stated 95 % interval. *shadows*: what the model holds beside the effects and calls no cause. *s*: median of "
+    "the calibration."
 )
 
 
@@ -70,6 +71,7 @@ def _row(name: str, cases: Sequence[Outcome]) -> str:
     fits = [fit for case in cases for fit in case.fits]
     shares = [case.gain_share for case in cases if case.gain_share is not None]
     wrong = Counter(name for case in cases for name in case.false_finds)
+    shadows = Counter(name + " (hidden)" * case.hit(name) for case in cases for name in case.shadows)
     near = _median([abs(fit.value - fit.true) / abs(fit.true) for fit in fits])
     inside = sum(fit.low <= fit.true <= fit.high for fit in fits)
     second = [_mean(cases, each) for each in (_before, _after, _told, _clean)]
@@ -87,7 +89,7 @@ def _row(name: str, cases: Sequence[Outcome]) -> str:
         f"{_median(shares):.0%}" if shares else "",
         f"{near:.0%}" if fits else "",
         f"{inside}/{len(fits)}" if fits else "",
-        ", ".join(f"{word} {count}" for word, count in wrong.most_common()),
+        *(", ".join(f"{word} {count}" for word, count in names.most_common()) for names in (wrong, shadows)),
         f"{_median([case.tried_s for case in cases]):.0f}",
     ]
     return "| " + " | ".join(cells) + " |"
