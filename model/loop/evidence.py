@@ -179,10 +179,13 @@ class Evidence:
         frees = every - level_basis @ (level_basis.T @ every)
         within: list[tuple[int, FloatArray]] = []
         by_run: list[int] = []
+        asked = np.unique(drive.run).size
         p_values = dict.fromkeys(tried, 1.0)
         reasons: dict[int, str] = {}
         for k in tried:
-            block, left, free = (self._beyond_level(k, all_[:, self.columns[k]]) for all_ in (every, lefts, frees))
+            block, left, free = (all_[:, self.columns[k]] for all_ in (every, lefts, frees))
+            if self.terms[k].settings.get("level") and asked < _LEAST_RUNS + len(chosen):
+                left, free = self._beyond_level(k, left), self._beyond_level(k, free)
             if self.terms[k].settings.get("of") in LEVEL_FORMULAS:
                 p_values[k] = self._differ_between_runs(selected_basis, per_run)
                 continue
@@ -190,7 +193,7 @@ class Evidence:
                 size = (block if self.moves_level([k]) else free) ** 2
                 if size.sum() < 1e-4 * rows.size * block.shape[1]:
                     reasons[k] = "these runs do not vary it"
-                elif np.unique(drive.run).size < _LEAST_RUNS + len(chosen) + 2 * (block.shape[1] - 1):
+                elif asked < _LEAST_RUNS + len(chosen) + 2 * (block.shape[1] - 1):
                     reasons[k] = "there are too few runs that differ in it"
                 else:
                     by_run.append(k)
@@ -215,9 +218,8 @@ class Evidence:
         return p_values, reasons
 
     def _beyond_level(self, k: int, block: FloatArray) -> FloatArray:
-        """Columns of a term without what does not depend on its quantity: any column would do to carry that."""
-        if not self.terms[k].settings.get("level"):
-            return block
+        """Columns of a term without the level it brings of its own: any column would do to carry that where there are
+        too few runs to ask for effects that are nothing else."""
         sums = np.where(self.terms[k].formula == "smooth", 1.0, np.arange(block.shape[1]) == 0)
         level = block @ (sums * self.size[self.columns[k]])
         return np.asarray(block - np.outer(level, level @ block) / max(float(level @ level), 1e-300))

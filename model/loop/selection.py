@@ -222,7 +222,7 @@ class Search:
                 if again is not None and again.candidate.name not in others and self.better(rest, again, one):
                     found = [*found[:k], again, *found[k + 1 :]]
             least, k = min((self.worth(found, f), k) for k, f in enumerate(found) if not interactions_of(f, found))
-            if len(found) > 1 and least < self._least(found[k]):
+            if len(found) > 1 and least < 0.5 * self.floor(found[k].verdict.term):
                 found = found[:k] + found[k + 1 :]
             if found == before:
                 break
@@ -257,14 +257,14 @@ class Search:
         named = self.named(again) and not self.named(one)
         return new < (1.0 + _LITTLE if named else 1.0 - _LITTLE) * old
 
-    def error(self, chosen: Sequence[int], *, free: bool = False, blocks: bool = False) -> float:
-        """Held-out squared error [scaled] of a choice of terms, with any level (`free`) or one within its doubt."""
-        return float(self.evidence.held_out(self.evidence.columns_of(chosen), free=free, blocks=blocks).sum())
+    def error(self, chosen: Sequence[int], *, blocks: bool = False) -> float:
+        """Held-out squared error [scaled] of a choice of terms."""
+        return float(self.evidence.held_out(self.evidence.columns_of(chosen), blocks=blocks).sum())
 
-    def saved(self, rest: Sequence[int], terms: Sequence[int], *, free: bool = False) -> float:
+    def saved(self, rest: Sequence[int], terms: Sequence[int]) -> float:
         """Held-out squared error [scaled] that terms take away on top of others, runs held out alike in both fits."""
         blocks = self.evidence.own(self.evidence.columns_of([*rest, *terms]))
-        return self.error(rest, free=free, blocks=blocks) - self.error([*rest, *terms], free=free)
+        return self.error(rest, blocks=blocks) - self.error([*rest, *terms])
 
     def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
         """The effects that an effect must hold its own against: not an interaction that it is part of; and what answers
@@ -273,12 +273,11 @@ class Search:
         others = [f for f in found if f is not one and one.candidate.name not in f.candidate.parts]
         return [f for f in others if one.candidate.response or not f.candidate.response]
 
-    def worth(self, found: Sequence[Found], one: Found, *, free: bool = False) -> float:
-        """Share by which the held-out error would grow without an effect, and the interactions that it is part of;
-        with the level free in both fits, if asked."""
+    def worth(self, found: Sequence[Found], one: Found) -> float:
+        """Share by which the held-out error would grow without an effect, and the interactions that it is part of."""
         rest = [f.verdict.term for f in self.beside(found, one)]
         its = [f.verdict.term for f in (one, *interactions_of(one, found))]
-        return self.saved(rest, its, free=free) / max(self.error(rest, free=free), 1e-12)
+        return self.saved(rest, its) / max(self.error(rest), 1e-12)
 
     def shadows(self, found: Sequence[Found]) -> list[Found]:
         """The effects that only fill in where the others have not quite the right form, the weakest first."""
@@ -288,21 +287,15 @@ class Search:
         return [f for f in found if f not in causes]
 
     def _shadow(self, found: Sequence[Found], one: Found) -> bool:
-        """Whether an effect is but the shadow of others: beside them it does no more than lift the level, which a form
-        that is not quite right leaves off by more than the base model does; or no physical form speaks for it, and of
-        what it explains alone they explain nine tenths (a tolerance below 0.1: Marquardt 1970)."""
+        """Whether an effect is but the shadow of others: a curve over the ground or over what answers to the drive on
+        it, of which they explain nine tenths of all it explains alone (a tolerance below 0.1: Marquardt 1970)."""
         rest = [f.verdict.term for f in self.beside(found, one)]
-        if not rest:
+        follows = one.candidate.response or self.evidence.terms[one.verdict.term].reads_ground
+        if self.named(one) or not follows or not rest:
             return False
-        if self.worth(found, one, free=True) < self._least(one):
-            return True
         own = [k for k, c in enumerate(self.owner) if c.name == one.candidate.name]
         alone = max(self.saved([], [k]) for k in own)
-        return not self.named(one) and self.saved(rest, [one.verdict.term]) < _TOLERANCE * alone
-
-    def _least(self, one: Found) -> float:
-        """What an effect that was taken must still be worth."""
-        return 0.5 * self.floor(one.verdict.term)
+        return self.saved(rest, [one.verdict.term]) < _TOLERANCE * alone
 
     def by_worth(self, found: list[Found]) -> list[Found]:
         """The most telling first; what answers to the drive comes after what explains it."""
