@@ -16,6 +16,8 @@ from model.robot import Robot
 
 RECORD_FILE = "base_runs.npz"
 
+_KEPT = {f.name for f in fields(Drive)} - {"robot", "columns", "words", "unit_j", "runs"}
+
 
 def save_record(folder: str | Path, residuals: Residuals) -> None:
     """Write `base_runs.npz` into a model's folder."""
@@ -44,6 +46,12 @@ def read_record(folder: str | Path) -> Residuals | None:
         columns = {k.removeprefix("column:"): arrays.pop(k) for k in list(arrays) if k.startswith("column:")}
         words = {k.removeprefix("word:"): arrays.pop(k) for k in list(arrays) if k.startswith("word:")}
         robot = Robot.from_mapping(about["robot"])
+        if lacking := sorted(_KEPT - set(arrays)):
+            raise ModelError(
+                f"{path} lacks {', '.join(lacking)}, which this version keeps of the runs a model was made from: "
+                "train the model again",
+                path=str(path), lacking=lacking,
+            )  # fmt: skip
         drive = Drive(
             robot=robot,
             **arrays,

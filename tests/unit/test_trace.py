@@ -11,7 +11,7 @@ from model.loop.bounds import bounded
 from model.loop.calibrated import Correction, read_calibrated, save_calibrated
 from model.loop.effects import Term, inside
 from model.loop.fitting import fit_terms
-from model.loop.record import read_record, save_record
+from model.loop.record import RECORD_FILE, read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
 from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
@@ -292,3 +292,8 @@ def test_a_record_of_runs_comes_back(tmp_path):
     np.testing.assert_array_equal(back.drive.columns["temperature"], kept.drive.columns["temperature"])
     assert back.runs == ("a", "b")
     assert read_record(tmp_path / "elsewhere") is None
+    with np.load(tmp_path / RECORD_FILE) as file:
+        older = {key: file[key] for key in file.files if key != "grades"}
+    np.savez(tmp_path / RECORD_FILE, **older)
+    with pytest.raises(ModelError, match=r"lacks grades.*train the model again"):
+        read_record(tmp_path)
