@@ -5,7 +5,7 @@ It is JSON-able, and prices drives nobody has made yet.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -117,3 +117,12 @@ class Term:
             )  # fmt: skip
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"an effect of the model is not complete: {error!r}") from error
+
+
+def turning_per_rad(terms: Sequence[Term], drive: Drive) -> float:
+    """What a radian of turning costs in plans [J, or A s]: the slope of the terms' energy of turning over how far each
+    segment turned, in least squares. A turn within a metre counts, not the wandering of straight driving, which a plan
+    has none of; of one term that acts everywhere it is the coefficient, also where turning saturates."""
+    turned = drive.turned_abs_rad
+    energy = np.sum([t.energy(drive) for t in terms if t.formula.startswith("turning")] or [0.0 * turned], axis=0)
+    return float(turned @ energy) / max(float(turned @ turned), 1e-12)

@@ -117,7 +117,8 @@ def where_words(term: Term) -> str:
         return f"within {s['radius_m']:g} m of x {s['x']:.1f}, y {s['y']:.1f}"
     if term.formula == "turning" and term.settings.get("limit_radps"):
         gentle = term.coefficients[0] / term.settings.get("share", 1.0)
-        return f"everywhere; {gentle:.4g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, no more above"
+        unit, limit = term.units[0], term.settings["limit_radps"]
+        return f"everywhere; {gentle:.4g} {unit} up to {limit:g} rad/s, no more above; on the whole, the coefficient"
     if not term.where:
         return "everywhere"
     if "runs" in term.where:

@@ -94,7 +94,7 @@ def costmap(
             "headings": headings,
             "bounds": list(frame.bounds),
             "crs": frame.crs,
-            "robot": rover.as_dict(),
+            "robot": made.robot.as_dict(),
             "provenance": made.provenance,
             "warnings": warnings,
             "out": str(out),

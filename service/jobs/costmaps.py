@@ -112,6 +112,7 @@ class Builder:
             planner.lattice.provenance["warnings"].append(error.message)
             job.folder.finish(provenance)
         summary: dict[str, Any] = {
+            "robot": job.robot.as_dict(),
             "frame": {
                 "rows": frame.rows,
                 "cols": frame.cols,

@@ -20,6 +20,7 @@ from model.loop.calibrated import (
     save_calibrated,
 )
 from model.loop.calibration import Calibration, calibrate
+from model.loop.effects import turning_per_rad
 from model.loop.report import report_document
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
@@ -147,14 +148,12 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
     """What a calibration adds to its base model. std_j : (n,) of the base model for each of the calibration's rows."""
     drive, moving = found.residuals.drive, found.residuals.moving
     planner = [True] * (len(found.shared.terms) + len(found.silent)) + [e.planner for e in found.effects]
-    turned = float(drive.turned_abs_rad[moving].sum())
-    turning = sum(float(t.energy(drive)[moving].sum()) for t in found.terms if t.formula.startswith("turning"))
     conditions = {k: float(np.nanmean(v)) for k, v in drive.columns.items() if np.isfinite(v).any()}
     return Correction(
         found.terms,
         tuple(planner),
         charge=found.residuals.charge,
-        turn_j_per_rad=drive.unit_j * turning / turned if turned > 0 else 0.0,
+        turn_j_per_rad=drive.unit_j * turning_per_rad(found.terms, drive),
         conditions=conditions,
         evidence=[{"name": e.term.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=None

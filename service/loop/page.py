@@ -155,7 +155,7 @@ def _map(made: Calibrated) -> str:
     lead = (
         f"A metre costs {price['before']:.1f} J before and {price['after']:.1f} J after, mean over the map and all "
         f"headings; a turn of 90 degrees {turn['before'] * np.pi / 2:.0f} J before and "
-        f"{turn['after'] * np.pi / 2:.0f} J after."
+        f"{turn['after'] * np.pi / 2:.0f} J after (what a metre took over how far it turned, in least squares)."
     )
     if max(abs(change["low"]), abs(change["high"])) < _ALIKE * abs(price["after"]):
         return f"<p>{lead} No place becomes dearer than another.</p>"

@@ -45,7 +45,7 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
     provenance = summary.get("provenance")
     return CostmapOut(
         **_job(row),
-        robot=RobotOut(**row.request["robot"]),
+        robot=RobotOut(**row.robot),
         model=row.request["model"],
         headings=row.request["headings"],
         spacing_m=row.request["spacing_m"],

@@ -59,6 +59,12 @@ class CostmapRow(JobRow):
 
     __tablename__ = "costmaps"
 
+    @property
+    def robot(self) -> dict[str, Any]:
+        """As it was asked for; once it is done, with what the model found its turns to cost."""
+        made: dict[str, Any] = (self.summary or {}).get("robot", self.request["robot"])
+        return made
+
 
 class CalibrationRow(JobRow):
     """A calibration that was asked for; its report lies in calibrations/{id}/ once `status` is done."""

@@ -136,8 +136,16 @@ def test_the_hidden_effect_is_found_and_planned_with(
     assert made.status_code == 201, made.text
     costmap = made.json()
     assert costmap["provenance"]["model"]["version"] == report["model"]["after"]
+    found = report["effects"][0]["coefficients"][0]["value"]  # one radian, the same in report, map and plans
+    assert report["map"]["turn_j_per_rad"] == {"before": 0.0, "after": pytest.approx(found, rel=1e-3)}
+    assert costmap["robot"]["turn_j_per_rad"] == report["map"]["turn_j_per_rad"]["after"]
+    assert f"{costmap['robot']['turn_j_per_rad'] * np.pi / 2:.0f} J after" in page.text
     task = {"start": [500_005.0, 4_000_005.0], "goal": [500_044.0, 4_000_035.0], "battery": {"capacity_wh": 2.0}}
-    verdict = service.post(f"/v1/costmaps/{costmap['id']}/feasibility", json=task).json()
+    question = f"/v1/costmaps/{costmap['id']}/feasibility"
+    for robot in (ROBOT, costmap["robot"]):  # the one asked for, and the one that is told of
+        assert service.post(question, json=task | {"robot": robot}).status_code == 200
+    check_problem(service.post(question, json=task | {"robot": {"turn_j_per_rad": 1.0}}), 409, "conflict", "turn_j")
+    verdict = service.post(question, json=task).json()
     assert 0.0 < verdict["energy_std_j"] < 0.2 * verdict["energy_j"]
     assert 0.0 <= verdict["probability"] <= 1.0
     plain = service.post("/v1/costmaps", json=asked | {"model": "physics"}, headers={"Prefer": "wait=60"}).json()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.loop.effects import Term
+from model.loop.effects import Term, turning_per_rad
 from model.loop.report import where_words
 from model.loop.track import TURN_LIMITS_RADPS
 from tests.reference.drives import found_in, made_up, noisy
@@ -22,5 +22,18 @@ def test_a_radian_costs_the_same_in_words_of_either_form():
     usual = 300.0 * (turned @ gentle) / (turned @ turned)  # least squares of what turning took on what was turned
     assert effect.coefficients[0] == pytest.approx(usual, rel=0.1)
     assert where_words(replace(effect.term, coefficients=(usual,))).startswith("everywhere; 300 J/rad up to")
+    assert turning_per_rad([effect.term], drive) == pytest.approx(effect.coefficients[0], rel=1e-3)  # plans pay as much
     plain = Term("turning", "turning", ("J/rad",), {"limit_radps": limit}, {}, (10.0,))
     np.testing.assert_allclose(plain.energy(drive), 10.0 * gentle)
+
+
+def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():
+    drive = made_up(np.random.default_rng(5))
+    right = np.square(drive.turned_abs_rad) @ (drive.turned_rad > 0) / np.square(drive.turned_abs_rad).sum()
+    terms = [
+        Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {}, (14.0,)),
+        Term("turning", "turning_sides", ("J/rad", "J/rad"), {}, {}, (100.0, 20.0)),
+        Term("hotel_load", "hotel_load", ("W",), {}, {}, (5.0,)),
+    ]
+    assert turning_per_rad(terms, drive) == pytest.approx(14.0 + 100.0 * right + 20.0 * (1.0 - right))
+    assert turning_per_rad(terms[2:], drive) == 0.0

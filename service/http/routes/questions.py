@@ -108,11 +108,15 @@ def _warnings(row: CostmapRow) -> list[str]:
 
 
 def _same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
-    """The cost map's robot. Raises ConflictError, naming the fields, when a given one differs; RobotError."""
-    robot = Robot.from_mapping(row.request["robot"])
-    values = robot_values(given)
+    """The cost map's robot. Raises ConflictError, naming the fields, when a given one is neither this one nor the one
+    that was asked for; RobotError."""
+    robot, values = Robot.from_mapping(row.robot), robot_values(given)
     Robot.from_mapping(values)
-    differing = {key: (getattr(robot, key), value) for key, value in values.items() if getattr(robot, key) != value}
+    differing = {
+        key: (getattr(robot, key), value)
+        for key, value in values.items()
+        if value not in (getattr(robot, key), row.request["robot"][key])
+    }
     if differing:
         words = ", ".join(f"{key} {there} there, {here} here" for key, (there, here) in differing.items())
         raise ConflictError(
