@@ -78,6 +78,27 @@ def put(queue, count, bucket, cell):
     return queue
 
 
+@njit(cache=True)
+def open_ring(first, least, guide, cols, per_j):
+    """A ring of buckets with the cells `first` (S,), reached with `least` (S,) [J], where they are due.
+
+    Returns the ring, how many cells each bucket holds, the first one that holds any, and the bucket in which every cell
+    is due (S,), be it beyond the ring's end; NEVER for a cell from where the goal is out of reach.
+    """
+    due = np.full(first.size, NEVER)
+    for k in range(first.size):
+        key = least[k] + bound_at(guide, first[k], cols)
+        if key < np.inf:
+            due[k] = math.floor(key * per_j)
+    queue = np.empty((BUCKETS, FIRST_CAPACITY), dtype=np.uint32)
+    count = np.zeros(BUCKETS, dtype=np.int64)
+    current = due.min() if due.size > 0 else NEVER
+    for k in range(first.size):
+        if due[k] < NEVER:
+            queue = put(queue, count, min(due[k], current + BUCKETS - 1), first[k])
+    return queue, count, current, due
+
+
 @njit(cache=True, nogil=True)
 def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, cols, width, slack, backward):
     """Settle cells until no bucket may improve the way to a target, or all of them where there is none.
@@ -96,23 +117,13 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
     prices = price.reshape(-1)
     free = guide.pairs.shape[0] + guide.marks.shape[1] == 0
     known = np.full(1 if free else energy.size, np.nan)  # bounds, each reckoned once
-    queue = np.empty((BUCKETS, FIRST_CAPACITY), dtype=np.uint32)
-    count = np.zeros(BUCKETS, dtype=np.int64)
     per_j = 1.0 / width
-    current = NEVER
-    for cell in first:
-        key = energy[cell] + bound_at(guide, cell, cols)
-        if key < np.inf:
-            current = min(current, math.floor(key * per_j))
-    waiting = 0
+    queue, count, current, due_first = open_ring(first, energy[first], guide, cols, per_j)
     beyond = False  # whether something may wait in the last bucket of the ring before its time
-    for cell in first:
-        pred[cell] &= SETTLED - 1
-        key = energy[cell] + bound_at(guide, cell, cols)
-        if key < np.inf:
-            beyond |= math.floor(key * per_j) >= current + BUCKETS
-            queue = put(queue, count, min(math.floor(key * per_j), current + BUCKETS - 1), cell)
-            waiting += 1
+    for k in range(first.size):
+        pred[first[k]] &= SETTLED - 1
+        beyond |= current + BUCKETS <= due_first[k] < NEVER
+    waiting = count.sum()
     total = np.inf
     last = -1
     expanded = 0

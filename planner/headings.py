@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planner.buckets import BUCKETS, FIRST_CAPACITY, NEVER, bound_at, put
+from planner.buckets import BUCKETS, NEVER, bound_at, open_ring, put
 
 SEED, DROVE, TURNED_RIGHT, TURNED_LEFT = 0, 1, 2, 3
 """How a state of `search_headings` came by its energy."""
@@ -31,22 +31,15 @@ def search_headings(energy, pred, price, jump, gap, first, targets, target_rest,
     prices = price.reshape(-1)
     free = guide.pairs.shape[0] + guide.marks.shape[1] == 0
     known = np.full(1 if free else cells, np.nan)
-    queue = np.empty((BUCKETS, FIRST_CAPACITY), dtype=np.uint32)
-    count = np.zeros(BUCKETS, dtype=np.int64)
     due = np.full(cells, NEVER)  # the bucket in which a cell waits
     to_drive = np.zeros(cells, dtype=np.uint32)  # bit set of headings
     per_j = 1.0 / width
-    current = NEVER
-    for cell in first:
-        least = energy[cell * moves : (cell + 1) * moves].min() + bound_at(guide, cell, cols)
-        if least < np.inf:
-            due[cell] = math.floor(least * per_j)
-            current = min(current, due[cell])
-    for cell in first:
-        if due[cell] < NEVER:
-            to_drive[cell] = (1 << moves) - 1
-            due[cell] = min(due[cell], current + BUCKETS - 1)
-            queue = put(queue, count, due[cell], cell)
+    least = np.array([energy[cell * moves : (cell + 1) * moves].min() for cell in first])
+    queue, count, current, due_first = open_ring(first, least, guide, cols, per_j)
+    for k in range(first.size):
+        if due_first[k] < NEVER:
+            to_drive[first[k]] = (1 << moves) - 1
+            due[first[k]] = min(due_first[k], current + BUCKETS - 1)
     waiting = count.sum()
     total = np.inf
     last = -1
@@ -124,24 +117,17 @@ def _turn(energy, pred, base, gap):
     for n in range(1, moves):
         if energy[base + n] < energy[base + best]:
             best = n
-    k = best
-    for _ in range(moves - 1):
-        right = k + 1 if k + 1 < moves else 0
-        reached = energy[base + k] + gap[k]
-        if reached < energy[base + right]:
-            energy[base + right] = reached
-            pred[base + right] = TURNED_RIGHT
-            cheaper |= np.uint32(1) << np.uint32(right)
-        k = right
-    k = best
-    for _ in range(moves - 1):
-        left = k - 1 if k > 0 else moves - 1
-        reached = energy[base + k] + gap[left]
-        if reached < energy[base + left]:
-            energy[base + left] = reached
-            pred[base + left] = TURNED_LEFT
-            cheaper |= np.uint32(1) << np.uint32(left)
-        k = left
+    for code, step in ((TURNED_RIGHT, 1), (TURNED_LEFT, -1)):
+        k = best
+        for _ in range(moves - 1):
+            to = k + step
+            to += moves if to < 0 else -moves if to == moves else 0
+            reached = energy[base + k] + gap[k if step > 0 else to]
+            if reached < energy[base + to]:
+                energy[base + to] = reached
+                pred[base + to] = code
+                cheaper |= np.uint32(1) << np.uint32(to)
+            k = to
     return cheaper
 
 
