@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -36,41 +37,54 @@ _STANDING_MPS = 0.02
 _NUMBERED = re.compile(r"[\W_]*\d*$")
 
 
-def read_odometry(path: str | Path, *, track_m: float, terrain: str | None = None) -> Run:
+@dataclass(frozen=True)
+class Odometry:
+    """How logs without positions are read. track_m : distance of the sides as the robot turns [m]. terrain_from_name :
+    a file's name says what ground it was driven on, where it has no such column. Raises InputError."""
+
+    track_m: float
+    terrain_from_name: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.track_m) and self.track_m > 0):
+            raise InputError(f"the track must be positive, got {self.track_m} m", track_m=str(self.track_m))
+
+
+def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = None) -> Run:
     """Read a log (CSV or Parquet) of wheel speeds as a run that starts at (0, 0) and heads north.
 
     Its columns: t [s], speed_left and speed_right [m/s], current or several current_* [A] whose magnitudes are summed
-    (or the names of `_OTHER_NAMES`); optionally voltage [V] and any further one. terrain : what the ground is called,
-    for a log without such a column. The rules of `model.loop.runs` hold. Adds heading [deg] and speed [m/s]. Raises
-    RunsError, naming the column that is missing.
+    (or the names of `_OTHER_NAMES`); optionally voltage [V] and any further one. name : default that of the file. The
+    rules of `model.loop.runs` hold. Adds heading [deg] and speed [m/s]. Raises RunsError, naming the column that is
+    missing.
     """
     path = Path(path)
-    if not (math.isfinite(track_m) and track_m > 0):
-        raise InputError(f"the track must be positive, got {track_m} m", track_m=str(track_m))
+    name = name or path.name
     try:
         content = path.read_bytes()
     except OSError as error:
         raise RunsError(f"run {path}: {error}", path=str(path)) from error
     repairs: dict[str, int] = {}
-    numbers, texts = read_table(content, path.name, repairs)
+    numbers, texts = read_table(content, name, repairs)
     numbers = {_OTHER_NAMES.get(key, key): values for key, values in numbers.items()}
     for column in ("t", *_SIDES):
         if column not in numbers:
             raise RunsError(
-                f"run {path.name}: there is no column {column!r} of numbers{columns_there(numbers)}",
-                run=path.name, column=column,
+                f"run {name}: there is no column {column!r} of numbers{columns_there(numbers)}",
+                run=name, column=column,
             )  # fmt: skip
     left, right = (_without_blanks(numbers[name]) for name in _SIDES)
-    x, y, heading = integrate(numbers["t"], left, right, track_m=track_m)
+    x, y, heading = integrate(numbers["t"], left, right, track_m=odometry.track_m)
     motion = {"heading": np.degrees(heading) % 360.0, "speed": (left + right) / 2}
+    terrain = terrain_in_name(name) if odometry.terrain_from_name else None
     if terrain is not None and "terrain" not in texts:
         texts["terrain"] = np.full(x.size, terrain)
-    return run_of(numbers | {"x": x, "y": y} | motion, texts, name=path.name, repairs=repairs)
+    return run_of(numbers | {"x": x, "y": y} | motion, texts, name=name, repairs=repairs)
 
 
-def terrain_in_name(path: Path) -> str | None:
+def terrain_in_name(name: str) -> str | None:
     """What a file's name says of the ground: snow_02.csv was driven on "snow"."""
-    return _NUMBERED.sub("", path.stem) or None
+    return _NUMBERED.sub("", Path(name).stem) or None
 
 
 def integrate(

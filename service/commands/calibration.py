@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _CORNERS = 8  # of a route
 
-Odometry = Annotated[
+OdometryTrack = Annotated[
     float | None,
     typer.Option(
         "--odometry",
@@ -59,7 +59,7 @@ def calibrate(
             "and after.",
         ),
     ] = None,
-    odometry: Odometry = None,
+    odometry: OdometryTrack = None,
     terrain_from_name: TerrainFromName = False,
     start: Annotated[
         Any, typer.Option(metavar="X,Y", parser=parse_point, help="Task whose route is compared before and after [m].")
@@ -101,6 +101,7 @@ def _read(
     terrain_from_name: bool, *, keep_aside: list[str] | None = None,
 ) -> tuple[CalibrationRuns, Heightmap]:  # fmt: skip
     """The runs that the options name, and the map or level ground that they were driven on."""
+    from model.loop.odometry import Odometry
     from model.terrain.readers import read_heightmap
     from service.loop.runs import read_calibration_runs, read_odometry_runs
 
@@ -112,7 +113,7 @@ def _read(
     files = [file for file in find_runs(runs) if file not in aside]
     more = {"base_files": find_runs(base_runs or []), "aside_files": aside}
     if odometry is not None:
-        return read_odometry_runs(files, track_m=odometry, terrain_from_name=terrain_from_name, **more)
+        return read_odometry_runs(files, Odometry(odometry, terrain_from_name), **more)
     assert heightmap is not None
     ground = read_heightmap(heightmap)
     return read_calibration_runs(files, robot, crs=ground.frame.crs, **more), ground
@@ -196,7 +197,7 @@ def suggest_drive(
     ] = None,
     length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About as far as there is time for.")] = 200.0,
     base_runs: BaseRuns = None,
-    odometry: Odometry = None,
+    odometry: OdometryTrack = None,
     terrain_from_name: TerrainFromName = False,
     json_file: JsonFile = None,
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from model.errors import InputError, RunsError, TooLargeError
+from model.loop.odometry import Odometry, cut_travel, read_odometry
 from model.loop.runs import parse_run
 from model.loop.segments import cut_segments
 from model.loop.table import PARQUET_MAGIC
@@ -27,7 +28,11 @@ class RunLimits:
 
 
 def read_sent_runs(
-    files: Sequence[tuple[str, Path]], *, limits: RunLimits, ground: Mapping[str, Any] | None
+    files: Sequence[tuple[str, Path]],
+    *,
+    limits: RunLimits,
+    ground: Mapping[str, Any] | None,
+    odometry: Odometry | None = None,
 ) -> list[dict[str, Any]]:
     """What every run holds, (name, file) each, as `read_sent_run`. ground : `crs` and `bounds` of the heightmap that
     they were driven on, where it is known. Raises TooLargeError, RunsError, and InputError for two of one name."""
@@ -37,7 +42,8 @@ def read_sent_runs(
         raise InputError(f"two runs are called {twice[0]}: send them under different names", name=twice[0])
     told = []
     for name, (_, path) in zip(names, files, strict=True):
-        run = read_sent_run(path, name=name, limits=limits, crs=ground["crs"] if ground is not None else None)
+        crs = ground["crs"] if ground is not None else None
+        run = read_sent_run(path, name=name, limits=limits, crs=crs, odometry=odometry)
         if ground is not None and not _overlap(run["bounds"], ground["bounds"]):
             raise RunsError(
                 f"run {name} was driven at {_box(run['bounds'])}, the heightmap is {_box(ground['bounds'])}: "
@@ -58,9 +64,12 @@ def _box(bounds: Sequence[float]) -> str:
     return f"x {west:.0f}..{east:.0f}, y {south:.0f}..{north:.0f}"
 
 
-def read_sent_run(path: Path, *, name: str, limits: RunLimits, crs: str | None = None) -> dict[str, Any]:
+def read_sent_run(
+    path: Path, *, name: str, limits: RunLimits, crs: str | None = None, odometry: Odometry | None = None
+) -> dict[str, Any]:
     """What a run holds, JSON-able: rows and seconds, its target, further columns, its segments of 1 m, `repairs` and
-    `left_out` by rule, bounds [west, south, east, north] of its positions. crs : for `lat` and `lon`.
+    `left_out` by rule, bounds [west, south, east, north] of its positions, `odometry`. crs : for `lat` and `lon`;
+    odometry : of a run without positions.
 
     Raises TooLargeError, and RunsError where nothing can be read, or not a single segment.
     """
@@ -76,7 +85,10 @@ def read_sent_run(path: Path, *, name: str, limits: RunLimits, crs: str | None =
             f"run {name} has {cells:,} cells, the limit is {limits.cells:,}: split it, or leave columns out",
             run=name, cells=cells, limit=limits.cells,
         )  # fmt: skip
-    run = parse_run(path.read_bytes(), name=name, crs=crs)
+    if odometry is not None:
+        run = read_odometry(path, odometry, name=name)
+    else:
+        run = parse_run(path.read_bytes(), name=name, crs=crs)
     known = np.isfinite(run.x) & np.isfinite(run.y)
     x, y = run.x[known], run.y[known]
     km = float(np.hypot(np.diff(x), np.diff(y)).sum()) / 1000.0
@@ -85,7 +97,8 @@ def read_sent_run(path: Path, *, name: str, limits: RunLimits, crs: str | None =
             f"run {name} is {km:.4g} km long, the limit is {limits.km:g} km: are its positions in metres?",
             run=name, km=km, limit_km=limits.km,
         )  # fmt: skip
-    segments = cut_segments(run, charge=run.voltage_v is None)
+    cut = cut_segments if odometry is None else cut_travel
+    segments = cut(run, charge=run.voltage_v is None)
     if len(segments) == 0:
         raise RunsError(
             f"run {name} holds no segment of 1 m: did the robot move, and is its position recorded?",
@@ -101,6 +114,7 @@ def read_sent_run(path: Path, *, name: str, limits: RunLimits, crs: str | None =
         "repairs": run.repairs,
         "left_out": segments.left_out,
         "bounds": [float(v) for v in (x.min(), y.min(), x.max(), y.max())],
+        "odometry": None if odometry is None else asdict(odometry),
     }
 
 

@@ -13,6 +13,7 @@ import anyio
 from fastapi import Request
 
 from model.errors import BusyError, ConflictError, JoulemapError
+from model.loop.odometry import Odometry
 from model.terrain.readers import read_heightmap
 from service.http.intake import RunLimits, read_sent_runs
 from service.http.open_maps import OpenMaps
@@ -91,13 +92,17 @@ class Service:
         }
         return self.store.add_heightmap(heightmap, name=name, stats=stats)
 
-    def keep_runs(self, files: Sequence[tuple[str, Path]], *, heightmap_id: str | None = None) -> RunsRow:
+    def keep_runs(
+        self, files: Sequence[tuple[str, Path]], *, heightmap_id: str | None = None, odometry: Odometry | None = None
+    ) -> RunsRow:
         """Read uploaded runs, (name, file) each, check them, keep them. heightmap_id : that they were driven on, where
-        it is known. Raises RunsError, TooLargeError, InputError, NotFoundError."""
+        it is known; odometry : of runs without positions. Raises RunsError, TooLargeError, InputError,
+        NotFoundError."""
         settings = self.settings
         heightmap = self.store.heightmap(heightmap_id) if heightmap_id is not None else None
         limits = RunLimits(settings.max_run_mb, settings.max_run_cells, settings.max_run_km)
-        told = read_sent_runs(files, limits=limits, ground=heightmap.stats if heightmap is not None else None)
+        ground = heightmap.stats if heightmap is not None else None
+        told = read_sent_runs(files, limits=limits, ground=ground, odometry=odometry)
         return self.store.add_runs(files, told)
 
     def delete_calibration(self, calibration_id: str) -> None:

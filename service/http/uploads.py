@@ -62,15 +62,15 @@ async def take_form(form: Mapping[str, Any], service: Service, options: UploadOp
         return await _keep(service, path, options, filename=filename)
 
 
-async def take_raw_run(request: Request, service: Service, *, name: str, heightmap_id: str | None) -> RunsRow:
-    """Keep the run that is the request's whole body."""
+async def take_raw_run(request: Request, service: Service, *, name: str, **how: Any) -> RunsRow:
+    """Keep the run that is the request's whole body. how : as `Service.keep_runs`."""
     with service.store.upload_file() as path:
         await _receive(request, path)
-        return await _keep_runs(service, [(name, path)], heightmap_id)
+        return await _keep_runs(service, [(name, path)], **how)
 
 
-async def take_runs(form: FormData, service: Service, *, heightmap_id: str | None) -> RunsRow:
-    """Keep the runs in the form fields `file`, all or none."""
+async def take_runs(form: FormData, service: Service, **how: Any) -> RunsRow:
+    """Keep the runs in the form fields `file`, all or none. how : as `Service.keep_runs`."""
     uploads = form.getlist("file")
     other = sorted({key for key in form if key != "file"})
     if other:
@@ -86,12 +86,12 @@ async def take_runs(form: FormData, service: Service, *, heightmap_id: str | Non
             path = stack.enter_context(service.store.upload_file())
             await anyio.to_thread.run_sync(_spill, upload, path)
             files.append((_name_of(upload), path))
-        return await _keep_runs(service, files, heightmap_id)
+        return await _keep_runs(service, files, **how)
 
 
-async def _keep_runs(service: Service, files: list[tuple[str, Path]], heightmap_id: str | None) -> RunsRow:
+async def _keep_runs(service: Service, files: list[tuple[str, Path]], **how: Any) -> RunsRow:
     def keep() -> RunsRow:
-        return service.keep_runs(files, heightmap_id=heightmap_id)
+        return service.keep_runs(files, **how)
 
     return await anyio.to_thread.run_sync(keep, limiter=service.ingest_limit)
 

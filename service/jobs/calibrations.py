@@ -18,15 +18,17 @@ from typing import Any
 
 from model.energy.predictor import MODEL_NAMES
 from model.errors import JoulemapError
+from model.loop.odometry import Odometry
 from model.robot import Robot
 from model.terrain.readers import read_heightmap
 from service.jobs.steps import Step, Steps
 from service.loop.calibrating import calibrate_on_runs
 from service.loop.page import report_page
 from service.loop.rerouting import Task
-from service.loop.runs import read_calibration_runs
+from service.loop.runs import read_calibration_runs, read_odometry_runs
 from service.models import CALIBRATED_FOLDER
 from service.storage.store import Store
+from service.storage.tables import CalibrationRow
 
 REPORT, PAGE = "report.json", "report.html"
 _LOOK_S = 0.5  # between looks whether the job is still wanted
@@ -34,11 +36,10 @@ _LOOK_S = 0.5  # between looks whether the job is still wanted
 
 @dataclass(frozen=True)
 class _Work:
-    """What the process is told."""
+    """What the process is told. ground : the heightmap's file and name, or how runs without positions are read."""
 
     model: str | Path
-    heightmap: Path
-    name: str
+    ground: tuple[Path, str] | Odometry
     robot: Robot
     files: list[Path]
     base_files: list[Path]
@@ -64,8 +65,7 @@ class Calibrator:
         asked, model = row.request, row.request["model"]
         work = _Work(
             model=model if model in MODEL_NAMES else self._models_dir / model,
-            heightmap=self._store.heightmap_path(row.heightmap_id),
-            name=self._store.heightmap(row.heightmap_id).name,
+            ground=self._ground(row),
             robot=Robot.from_mapping(asked["robot"]),
             files=self._files(asked["runs"]),
             base_files=self._files(asked["base_runs"]),
@@ -88,6 +88,11 @@ class Calibrator:
         self._store.finish(row.id, {"report": document, "model": usable})
         if self._store.status(row.id) is None:  # deleted meanwhile
             self.discard(row.id)
+
+    def _ground(self, row: CalibrationRow) -> tuple[Path, str] | Odometry:
+        if row.heightmap_id is None:
+            return Odometry(**row.request["odometry"])
+        return self._store.heightmap_path(row.heightmap_id), self._store.heightmap(row.heightmap_id).name
 
     def _files(self, sent: Sequence[str]) -> list[Path]:
         return [file for runs in sent for file in self._store.run_files(runs)]
@@ -139,10 +144,13 @@ def _work(work: _Work, there: Connection) -> None:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        heightmap = read_heightmap(work.heightmap, filename=work.name)
-        runs = read_calibration_runs(
-            work.files, work.robot, crs=heightmap.frame.crs, base_files=work.base_files, aside_files=work.aside_files
-        )
+        more = {"base_files": work.base_files, "aside_files": work.aside_files}
+        if isinstance(work.ground, Odometry):
+            runs, heightmap = read_odometry_runs(work.files, work.ground, **more)
+        else:
+            file, name = work.ground
+            heightmap = read_heightmap(file, filename=name)
+            runs = read_calibration_runs(work.files, work.robot, crs=heightmap.frame.crs, **more)
         made = calibrate_on_runs(
             work.model, heightmap, work.robot, runs, out=work.out, task=work.task, seed=work.seed, progress=there.send
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from model.errors import RunsError
-from model.loop.odometry import cut_travel, flat_heightmap, read_odometry, terrain_in_name
+from model.loop.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
 from model.loop.runs import Run, read_run
 from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
@@ -50,22 +50,14 @@ def read_calibration_runs(
 
 def read_odometry_runs(
     files: Sequence[Path],
+    odometry: Odometry,
     *,
-    track_m: float,
-    terrain_from_name: bool = False,
     base_files: Sequence[Path] = (),
     aside_files: Sequence[Path] = (),
 ) -> tuple[CalibrationRuns, Heightmap]:
-    """Runs without positions, whose wheel speeds are integrated, and level ground under all of them.
-
-    track_m : distance of the sides as the robot turns [m]; terrain_from_name : a file's name says what ground it was
-    driven on, where it has no such column. Raises RunsError as `read_calibration_runs`.
-    """
-    read = [
-        [read_odometry(file, track_m=track_m, terrain=terrain_in_name(file) if terrain_from_name else None)
-         for file in some]
-        for some in (files, base_files, aside_files)
-    ]  # fmt: skip
+    """Runs without positions, whose wheel speeds are integrated, and level ground under all of them. Raises RunsError
+    as `read_calibration_runs`."""
+    read = [[read_odometry(file, odometry) for file in some] for some in (files, base_files, aside_files)]
     runs = _cut((files, base_files, aside_files), read, lambda run, charge: cut_travel(run, charge=charge))
     return replace(runs, placed=False), flat_heightmap([run for some in read for run in some])
 

@@ -45,6 +45,7 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
     provenance = summary.get("provenance")
     return CostmapOut(
         **_job(row),
+        heightmap_id=row.heightmap_id,
         robot=RobotOut(**row.robot),
         model=row.request["model"],
         headings=row.request["headings"],
@@ -65,7 +66,6 @@ def _job(row: JobRow) -> dict[str, Any]:
         "progress": row.progress,
         "created_at": _utc(row.created_at),
         "finished_at": _utc(row.finished_at) if row.finished_at else None,
-        "heightmap_id": row.heightmap_id,
         "problem": row.problem,
     }
 
@@ -77,11 +77,14 @@ def runs_out(row: RunsRow) -> RunsOut:
 
 def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> CalibrationOut:
     base, asked, summary = f"/v1/calibrations/{row.id}", row.request, row.summary or {}
-    links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
+    links = {"self": base}
+    if row.heightmap_id is not None:
+        links["heightmap"] = f"/v1/heightmaps/{row.heightmap_id}"
     if row.status == DONE:
         links["page"] = f"{base}/report.html"
     return CalibrationOut(
         **_job(row),
+        heightmap_id=row.heightmap_id,
         runs=asked["runs"],
         base_runs=asked["base_runs"],
         aside_runs=asked.get("aside_runs", []),

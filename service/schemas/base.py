@@ -96,4 +96,3 @@ class JobOut(Answer):
     progress: float = Field(ge=0, le=1, description="0..1", examples=[1.0])
     created_at: dt.datetime = Field(description="UTC")
     finished_at: dt.datetime | None = Field(description="UTC")
-    heightmap_id: str = Field(examples=["hm-5f0c2a9d41be"])

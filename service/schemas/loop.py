@@ -11,6 +11,13 @@ from service.models import DEFAULT_MODEL
 from service.schemas.base import Answer, JobOut, Point, Problem, Request, RobotIn, RobotOut
 
 
+class OdometryOut(Answer):
+    """How runs without positions are read."""
+
+    track_m: float = Field(description="distance of the sides as the robot turns [m]", examples=[1.07])
+    terrain_from_name: bool = Field(description="whether a file's name says what ground it was driven on")
+
+
 class RunOut(Answer):
     """What was read of one measured run, and what was left out and why."""
 
@@ -24,7 +31,10 @@ class RunOut(Answer):
         description="rows by the rule that mended or dropped them", examples=[{"held_fixes": 9}]
     )
     left_out: dict[str, int] = Field(description="what was made no segment, by reason", examples=[{"stops": 2}])
-    bounds: list[float] = Field(min_length=4, max_length=4, description="[west, south, east, north] driven [m]")
+    bounds: list[float] = Field(
+        min_length=4, max_length=4, description="[west, south, east, north] driven [m]; by odometry, from its start"
+    )
+    odometry: OdometryOut | None = Field(default=None, description="of a run without positions")
 
 
 class RunsOut(Answer):
@@ -39,7 +49,10 @@ class RunsOut(Answer):
 class CalibrationRequest(Request):
     """Which runs to hold against which model."""
 
-    heightmap_id: str = Field(max_length=100, examples=["hm-5f0c2a9d41be"])
+    heightmap_id: str | None = Field(
+        default=None, max_length=100, description="that the runs were driven on; runs without positions lie on none",
+        examples=["hm-5f0c2a9d41be"],
+    )  # fmt: skip
     runs: list[Annotated[str, Field(max_length=100)]] = Field(
         min_length=1, max_length=100, description="ids of runs", examples=[["runs-3b9d0c1e77aa"]]
     )
@@ -74,6 +87,7 @@ class CalibrationOut(JobOut):
     """A calibration: asked for, being made, or done. What is only known when done is null before."""
 
     id: str = Field(examples=["cal-2f7719c0be04"])
+    heightmap_id: str | None = Field(description="null for runs without positions", examples=["hm-5f0c2a9d41be"])
     runs: list[str] = Field(description="ids of the runs")
     base_runs: list[str] = Field(description="ids of the runs that they were held against")
     aside_runs: list[str] = Field(description="ids of the runs that it was only judged by")

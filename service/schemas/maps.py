@@ -120,6 +120,7 @@ class CostmapOut(JobOut):
     """A cost map: asked for, being made, or done. What is only known when done is null before."""
 
     id: str = Field(examples=["cm-0d4b8f6a2c17"])
+    heightmap_id: str = Field(examples=["hm-5f0c2a9d41be"])
     robot: RobotOut = Field(description="once done, with what the model found its turns to cost")
     model: str = Field(description="the model's name or id", examples=["physics"])
     headings: int = Field(description="number of heading bins; bin k points to 360 k / headings degrees", examples=[16])

@@ -202,7 +202,7 @@ class Store:
         """A queued cost map. Raises NotFoundError when the heightmap has gone."""
         return self._add(CostmapRow(**_asked(COSTMAP, heightmap_id, request)))
 
-    def add_calibration(self, heightmap_id: str, request: dict[str, Any]) -> CalibrationRow:
+    def add_calibration(self, heightmap_id: str | None, request: dict[str, Any]) -> CalibrationRow:
         """A queued calibration. Raises NotFoundError when the heightmap has gone."""
         return self._add(CalibrationRow(**_asked(CALIBRATION, heightmap_id, request)))
 
@@ -321,7 +321,7 @@ def safe_name(name: str) -> str:
     return _UNSAFE.sub("_", name).lstrip(".")[-100:] or "run"
 
 
-def _asked(kind: str, heightmap_id: str, request: dict[str, Any]) -> dict[str, Any]:
+def _asked(kind: str, heightmap_id: str | None, request: dict[str, Any]) -> dict[str, Any]:
     return {
         "id": f"{kind}-{secrets.token_hex(6)}", "created_at": _now(), "heightmap_id": heightmap_id, "request": request,
         "status": QUEUED, "progress": 0.0,

@@ -39,13 +39,12 @@ class RunsRow(Base):
 
 
 class JobRow(Base):
-    """What was asked for of a heightmap, and how far it is. summary : once it is done; problem : once it failed."""
+    """What was asked for, and how far it is. summary : once it is done; problem : once it failed."""
 
     __abstract__ = True
 
     id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[dt.datetime]
-    heightmap_id: Mapped[str] = mapped_column(ForeignKey("heightmaps.id"))
     request: Mapped[dict[str, Any]] = mapped_column(JSON)
     status: Mapped[str] = mapped_column(default=QUEUED)
     progress: Mapped[float] = mapped_column(default=0.0)
@@ -59,6 +58,8 @@ class CostmapRow(JobRow):
 
     __tablename__ = "costmaps"
 
+    heightmap_id: Mapped[str] = mapped_column(ForeignKey("heightmaps.id"))
+
     @property
     def robot(self) -> dict[str, Any]:
         """As it was asked for; once it is done, with what the model found its turns to cost."""
@@ -67,14 +68,17 @@ class CostmapRow(JobRow):
 
 
 class CalibrationRow(JobRow):
-    """A calibration that was asked for; its report lies in calibrations/{id}/ once `status` is done."""
+    """A calibration that was asked for; its report lies in calibrations/{id}/ once `status` is done. Runs without
+    positions lie on no heightmap."""
 
     __tablename__ = "calibrations"
+
+    heightmap_id: Mapped[str | None] = mapped_column(ForeignKey("heightmaps.id"))
 
 
 COSTMAP, CALIBRATION = "cm", "cal"
 """Kinds of jobs: how their ids begin."""
-JOBS: dict[str, type[JobRow]] = {COSTMAP: CostmapRow, CALIBRATION: CalibrationRow}
+JOBS: dict[str, type[CostmapRow] | type[CalibrationRow]] = {COSTMAP: CostmapRow, CALIBRATION: CalibrationRow}
 WORDS = {COSTMAP: "cost map", CALIBRATION: "calibration"}
 
 

@@ -13,6 +13,7 @@ from service.cli import app
 from service.loop.page import coefficient_words
 from service.loop.residuals import keep_base_runs
 from service.loop.runs import read_calibration_runs
+from tests.reference.drives import wheel_logs
 
 runner = CliRunner()
 
@@ -193,15 +194,8 @@ def test_hostile_runs_get_a_clear_answer(field, tmp_path):
 
 def test_wheel_speeds_stand_in_for_positions(tmp_path):
     """Two grounds by the files' names, turning dearer on one of them: charge, whole runs held out."""
-    rng = np.random.default_rng(2)
-    for number in range(8):
-        ground = ("ice", "sandy_loam")[number % 2]
-        speed = 0.5 + 0.1 * np.sin(np.arange(900) / rng.uniform(40, 60))
-        turn = np.repeat(rng.choice([0.0, 0.25], 18, p=[0.7, 0.3]), 50)  # half the difference of the sides
-        amps = {"ice": 4.0 + 4.0 * turn, "sandy_loam": 7.0 + 60.0 * turn}[ground] * (speed / 0.5)
-        amps *= 1.0 + 0.1 * rng.standard_normal(900)
-        rows = zip(np.arange(900) / 6.5, amps / 2, -amps / 2, speed + turn, speed - turn, strict=True)
-        written(tmp_path / f"{ground}_{number:02d}.csv", [["time", "curL", "curR", "velL", "velR"], *rows])
+    for name, log in wheel_logs().items():
+        (tmp_path / name).write_text(log)
     out = tmp_path / "out"
     options = ["--odometry", "1.0", "--terrain-from-name", "--model", "physics", "--runs", str(tmp_path)]
     done = runner.invoke(app, ["calibrate", *options, "--out", str(out)])
@@ -209,7 +203,7 @@ def test_wheel_speeds_stand_in_for_positions(tmp_path):
     report = json.loads((out / "report.json").read_text())
     assert report["target"] == "charge_as"
     found = {e["name"]: e["coefficients"][0] for e in report["effects"]}
-    # per metre of 2 s: ice 3 A less than loam; a turn of 1 rad takes 15 A more on loam, 1 A more on ice
+    # see `wheel_logs`
     assert found["terrain_class"]["name"] == "ice"
     assert found["terrain_class"]["value"] == pytest.approx(-6.0, rel=0.05)
     assert found["turning"]["value"] == pytest.approx(30.0, rel=0.1)

@@ -121,6 +121,8 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
         if all(isinstance(query.get(key), float | int) for key in "xy"):
             query.update(x=START[0], y=START[1])
         if isinstance(case.body, dict):
+            if mode.is_positive and operation.path.endswith("/calibrations"):
+                case.body.update(heightmap_id=known["heightmap_id"])  # the runs that are known have positions
             point_towards_the_map(case.body, known)
             if mode.is_positive and operation.path.endswith(("/paths", "/feasibility")):
                 case.body.update(start=START, goal=GOAL)

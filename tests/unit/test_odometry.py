@@ -1,13 +1,12 @@
 """Wheel speeds into tracks: arcs in closed form, turns on the spot, and the real Husky where it lies beside."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from model.errors import InputError, RunsError
-from model.loop.odometry import cut_travel, flat_heightmap, integrate, read_odometry, terrain_in_name
+from model.loop.odometry import Odometry, cut_travel, flat_heightmap, integrate, read_odometry, terrain_in_name
 from model.loop.segments import cut_segments
 
 HUSKY_TRACK_M = 1.07
@@ -41,7 +40,7 @@ def test_nothing_is_driven_over_a_gap_or_back_in_time():
 
 def test_a_straight_log_becomes_a_run_for_the_segments(tmp_path):
     file = write(tmp_path / "snow_00.csv", np.full(200, 0.5), np.full(200, 0.5))
-    run = read_odometry(file, track_m=1.0, terrain="snow")
+    run = read_odometry(file, Odometry(1.0, terrain_from_name=True))
     segments = cut_segments(run, charge=True)
     travelled = cut_travel(run, charge=True)
     assert len(segments) >= 14
@@ -56,7 +55,7 @@ def test_a_straight_log_becomes_a_run_for_the_segments(tmp_path):
 
 
 def test_turning_on_the_spot_is_wheel_travel(tmp_path):
-    run = read_odometry(write(tmp_path / "ice.csv", np.full(200, 0.2), np.full(200, -0.2)), track_m=0.8)
+    run = read_odometry(write(tmp_path / "ice.csv", np.full(200, 0.2), np.full(200, -0.2)), Odometry(0.8))
     assert np.nanmax(np.abs(run.x)) == 0.0
     segments = cut_travel(run, charge=True)
     assert len(segments) == 6  # 30.6 s at 0.2 m/s
@@ -68,22 +67,22 @@ def test_turning_on_the_spot_is_wheel_travel(tmp_path):
 
 def test_energy_is_integrated_where_a_voltage_was_logged(tmp_path):
     straight = np.full(200, 0.5)
-    run = read_odometry(write(tmp_path / "a.csv", straight, straight, voltage=np.full(200, 24.0)), track_m=1.0)
+    run = read_odometry(write(tmp_path / "a.csv", straight, straight, voltage=np.full(200, 24.0)), Odometry(1.0))
     segments = cut_travel(run)
     assert not segments.charge
     np.testing.assert_allclose(segments.energy_j, 24.0 * 6.0 * 2.0, rtol=1e-6)
     with pytest.raises(RunsError, match="no voltage"):
-        cut_travel(read_odometry(write(tmp_path / "b.csv", straight, straight), track_m=1.0))
+        cut_travel(read_odometry(write(tmp_path / "b.csv", straight, straight), Odometry(1.0)))
 
 
 def test_the_ground_is_read_from_a_name():
     names = {"snow_02.csv": "snow", "sandy_loam_10.csv": "sandy_loam", "ice.csv": "ice", "07.csv": None}
-    assert {name: terrain_in_name(Path(name)) for name in names} == names
+    assert {name: terrain_in_name(name) for name in names} == names
 
 
 def test_stands_divide_a_run(tmp_path):
     speed = np.concatenate([np.full(45, 0.5), np.zeros(30), np.full(45, 0.5)])
-    segments = cut_travel(read_odometry(write(tmp_path / "a.csv", speed, speed), track_m=1.0), charge=True)
+    segments = cut_travel(read_odometry(write(tmp_path / "a.csv", speed, speed), Odometry(1.0)), charge=True)
     assert len(segments) == 6
     assert segments.duration_s.max() == pytest.approx(2.0, rel=0.01)
     assert segments.left_out == {"remainders": 2}
@@ -93,16 +92,16 @@ def test_what_is_missing_is_named(tmp_path):
     file = tmp_path / "a.csv"
     file.write_text("time,velL,curL,curR\n" + "\n".join(f"{k},1,1,1" for k in range(9)))
     with pytest.raises(RunsError, match="'speed_right'"):
-        read_odometry(file, track_m=1.0)
+        read_odometry(file, Odometry(1.0))
     with pytest.raises(InputError, match="track"):
-        read_odometry(file, track_m=0.0)
+        Odometry(0.0)
     with pytest.raises(InputError, match="no run"):
         flat_heightmap([])
 
 
 def test_the_husky_turns_dearer_on_loam_than_on_ice(real_data):
     def charge_per_s(name):
-        run = read_odometry(real_data / "husky" / f"{name}.csv", track_m=HUSKY_TRACK_M)
+        run = read_odometry(real_data / "husky" / f"{name}.csv", Odometry(HUSKY_TRACK_M))
         segments = cut_travel(run, charge=True)
         return len(segments), float(segments.energy_j.sum() / segments.duration_s.sum())
 
@@ -115,7 +114,7 @@ def test_the_husky_turns_dearer_on_loam_than_on_ice(real_data):
 
 
 def test_real_odometry_is_metres_long(real_data):
-    run = read_odometry(real_data / "husky" / "mixed_00.csv", track_m=HUSKY_TRACK_M)
+    run = read_odometry(real_data / "husky" / "mixed_00.csv", Odometry(HUSKY_TRACK_M))
     assert {"SNOW", "ASPHALT", "FLOORING"} <= set(run.texts["terrain"])
     segments = cut_travel(run, charge=True)
     assert len(segments) == pytest.approx(250, abs=30)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import anyio
 from fastapi import APIRouter, Depends, Response
@@ -21,7 +22,7 @@ from service.models import find_predictor
 from service.schemas.answers import calibration_out
 from service.schemas.base import robot_values
 from service.schemas.loop import CalibrationOut, CalibrationRequest
-from service.storage.tables import CALIBRATION, CalibrationRow
+from service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
 
 router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
 ServiceDep = Annotated[Service, Depends(get_service)]
@@ -85,7 +86,7 @@ def delete_calibration(calibration_id: str, service: ServiceDep) -> None:
 def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     """Raises what can be known to be wrong without calibrating: NotFoundError, RobotError, ModelError, InputError,
     TooLargeError, and BusyError."""
-    heightmap = service.store.heightmap(wanted.heightmap_id)
+    ground = None if wanted.heightmap_id is None else service.store.heightmap(wanted.heightmap_id).id
     aside = list(dict.fromkeys(wanted.aside_runs))
     runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in aside]
     if not runs:
@@ -99,12 +100,25 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
                 f"these runs have {count:,} {key}, the limit of a calibration is {limit:,}: send fewer",
                 limit=limit, **{key: count},
             )  # fmt: skip
+    odometry = _odometry_of(sent)
+    if ground is None and odometry is None:
+        raise InputError("name the heightmap that these runs were driven on", field="heightmap_id")
+    if ground is not None and odometry is not None:
+        raise InputError("runs without positions lie on no heightmap: leave heightmap_id out", field="heightmap_id")
     robot = Robot.from_mapping(robot_values(wanted.robot))
     predictor = find_predictor(wanted.model, models_dir=settings.resolved_models_dir)
     refuse_calibrated(wanted.model, predictor)
     service.jobs.check_room(CALIBRATION)
     asked = wanted.model_dump(include={"model", "start", "goal", "seed"})
     asked |= {"runs": runs, "base_runs": list(dict.fromkeys(wanted.base_runs)), "aside_runs": aside}
-    row = service.store.add_calibration(heightmap.id, {"robot": robot.as_dict(), **asked})
+    row = service.store.add_calibration(ground, {"robot": robot.as_dict(), "odometry": odometry, **asked})
     service.jobs.submit()
     return row
+
+
+def _odometry_of(sent: Sequence[RunsRow]) -> dict[str, Any] | None:
+    """How runs without positions are read, None of runs with positions. Raises InputError where they differ."""
+    first, *others = [run.get("odometry") for row in sent for run in row.stats]
+    if any(other != first for other in others):
+        raise InputError("runs with and without positions, or of different tracks, are calibrated apart", field="runs")
+    return first

@@ -7,6 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import BaseModel
 
+from model.errors import InputError
+from model.loop.odometry import Odometry
 from service.http.documents import problems, runs_body
 from service.http.routes.heightmaps import Limit, Offset
 from service.http.state import Service, get_service, with_kernels
@@ -35,16 +37,33 @@ async def send_runs(
         str | None,
         Query(max_length=100, description="that they were driven on; `lat` and `lon` need its coordinate system"),
     ] = None,
+    odometry_track_m: Annotated[
+        float | None,
+        Query(
+            gt=0.0,
+            le=100.0,
+            description="the runs have no positions: integrate `speed_left` and `speed_right`, for "
+            "wheels whose sides are so far apart as the robot turns [m]",
+        ),
+    ] = None,
+    terrain_from_name: Annotated[
+        bool, Query(description="with odometry_track_m: snow_02.csv was driven on snow")
+    ] = False,
     name: Annotated[
         str, Query(min_length=1, max_length=200, description="of a run that is the raw body; a form says it itself")
     ] = "run.csv",
 ) -> RunsOut:
     """Send measured runs (CSV, Parquet), each as a form field `file`, or one as the raw body; all are kept or none."""
+    if terrain_from_name and odometry_track_m is None:
+        raise InputError("terrain_from_name goes with odometry_track_m", field="terrain_from_name")
+    if heightmap_id is not None and odometry_track_m is not None:
+        raise InputError("runs without positions lie on no heightmap: leave heightmap_id out", field="heightmap_id")
+    odometry = None if odometry_track_m is None else Odometry(odometry_track_m, terrain_from_name)
     if media_type(request) == "multipart/form-data":
         async with request.form(max_files=service.settings.max_runs, max_fields=20) as form:
-            row = await take_runs(form, service, heightmap_id=heightmap_id)
+            row = await take_runs(form, service, heightmap_id=heightmap_id, odometry=odometry)
     else:
-        row = await take_raw_run(request, service, name=name, heightmap_id=heightmap_id)
+        row = await take_raw_run(request, service, name=name, heightmap_id=heightmap_id, odometry=odometry)
     response.headers["Location"] = f"/v1/runs/{row.id}"
     return runs_out(row)
 
