@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Any
 
 import anyio
-from fastapi import APIRouter, Depends, Response
+from fastapi import APIRouter, Response
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 
 from model.errors import InputError, TooLargeError
 from model.robot import Robot
 from service.http.documents import problems
-from service.http.routes.heightmaps import Limit, Offset
+from service.http.routes.parts import Limit, Offset, ServiceDep
 from service.http.routes.waiting import Prefer, job_answer
-from service.http.state import Service, get_service
+from service.http.state import Service
 from service.jobs.calibrations import PAGE
 from service.loop.calibrating import refuse_calibrated
 from service.models import find_predictor
@@ -25,7 +25,6 @@ from service.schemas.loop import CalibrationOut, CalibrationRequest
 from service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
 
 router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
-ServiceDep = Annotated[Service, Depends(get_service)]
 PLACE = "/v1/calibrations"
 
 

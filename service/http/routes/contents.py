@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
 from planner.lattice_io import export_geotiff, export_npz
 from service.http.documents import problems
-from service.http.state import Service, with_kernels
+from service.http.routes.parts import KernelsDep
 from service.http.zip_stream import zip_folder
 from service.pictures import lattice_image
 from service.schemas.answers import number
@@ -19,7 +19,6 @@ from service.schemas.maps import AtOut
 from service.workflows import costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
-KernelsDep = Annotated[Service, Depends(with_kernels)]
 Finite = Annotated[float, Query(allow_inf_nan=False)]
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 

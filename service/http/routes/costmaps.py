@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import anyio
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData
 from starlette.exceptions import HTTPException
@@ -13,9 +13,9 @@ from starlette.exceptions import HTTPException
 from model.frames import GridFrame
 from model.robot import Robot
 from service.http.documents import costmap_body, problems
-from service.http.routes.heightmaps import Limit, Offset
+from service.http.routes.parts import Limit, Offset, ServiceDep
 from service.http.routes.waiting import Prefer, job_answer
-from service.http.state import Service, get_service
+from service.http.state import Service
 from service.http.uploads import invalid, media_type, take_form
 from service.models import find_predictor
 from service.schemas.answers import costmap_out
@@ -25,7 +25,6 @@ from service.storage.tables import CostmapRow, HeightmapRow
 from service.workflows import check_lattice
 
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])
-ServiceDep = Annotated[Service, Depends(get_service)]
 
 
 class CostmapList(BaseModel):

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
 from service.http.documents import problems, upload_body
-from service.http.state import Service, get_service
+from service.http.routes.parts import Limit, Offset, ServiceDep
 from service.http.uploads import media_type, take_form, take_raw
 from service.schemas.answers import heightmap_out
 from service.schemas.maps import HeightmapOut, UploadOptions
 
 router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
-ServiceDep = Annotated[Service, Depends(get_service)]
-Limit = Annotated[int, Query(ge=1, le=1000, description="most items to answer")]
-Offset = Annotated[int, Query(ge=0, le=10**9, description="items to skip")]
 
 
 class HeightmapList(BaseModel):

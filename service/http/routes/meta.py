@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from importlib import resources
-from typing import Annotated
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, Field
 
 from planner.plan import PLANNERS
 from service.http.documents import problems
-from service.http.state import Service, get_service
+from service.http.routes.parts import ServiceDep
 
 router = APIRouter(tags=["service"])
-ServiceDep = Annotated[Service, Depends(get_service)]
 
 
 class Live(BaseModel):

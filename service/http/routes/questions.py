@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Depends, Header, Query, Response
+from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from model.errors import ConflictError
 from model.robot import Robot
 from service.http.documents import problems
-from service.http.state import Service, with_kernels
+from service.http.routes.parts import KernelsDep
 from service.problems import jsonable
 from service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
 from service.schemas.base import robot_values
@@ -22,7 +22,6 @@ from service.storage.tables import CostmapRow
 from service.workflows import assess, judge_routes
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"])
-KernelsDep = Annotated[Service, Depends(with_kernels)]
 GEOJSON = "application/geo+json"
 
 

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
 from model.errors import InputError
 from model.loop.odometry import Odometry
 from service.http.documents import problems, runs_body
-from service.http.routes.heightmaps import Limit, Offset
-from service.http.state import Service, get_service, with_kernels
+from service.http.routes.parts import KernelsDep, Limit, Offset, ServiceDep
 from service.http.uploads import media_type, take_raw_run, take_runs
 from service.schemas.answers import runs_out
 from service.schemas.loop import RunsOut
 
 router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
-ServiceDep = Annotated[Service, Depends(get_service)]
-KernelsDep = Annotated[Service, Depends(with_kernels)]
 
 
 class RunsList(BaseModel):
