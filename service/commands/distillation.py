@@ -8,7 +8,17 @@ from typing import Annotated
 import typer
 
 from service.commands.console import Answer, JsonFile, progress_bar
-from service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, known_model, robot_of, there
+from service.commands.options import (
+    HeightmapFile,
+    Overwrite,
+    RobotFile,
+    Runs,
+    find_runs,
+    known_model,
+    refuse_to_replace,
+    robot_of,
+    there,
+)
 
 
 def distill(
@@ -30,6 +40,7 @@ def distill(
     epochs: Annotated[int | None, typer.Option(min=1, help="Passes over the data. [default: 30]")] = None,
     charge: Annotated[bool, typer.Option("--charge", help="Count charge, as for `train`.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
+    overwrite: Overwrite = False,
     json_file: JsonFile = None,
 ) -> None:  # fmt: skip
     """Distil a slow **ResNet18 into the fast network**: taught by its answers everywhere on the map, fitted to the
@@ -39,11 +50,13 @@ def distill(
     """
     from dataclasses import asdict
 
+    from model.energy.artifact import CONFIG_FILE
     from model.terrain.readers import read_heightmap
     from service.commands.models import folder_of
     from service.learning.distilling import distil_on_runs
 
     answer = Answer(json_file)
+    refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
     start = folder_of(start_from)
     if start is None:
         raise typer.BadParameter("a student starts from a compact model, not from none")

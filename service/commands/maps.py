@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from service.commands.options import ModelName, RobotFile, robot_of, there
+from service.commands.options import ModelName, Overwrite, RobotFile, refuse_to_replace, robot_of, there
 from service.commands.words import route_words, saving_words
 
 MapFolder = Annotated[
@@ -48,6 +48,7 @@ def costmap(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also draw it, mean over headings (PNG).")
     ] = None,
+    overwrite: Overwrite = False,
     json_file: JsonFile = None,
 ) -> None:
     """Make a **cost map**: energy per metre for every cell and heading, and where the robot cannot go and why.
@@ -62,6 +63,7 @@ def costmap(
     from service.workflows import write_cost_lattice
 
     answer = Answer(json_file)
+    refuse_to_replace(out, overwrite=overwrite)
     ground = open_ground(
         heightmap, resolution_m=resolution, west_m=west, north_m=north, crs=crs,
         scale_m=scale, offset_m=offset, nodata=nodata, band=band,

@@ -15,10 +15,12 @@ from service.commands.options import (
     MaybeHeightmap,
     MaybeRuns,
     ModelName,
+    Overwrite,
     RobotFile,
     Runs,
     find_runs,
     known_model,
+    refuse_to_replace,
     robot_of,
     there,
 )
@@ -179,6 +181,7 @@ def train(
         int | None,
         typer.Option(min=0, help="The same seed and data give the same weights. [default: 0, or the shipped one's]"),
     ] = None,
+    overwrite: Overwrite = False,
     json_file: JsonFile = None,
 ) -> None:
     """Train a **model**: without `--runs` the shipped one anew, with them one for your robot on your ground.
@@ -189,7 +192,10 @@ def train(
 
     `joulemap train --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --out mine`
     """
+    from model.energy.artifact import CONFIG_FILE
+
     answer = Answer(json_file)
+    refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
     if heightmap is None and not runs:
         told = {
             "--robot": robot, "--from": start_from, "--weights": weights, "--patch-size": patch_size,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from model.errors import NotFoundError
+from model.errors import ConflictError, NotFoundError
 
 if TYPE_CHECKING:
     from model.robot import Robot
@@ -64,6 +64,17 @@ BaseRuns = Annotated[
         "trained on, where its folder keeps them]",
     ),
 ]
+
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is at `--out` already.")]
+
+
+def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
+    """Asked before anything is computed. mark : the file without which a folder holds nothing whole. Raises
+    ConflictError."""
+    if not overwrite and (out / mark).exists():
+        raise ConflictError(
+            f"{out} is there already: choose another folder, or replace it with --overwrite", path=str(out)
+        )
 
 
 def robot_of(file: Path | None) -> Robot:

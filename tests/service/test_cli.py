@@ -151,7 +151,8 @@ def test_a_battery_that_does_not_last_is_an_answer(folder: Path) -> None:
         (("costmap", "{}/dem.tif", "--robot", "{}/dem.json", "--out", "{}/x.zarr"), 3, "robot file"),
         (("costmap", "{}/dem.tif", "--model", "nonsense", "--out", "{}/x.zarr"), 5, "nonsense"),
         (("costmap", "{}/dem.tif", "--spacing", "1000", "--out", "{}/x.zarr"), 3, "too small"),
-        (("costmap", "{}/dem.tif", "--model", "physics", "--out", "{}/robot.toml"), 3, "not be overwritten"),
+        (("costmap", "{}/dem.tif", "--model", "physics", "--out", "{}/dem.zarr"), 6, "dem.zarr is there already"),
+        (("costmap", "{}/dem.tif", "--out", "{}/robot.toml", "--overwrite"), 3, "not be overwritten"),
         (("path", "{}", "--start", "1,1", "--goal", "2,2"), 3, "not a cost lattice"),
         (("path", "{}/dem.zarr", "--start", "3.5,14.5", "--goal", "400,4"), 3, "outside the map"),
         (("path", "{}/dem.zarr", "--start", "nan,2", "--goal", "4,4"), 3, "finite"),
@@ -219,6 +220,8 @@ def test_a_heightmap_without_a_place_is_given_one(tmp_path: Path) -> None:
     frame = load_lattice(tmp_path / "bare.zarr").frame
     assert frame.bounds == (100.0, 60.0, 115.0, 70.0)
     assert frame.crs == "EPSG:32630"
+    assert joulemap(*bare, "--resolution", "1", "--overwrite")[0] == 0
+    assert load_lattice(tmp_path / "bare.zarr").frame.bounds == (0.0, 0.0, 30.0, 20.0)
 
 
 def test_simulated_runs_are_judged_and_learned_from(tmp_path: Path) -> None:
@@ -239,6 +242,9 @@ def test_simulated_runs_are_judged_and_learned_from(tmp_path: Path) -> None:
     code, words, errors = joulemap("train", *measured, *tune, "--out", model, "--json", "-")
     assert code == 0, errors
     trained = json.loads(words)
+    again = ("train", *measured, "--epochs", "1", "--seed", "1", "--out", model)
+    code, _, errors = joulemap(*again)
+    assert (code, f"{model} is there already" in errors) == (6, True)
     assert (trained["epochs"], len(trained["held_out_runs"])) == (2, 2)  # each by a network without it
     shipped, mine = (json.loads((f / "config.json").read_text())["domain"]["robot"] for f in (WEIGHTS, model))
     assert all(mine[key][0] <= low and mine[key][1] >= high for key, (low, high) in shipped.items())
