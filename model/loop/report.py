@@ -11,6 +11,14 @@ import numpy as np
 from model.loop.calibration import Calibration, Effect, verdict_words
 from model.loop.effects import Term
 
+_UNITS = {
+    "roughness": "m", "elevation": "m", "hollow": "m", "speed": "m/s", "column:temperature": "degC",
+    "column:motor_temperature": "degC", "column:wind_speed": "m/s", "column:wind_from": "deg", "column:roll": "deg",
+    "column:pitch": "deg", "column:payload": "kg",
+}  # fmt: skip
+"""Of what effects go over; slopes have none, and what other columns are in nobody knows."""
+_SHARES = {"all": "of the predicted energy", "motion": "of the motion's energy"}
+
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
     """The report. before : the base model's provenance; after : the calibrated model's version, None where there is
@@ -52,7 +60,12 @@ def _effect(effect: Effect) -> dict[str, Any]:
         "coefficients": [
             {"name": name, "value": value, "unit": unit, "ci95": [float(low), float(high)]}
             for name, value, unit, low, high in zip(
-                names, effect.coefficients.tolist(), effect.term.units, effect.low, effect.high, strict=True
+                names,
+                effect.coefficients.tolist(),
+                coefficient_units(effect.term),
+                effect.low,
+                effect.high,
+                strict=True,
             )
         ],
         "p_value": effect.p_value,
@@ -84,6 +97,19 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def coefficient_units(term: Term) -> list[str]:
+    """Of each coefficient; of a learned curve without a unit, what it is a share of."""
+    if not term.name.startswith("learned:"):
+        return list(term.units)
+    named = {"of_motion": "motion", "of_all": "all"}
+    of = next((word for key, word in named.items() if term.settings.get(key)), term.settings.get("of", ""))
+    return [unit or _SHARES.get(of, "") for unit in term.units]
+
+
+def _with_unit(value: float, over: str) -> str:
+    return f"{value:.4g} {_UNITS.get(over, '')}".rstrip()
+
+
 def coefficient_names(term: Term) -> list[str]:
     """What each coefficient of a term is called."""
     count, settings = len(term.coefficients), term.settings
@@ -94,8 +120,9 @@ def coefficient_names(term: Term) -> list[str]:
     if term.formula in ("words", "turning_words"):
         return [str(word) for word in settings["values"]]
     if term.formula == "smooth":
-        knots = settings["knots"]
-        return [f"at {knot:.4g}" for k, knot in enumerate(knots) if settings.get("level") or k != len(knots) // 2]
+        knots, level = settings["knots"], settings.get("level")
+        names = [f"at {_with_unit(knot, settings['over'])}" for knot in knots]
+        return [name for k, name in enumerate(names) if level or k != len(knots) // 2]
     if term.formula == "place":
         return [f"at x {x:.1f}, y {y:.1f}" for x, y in settings["centres"]]
     if term.formula == "wind_constant":
@@ -126,4 +153,5 @@ def where_words(term: Term) -> str:
     if "word" in term.where:
         return f"where {term.where['word']} is {term.where['is']}"
     side = "above" if "above" in term.where else "below"
-    return f"where {term.where['over'].removeprefix('column:')} is {side} {term.where[side]:.4g}"
+    over = term.where["over"]
+    return f"where {over.removeprefix('column:')} is {side} {_with_unit(term.where[side], over)}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model.loop.effects import Term, turning_per_rad
-from model.loop.report import where_words
+from model.loop.report import coefficient_names, coefficient_units, where_words
 from model.loop.track import TURN_LIMITS_RADPS
 from tests.reference.drives import found_in, made_up, noisy
 
@@ -37,3 +37,20 @@ def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():
     ]
     assert turning_per_rad(terms, drive) == pytest.approx(14.0 + 100.0 * right + 20.0 * (1.0 - right))
     assert turning_per_rad(terms[2:], drive) == 0.0
+
+
+def test_units_are_told_where_they_are_known():
+    warm = {"over": "column:temperature", "knots": [5.0, 12.5, 20.0], "of": "motion"}
+    curve = Term("learned:temperature", "smooth", ("", ""), warm, {}, (0.2, -0.1))
+    assert coefficient_names(curve) == ["at 5 degC", "at 20 degC"]
+    assert coefficient_units(curve) == ["of the motion's energy"] * 2
+    field = Term("learned:place", "place", ("",), {"centres": [[1.0, 2.0]], "width_m": 5.0, "of_all": True}, {}, (0.1,))
+    assert coefficient_units(field) == ["of the predicted energy"]
+    assert coefficient_units(replace(curve, units=("J/m",) * 2, settings=warm | {"of": "length"})) == ["J/m"] * 2
+    friction = Term("rolling_resistance", "friction", ("",), {}, {"over": "column:temperature", "below": 3.0}, (0.03,))
+    assert where_words(friction) == "where temperature is below 3 degC"
+    assert coefficient_units(friction) == [""]  # a number
+    grade = Term(
+        "learned:grade", "smooth", ("",), {"over": "grade", "knots": [-0.07, 0.08], "of": "motion"}, {}, (0.3,)
+    )
+    assert coefficient_names(grade) == ["at -0.07"]
