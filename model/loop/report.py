@@ -51,7 +51,7 @@ def _groups(found: Calibration) -> dict[str, list[str]]:
 
 
 def _effect(effect: Effect) -> dict[str, Any]:
-    names = coefficient_names(effect.term)
+    names, units = coefficient_names(effect.term), coefficient_units(effect.term)
     return {
         "name": effect.term.name,
         "where": where_words(effect.term),
@@ -60,12 +60,7 @@ def _effect(effect: Effect) -> dict[str, Any]:
         "coefficients": [
             {"name": name, "value": value, "unit": unit, "ci95": [float(low), float(high)]}
             for name, value, unit, low, high in zip(
-                names,
-                effect.coefficients.tolist(),
-                coefficient_units(effect.term),
-                effect.low,
-                effect.high,
-                strict=True,
+                names, effect.coefficients.tolist(), units, effect.low, effect.high, strict=True
             )
         ],
         "p_value": effect.p_value,
@@ -99,11 +94,9 @@ def _finite(value: float) -> float | None:
 
 def coefficient_units(term: Term) -> list[str]:
     """Of each coefficient; of a learned curve without a unit, what it is a share of."""
-    if not term.name.startswith("learned:"):
-        return list(term.units)
-    named = {"of_motion": "motion", "of_all": "all"}
-    of = next((word for key, word in named.items() if term.settings.get(key)), term.settings.get("of", ""))
-    return [unit or _SHARES.get(of, "") for unit in term.units]
+    settings = term.settings
+    share = next((words for of, words in _SHARES.items() if settings.get("of") == of or settings.get(f"of_{of}")), "")
+    return [unit or share if term.name.startswith("learned:") else unit for unit in term.units]
 
 
 def _with_unit(value: float, over: str) -> str:
@@ -144,8 +137,8 @@ def where_words(term: Term) -> str:
         return f"within {s['radius_m']:g} m of x {s['x']:.1f}, y {s['y']:.1f}"
     if term.formula == "turning" and term.settings.get("limit_radps"):
         gentle = term.coefficients[0] / term.settings.get("share", 1.0)
-        unit, limit = term.units[0], term.settings["limit_radps"]
-        return f"everywhere; {gentle:.4g} {unit} up to {limit:g} rad/s, no more above; on the whole, the coefficient"
+        slow = f"{gentle:.4g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, no more above"
+        return f"everywhere; {slow} (the coefficient is over all turns)"
     if not term.where:
         return "everywhere"
     if "runs" in term.where:
