@@ -118,8 +118,8 @@ def calibrate(
     known = shared.gains(terms)
     floors = _WITH_BASE if shared.residuals is not None else Floors()
     traced = trace(
-        residuals, candidates, level_doubt=shared.level_doubt, floors=floors, shared=lambda k: float(known[k]),
-        seed=seed, progress=progress,
+        residuals, candidates, level_doubt=shared.level_doubt, level_freedom=shared.level_freedom, floors=floors,
+        shared=lambda k: float(known[k]), seed=seed, progress=progress,
     )  # fmt: skip
     start = measured.without_prediction() if plane else residuals
     silent: list[Term] = list(plane)

@@ -81,6 +81,13 @@ class Term:
         named = (self.formula, *self.settings.values(), *self.where.values())
         return not GROUND.isdisjoint(name for name in named if isinstance(name, str))
 
+    @property
+    def goes_with(self) -> str | None:
+        """The quantity it goes with, as far as that is one of a drive's own, or of a log."""
+        logged = {"temperature": "temperature", "payload": self.settings.get("column")}.get(self.formula)
+        over = self.settings.get("over")
+        return f"column:{logged}" if logged else None if over is None else str(over)
+
     def record(self, drive: Drive) -> FloatArray | None:
         """(n,) what a log says that the effect goes with: a column, or 1 where a word stands; None without a record."""
         over = str(self.settings.get("over", ""))

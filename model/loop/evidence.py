@@ -4,11 +4,9 @@ Two questions are asked of each. *Does it help where it was not fitted?* Whole r
 by which the squared error there falls is the gain; all such fits are solved from one cross-product matrix per run.
 In each fit the base model's level may be off by as much as it usually is, and by no more: what moves the level further
 is an effect like any other.
-*Could chance do it?* For an effect that varies within runs, the residual is shifted circularly along every run by
-random amounts, which keeps what makes neighbours alike in it and in the effect, and the largest statistic over all
-candidates in each shifting is what a find must exceed: the p-value allows for everything that was tried. An effect
-that shifts whole runs has only as many witnesses as there are runs: there a t-test over left-out runs decides, with
-the base model's own uncertainty of level in it, and p is multiplied by the number of such effects.
+*Could chance do it?* For what varies within runs `by_shifts` of `model.loop.chance` says it, for what differs between
+them alone `between_runs`. An effect on the level of all runs could be the base model's own error: there a t-test over
+left-out runs decides, with the doubt about that level in it, and p is multiplied by the number of such effects.
 """
 
 from __future__ import annotations
@@ -18,24 +16,25 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 from scipy.stats import t as student
 
+from model.loop.chance import apart, between_runs, by_shifts, orthonormal
 from model.loop.effects import Term
-from model.loop.formulas import FORMULAS
+from model.loop.formulas import FORMULAS, quantity
 from model.loop.residual import Residuals
 from model.loop.steps import step_chance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SHIFTS = 999
 LEVEL_FORMULAS = frozenset({"hotel_load", "sensor_gain", "payload", "friction", "temperature", "battery"})
 """Formulas that are not nil on average: the silent refit of the level would hide them."""
 
 _FIELD_RIDGE = 5.0  # as many segments say that a bell curve of a field is flat
 _LEAST_RUNS = 3
-_BETWEEN = 0.05  # an effect with less of its variance within runs is judged by runs
+_SLIGHT = 1e-4
+_BETWEEN = 0.05  # what has less of its variance within runs differs between them alone
+_NEAR_COPIES = 5  # effects on the level are
 
 
 @dataclass(frozen=True)
@@ -56,11 +55,15 @@ class Verdict:
 
 
 class Evidence:
-    """The terms of all candidates on one set of residuals. level_doubt : how far the base model's level may be
-    off on any day, a share of the energy. seed : of the shifts."""
+    """The terms of all candidates on one set of residuals. level_doubt : how far the base model's level may be off on
+    any day, a share of the energy: twice the standard deviation of single runs, known with so many degrees of
+    level_freedom. seed : of what is drawn. differs : of each term, whether its quantity differs between runs alone."""
 
-    def __init__(self, residuals: Residuals, terms: Sequence[Term], *, level_doubt: float, seed: int = 0) -> None:
-        self.residuals, self.terms, self.level_doubt, self.seed = residuals, list(terms), level_doubt, seed
+    def __init__(
+        self, residuals: Residuals, terms: Sequence[Term], *, level_doubt: float, level_freedom: int = 0, seed: int = 0
+    ) -> None:
+        self.residuals, self.terms, self.seed = residuals, list(terms), seed
+        self.level_doubt, self.level_freedom = level_doubt, level_freedom
         drive, scale = residuals.drive, residuals.scale
         self.z = residuals.residual / scale
         blocks = [self._scaled(t.columns(drive)) for t in self.terms]
@@ -82,7 +85,18 @@ class Evidence:
         self.folds = np.unique(residuals.fold)
         self.moving = np.flatnonzero(residuals.moving)
         self.moving = self.moving[np.lexsort((drive.since_s[self.moving], drive.run[self.moving]))]
+        self.differs = [self._hardly_within_runs(term.goes_with) for term in self.terms]
         self._grams()
+
+    def _hardly_within_runs(self, name: str | None) -> bool:
+        """Whether a quantity has its values from run to run, as weather has; not if it is not known."""
+        values = np.zeros(0) if name is None else quantity(self.residuals.drive, name)[self.moving]
+        known = np.flatnonzero(np.isfinite(values))
+        if known.size < 2:
+            return False
+        values, run = values[known], np.unique(self.residuals.drive.run[self.moving][known], return_inverse=True)[1]
+        means = np.bincount(run, weights=values) / np.bincount(run)
+        return bool(np.sum((values - means[run]) ** 2) < _BETWEEN * np.sum((values - values.mean()) ** 2))
 
     def _scaled(self, columns: FloatArray) -> FloatArray:
         return columns / self.residuals.scale[:, None]
@@ -167,90 +181,74 @@ class Evidence:
         """p-values by term, and why where one could not be asked for."""
         drive, rows = self.residuals.drive, self.moving
         runs = np.unique(drive.run[rows], return_inverse=True)[1]
-        per_run = np.zeros((rows.size, runs.max() + 1))
-        share = self.residuals.predicted[rows] / self.residuals.scale[rows]
-        per_run[np.arange(rows.size), runs] = share
-        taken = np.concatenate([self.columns_of(chosen), self.nuisance])
-        basis = _orthonormal(np.concatenate([self.x[rows][:, taken], per_run], axis=1))
-        level_basis = _orthonormal(self.x[rows][:, np.concatenate([self.columns_of(chosen), self.nuisance])])
-        selected_basis = _orthonormal(self.x[rows][:, self.columns_of(chosen)])
-        every = self.x[rows]
-        lefts = every - basis @ (basis.T @ every)
-        frees = every - level_basis @ (level_basis.T @ every)
-        within: list[tuple[int, FloatArray]] = []
-        by_run: list[int] = []
-        asked = np.unique(drive.run).size
+        asked = runs.max() + 1
+        per_run = np.zeros((rows.size, asked))
+        per_run[np.arange(rows.size), runs] = self.residuals.predicted[rows] / self.residuals.scale[rows]
+        columns = self.columns_of(chosen)
+        taken = np.concatenate([columns, self.nuisance])
+        every, z = self.x[rows], self.z[rows]
+        basis = orthonormal(np.concatenate([every[:, taken], per_run], axis=1))
+        level_basis = orthonormal(every[:, taken])
+        lefts = _without(basis, every)
+        frees, z_free = _without(level_basis, every), _without(level_basis, z)
+        level_of = (per_run / np.maximum((per_run**2).sum(axis=0), 1e-300)).T  # by how much each run is off
+        within: dict[int, FloatArray] = {}
+        between: dict[int, FloatArray] = {}
+        level: list[int] = []
         p_values = dict.fromkeys(tried, 1.0)
         reasons: dict[int, str] = {}
         for k in tried:
             block, left, free = (all_[:, self.columns[k]] for all_ in (every, lefts, frees))
-            if self.terms[k].settings.get("level") and asked < _LEAST_RUNS + len(chosen):
-                left, free = self._beyond_level(k, left), self._beyond_level(k, free)
             if self.terms[k].settings.get("of") in LEVEL_FORMULAS:
-                p_values[k] = self._differ_between_runs(selected_basis, per_run)
-                continue
-            if self.moves_level([k]) or (left**2).sum() < _BETWEEN * max((free**2).sum(), 1e-12):
-                size = (block if self.moves_level([k]) else free) ** 2
-                if size.sum() < 1e-4 * rows.size * block.shape[1]:
+                rest = _without(orthonormal(every[:, columns]), z)
+                p_values[k] = apart(level_of @ rest, 0.5 * self.level_doubt)
+            elif self.moves_level([k]):
+                if (block**2).sum() < _SLIGHT * block.size:
                     reasons[k] = "these runs do not vary it"
-                elif asked < _LEAST_RUNS + len(chosen) + 2 * (block.shape[1] - 1):
+                elif asked < _LEAST_RUNS + len(chosen):
                     reasons[k] = "there are too few runs that differ in it"
                 else:
-                    by_run.append(k)
-                continue
-            unique = _orthonormal(left, least=0.02)
-            if unique.shape[1] == 0:
-                reasons[k] = "these runs do not tell it from what else they vary"
+                    level.append(k)
+            elif self.differs[k] or (left**2).sum() < _BETWEEN * max((free**2).sum(), 1e-12):
+                free = self._beyond_level(k, free)
+                if (free**2).sum() < _SLIGHT * free.size:
+                    reasons[k] = "these runs do not vary it"
+                else:
+                    between[k] = level_of @ free
             else:
-                within.append((k, unique))
-        chances = [
-            self._by_runs(chosen, k) if self.columns[k].size == 1 else self._by_labels(level_basis, runs, frees, k)
-            for k in by_run
-        ]
-        for k, p in zip(by_run, chances, strict=True):
-            p_values[k] = min(
-                1.0, p * max(1, min(len(by_run), 5))
-            )  # effects on the level are near copies of each other
+                if asked < _LEAST_RUNS + len(chosen):
+                    left = self._beyond_level(k, left)
+                unique = orthonormal(left, least=0.02)
+                if unique.shape[1] == 0:
+                    reasons[k] = "these runs do not tell it from what else they vary"
+                else:
+                    within[k] = unique
+        for k in level:
+            p_values[k] = min(1.0, self._beyond_doubt(chosen, k) * min(len(level) + len(between), _NEAR_COPIES))
+        if between:
+            told = between_runs(
+                level_of @ z_free, between, usual=0.5 * self.level_doubt, freedom=self.level_freedom,
+                taken=sum(self.differs[c] for c in chosen), seed=self.seed,
+            )  # fmt: skip
+            p_values |= told
+            reasons |= {k: "there are too few runs that differ in it" for k in between if k not in told}
         if within:
-            p_values |= self._by_shifts(basis, runs, within)
-            steps = self._by_steps(level_basis, runs, [k for k, _ in within])
+            p_values |= by_shifts(_without(basis, z), runs, basis, within, seed=self.seed)
+            steps = self._by_steps(z_free, runs, list(within))
             p_values |= {k: min(p_values[k], p) for k, p in steps.items()}
         return p_values, reasons
 
     def _beyond_level(self, k: int, block: FloatArray) -> FloatArray:
-        """Columns of a term without the level it brings of its own: any column would do to carry that where there are
-        too few runs to ask for effects that are nothing else."""
-        sums = np.where(self.terms[k].formula == "smooth", 1.0, np.arange(block.shape[1]) == 0)
+        """Columns of a term without the level that it brings of its own, if any: any column would do to carry that."""
+        term = self.terms[k]
+        if not (term.settings.get("level") or term.settings.get("begun")):
+            return block
+        sums = np.where(term.formula == "smooth", 1.0, np.arange(block.shape[1]) == 0)
         level = block @ (sums * self.size[self.columns[k]])
         return np.asarray(block - np.outer(level, level @ block) / max(float(level @ level), 1e-300))
 
-    def _by_shifts(self, basis: FloatArray, runs: IntArray, within: list[tuple[int, FloatArray]]) -> dict[int, float]:
-        """p by circular shifts: the share of shiftings in which any term does as well."""
-        rng = np.random.default_rng(self.seed)
-        z = self.z[self.moving]
-        z = z - basis @ (basis.T @ z)
-        order = np.empty((z.size, SHIFTS), dtype=np.int64)
-        for run in np.unique(runs):
-            mine = np.flatnonzero(runs == run)
-            offsets = rng.integers(0, mine.size, SHIFTS)
-            order[mine] = mine[(np.arange(mine.size)[:, None] + offsets) % mine.size]
-        shifted = np.concatenate([z[:, None], z[order]], axis=1).astype(np.float32)  # (n, 1 + shifts)
-        lean = basis.astype(np.float32)
-        shifted -= lean @ (lean.T @ shifted)
-        stacked = np.concatenate([unique for _, unique in within], axis=1).astype(np.float32)
-        power = (stacked.T @ shifted) ** 2 / (shifted**2).mean(axis=0)  # (columns, 1 + shifts)
-        edges = np.cumsum([0] + [unique.shape[1] for _, unique in within])
-        stat = np.add.reduceat(power, edges[:-1], axis=0)
-        mean, var = stat[:, 1:].mean(axis=1, keepdims=True), stat[:, 1:].var(axis=1, keepdims=True)
-        third = var / (9.0 * mean**2)  # Wilson & Hilferty 1931: the cube root of a gamma variable is nearly normal
-        surprise = (np.cbrt(stat / mean) - (1.0 - third)) / np.sqrt(third)  # comparable between terms
-        largest = surprise[:, 1:].max(axis=0)
-        return {k: float((1 + (largest >= surprise[i, 0]).sum()) / (SHIFTS + 1)) for i, (k, _) in enumerate(within)}
-
-    def _by_steps(self, basis: FloatArray, runs: IntArray, tried: Sequence[int]) -> dict[int, float]:
+    def _by_steps(self, z: FloatArray, runs: IntArray, tried: Sequence[int]) -> dict[int, float]:
         """p of the terms that follow a record which changes seldom, times the number of different records."""
-        z = self.z[self.moving]
-        z = z - basis @ (basis.T @ z)
         chances: dict[int, float] = {}
         of_state: dict[bytes, float] = {}
         for k in tried:
@@ -265,8 +263,8 @@ class Evidence:
         asked = max(1, sum(p < 1.0 for p in of_state.values()))
         return {k: min(1.0, p * asked) for k, p in chances.items()}
 
-    def _by_runs(self, chosen: Sequence[int], k: int) -> float:
-        """p of a t-test over left-out runs for a term of one coefficient."""
+    def _beyond_doubt(self, chosen: Sequence[int], k: int) -> float:
+        """p of a t-test over left-out runs for a term that moves the level of all: is it more than the doubt?"""
         level = self.nuisance[: 0 if self.moves_level([*chosen, k]) else None]
         active = np.concatenate([self.columns_of(chosen), level, self.columns[k]])
         value = self.coefficients(active)[-1]
@@ -278,28 +276,6 @@ class Evidence:
         freedom = self.folds.size - 1 - len(chosen)
         beyond = max(abs(value) - doubt, 0.0)  # a test of "more than the doubt", not of "more than nothing"
         return float(2.0 * student.sf(beyond / max(spread, 1e-300), max(freedom, 1)))
-
-    def _by_labels(self, basis: FloatArray, runs: IntArray, frees: FloatArray, k: int) -> float:
-        """p by giving whole runs each other's values of a term of several coefficients."""
-        z = self.z[self.moving]
-        z = z - basis @ (basis.T @ z)
-        weight = np.sqrt(np.bincount(runs))
-        means = np.bincount(runs, weights=z) / weight**2
-        block = np.stack([np.bincount(runs, weights=c) / weight**2 for c in frees[:, self.columns[k]].T], axis=1)
-        basis_of_runs = _orthonormal(np.concatenate([np.ones((means.size, 1)), block], axis=1) * weight[:, None])
-        rng = np.random.default_rng(self.seed)
-        orders = np.stack([np.arange(means.size), *(rng.permutation(means.size) for _ in range(SHIFTS))])
-        drawn = (means[orders] * weight).T  # (runs, 1 + shifts)
-        stat = ((basis_of_runs.T @ drawn) ** 2).sum(axis=0) / (drawn**2).sum(axis=0)
-        return float((1 + (stat[1:] >= stat[0] - 1e-12).sum()) / (SHIFTS + 1))
-
-    def _differ_between_runs(self, chosen_level: FloatArray, per_run: FloatArray) -> float:
-        """p of the runs' levels being no further from each other than the base model's usually are."""
-        z = self.z[self.moving]
-        z = z - chosen_level @ (chosen_level.T @ z)
-        offs = (per_run.T @ z) / (per_run**2).sum(axis=0)
-        apart = (offs - offs.mean()) / (0.5 * self.level_doubt)
-        return float(chi2.sf(float((apart**2).sum()), max(offs.size - 1, 1)))
 
     def jackknife(self, active: IntArray) -> FloatArray:
         """Standard errors of `coefficients`, leaving out a fold at a time."""
@@ -315,9 +291,6 @@ def _level_columns(residuals: Residuals) -> FloatArray:
     return np.where(residuals.moving, residuals.predicted, 0.0)[:, None]
 
 
-def _orthonormal(columns: FloatArray, *, least: float = 1e-6) -> FloatArray:
-    """An orthonormal basis of columns; directions shorter than `least` times sqrt(n) do not count."""
-    if columns.shape[1] == 0:
-        return columns
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.ascontiguousarray(u[:, s > least * np.sqrt(columns.shape[0])])
+def _without(basis: FloatArray, columns: FloatArray) -> FloatArray:
+    """Columns without the span of an orthonormal basis."""
+    return np.asarray(columns - basis @ (basis.T @ columns))

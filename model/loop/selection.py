@@ -13,6 +13,8 @@ from model.loop.evidence import Evidence, Verdict
 
 ALPHA = 0.05
 
+SENSELESS = "its sign or its size makes no sense"
+
 _STEADY = 0.6  # of the folds must gain
 _COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
@@ -30,11 +32,12 @@ _CURVES = {
 @dataclass(frozen=True)
 class Floors:
     """Least held-out gain that counts: of a physical form, a learned curve, a field over the map. Less may be the base
-    model's own error, which goes with ground and place too."""
+    model's own error, which goes with ground and place too; between runs it is known, and part of the p-value."""
 
     physical: float = 0.06
     learned: float = 0.10
     place: float = 0.12
+    between_runs: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,13 @@ class Search:
     def floor(self, term: int) -> float:
         if self.evidence.terms[term].formula in ("place", "disk"):
             return self.floors.place
+        if self.between(term):
+            return self.floors.between_runs
         return self.floors.learned if self.owner[term].learned else self.floors.physical
+
+    def between(self, term: int) -> bool:
+        """Whether a term is told between runs alone."""
+        return self.evidence.differs[term] and not self.evidence.moves_level([term])
 
     def clears_floor(self, verdict: Verdict) -> bool:
         worth = min(verdict.gain, verdict.net)
@@ -99,7 +108,7 @@ class Search:
         forms: dict[str, list[Verdict]] = {}
         for verdict in self.evidence.judge(taken, tried):
             if self.senseless(taken, verdict.term):
-                verdict = replace(verdict, p_value=1.0, why="its sign or its size makes no sense")
+                verdict = replace(verdict, p_value=1.0, why=SENSELESS)
             forms.setdefault(self.owner[verdict.term].name, []).append(verdict)
         best = [(self.owner[v[0].term], self._best_form(v)) for v in forms.values()]
         self._best[key] = sorted(best, key=lambda pair: -pair[1].gain)
@@ -131,15 +140,20 @@ class Search:
 
     def pick(self, verdicts: Sequence[tuple[Candidate, Verdict]], found: Sequence[Found]) -> Found | None:
         """The effect to take next, None when there is none: of those that do as well as the best, a named one that no
-        column tells more than."""
+        column tells more than. Hour, temperature and metres driven are near copies between runs: once one of them is
+        more than chance, another that does as well may be the one. A curve that says the opposite of what its physical
+        form may say gives way to anything else."""
         good = [Found(c, v) for c, v in verdicts if v.p_value <= ALPHA and self.clears_floor(v)]
         first = [f for f in good if not f.candidate.response] or good
         if not first:
             return None
         taken = [f.verdict.term for f in found]
         best = max(first, key=lambda f: self.score(f.verdict))
-        alike = [f for f in first if f is best or self.as_good(taken, f, best)]
-        alike.sort(key=lambda f: (self.named(f), self.score(f.verdict)), reverse=True)
+        copies = [Found(c, v) for c, v in verdicts
+                  if v.p_value > ALPHA and not v.why and self.between(v.term) and self.clears_floor(v)]  # fmt: skip
+        alike = [f for f in first + copies if f is best or self.as_good(taken, f, best)]
+        opposed = {_CURVES.get(c.name) for c, v in verdicts if v.why == SENSELESS}
+        alike.sort(key=lambda f: (self.named(f), f.candidate.name not in opposed, self.score(f.verdict)), reverse=True)
         chosen = alike[0]
         above = [f for f in alike[1:] if self.score(f.verdict) > self.score(chosen.verdict)]
         return next((c for c in above if self.tells_more(taken, c, chosen)), chosen)

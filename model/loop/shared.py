@@ -19,6 +19,7 @@ _LEAST_GAIN = 0.01
 _FURTHER = 1.5
 _USUAL_DOUBT = 0.05
 _LEAST_DOUBT = 0.035
+_LEAST_RUNS = 3
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,12 @@ class SharedErrors:
     terms: tuple[Term, ...] = ()
     level_doubt: float = _USUAL_DOUBT
     residuals: Residuals | None = field(default=None, repr=False)
+
+    @property
+    def level_freedom(self) -> int:
+        """Degrees of freedom with which that is known; 0 where it is the usual doubt."""
+        runs = 0 if self.residuals is None else np.unique(self.residuals.drive.run[self.residuals.moving]).size
+        return runs - 1 if runs >= _LEAST_RUNS else 0
 
     def gains(self, terms: Sequence[Term]) -> np.ndarray:
         """(terms,) share of the base runs' own squared error that each explains there, held out; 0 without runs."""
@@ -89,6 +96,6 @@ def _level_spread(base: Residuals) -> float:
     moving = base.moving
     run, z = base.drive.run[moving], base.residual[moving]
     shares = np.array([z[run == k].sum() / base.predicted[moving][run == k].sum() for k in np.unique(run)])
-    if shares.size < 3:
+    if shares.size < _LEAST_RUNS:
         return _USUAL_DOUBT
     return float(np.clip(2.0 * shares.std(ddof=1), _LEAST_DOUBT, _USUAL_DOUBT))

@@ -45,6 +45,7 @@ def trace(
     candidates: Sequence[Candidate],
     *,
     level_doubt: float,
+    level_freedom: int = 0,
     floors: Floors | None = None,
     shared: Callable[[int], float] | None = None,
     seed: int = 0,
@@ -52,11 +53,13 @@ def trace(
 ) -> Trace:
     """Trace residuals to effects.
 
-    level_doubt : how far the base model's level may be off on any day, a share of the energy. shared : gain of a term
-    that the base model's own runs show as well, which is no news and does not count.
+    level_doubt : how far the base model's level may be off on any day, a share of the energy, known with so many
+    degrees of level_freedom. shared : gain of a term that the base model's own runs show as well, which is no news and
+    does not count.
     """
     owner = [c for c in candidates for _ in c.variants]
-    evidence = Evidence(residuals, [v for c in candidates for v in c.variants], level_doubt=level_doubt, seed=seed)
+    terms = [v for c in candidates for v in c.variants]
+    evidence = Evidence(residuals, terms, level_doubt=level_doubt, level_freedom=level_freedom, seed=seed)
     search = Search(evidence, owner, floors or Floors(), shared or (lambda term: 0.0), progress)
     ranking = search.best_of_each([])
     found: list[Found] = []
