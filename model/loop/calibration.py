@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from model.loop.evidence import Verdict
 from model.loop.fitting import Fit, fit_terms
 from model.loop.localise import localised
 from model.loop.residual import Residuals
-from model.loop.selection import ALPHA, Floors, interactions_of
+from model.loop.selection import ALPHA, Floors, Found, interactions_of
 from model.loop.shared import SharedErrors, most_carried, shared_errors
 from model.loop.trace import Trace, trace
 
@@ -47,8 +47,9 @@ class Effect:
 @dataclass(frozen=True)
 class Calibration:
     """effects : found, the most telling first. silent : what was refitted without being an effect (the level).
-    shared : corrections known from the base model's own runs. before, after, after_planner : errors on held-out runs
-    (mean_relative, rmse, bias). residuals : as traced. held_out : (n,) prediction of each row by a fit without its
+    shared : corrections known from the base model's own runs. before, corrected, after, after_planner : errors on
+    held-out runs (mean_relative, rmse, bias), of the base model, with those corrections alone, with the effects, and
+    with those that a planner knows. residuals : as traced. held_out : (n,) prediction of each row by a fit without its
     run; held_out_planner : the same from what a planner knows. first_terms, planner_terms : what is added to the base
     prediction before, and with what a planner knows."""
 
@@ -56,6 +57,7 @@ class Calibration:
     silent: tuple[Term, ...]
     shared: SharedErrors
     before: dict[str, Any]
+    corrected: dict[str, Any]
     after: dict[str, Any]
     after_planner: dict[str, Any]
     trace: Trace = field(repr=False)
@@ -80,12 +82,10 @@ class Calibration:
         def error(terms: Sequence[Term]) -> dict[str, Any]:
             return _errors(others, predicted + _total(terms, others))
 
-        before = error(self.first_terms) if others.charge else _errors(others, _said(others))
-        known = any(e.planner for e in self.effects)
         return {
-            "before": before,
-            "after": error(self.terms) if self.effects else before,
-            "after_planner": error(self.planner_terms) if known else before,
+            "before": error(self.first_terms) if others.charge else _errors(others, _said(others)),
+            "after": error(self.terms),
+            "after_planner": error(self.planner_terms),
         }
 
 
@@ -122,37 +122,26 @@ def calibrate(
         shared=lambda k: float(known[k]), seed=seed, progress=progress,
     )  # fmt: skip
     start = measured.without_prediction() if plane else residuals
-    silent: list[Term] = list(plane)
-    chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
-    if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
-        silent = [Term("level", "level", ("",))]
-    parts = {name for f in traced.found for name in f.candidate.parts}  # their interaction says where they differ
-    chosen, others = bounded(start, localised(start, chosen, silent, whole=parts), silent)
-
-    def fitted() -> Fit:
-        return fit_terms(
-            start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
-            others=[[*silent, *terms] for terms in others],
-        )  # fmt: skip
-
-    fit, level = fitted(), []
-    if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
-        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as in tracing
-        start = start.corrected(_total(level, start))
-        fit = fitted()
+    fitted = _fitted(traced, start, plane, shared)
+    while idle := _idle(traced, fitted):
+        traced = traced.without(idle)
+        fitted = _fitted(traced, start, plane, shared)
+    fit, silent, level, start = fitted
     effects = _effects(traced, fit, len(silent))
-    held = start.predicted + fit.held_out if chosen else before_energy
+    corrected = before_energy if plane else residuals.predicted
+    held = start.predicted + fit.held_out if effects else corrected
     planner = [e.term for e in effects if e.planner]
-    held_planner, planner_terms = before_energy, first_terms
+    held_planner, planner_terms = corrected, first_terms or shared.terms
     if planner:
         known_before = fit_terms(start, [*silent, *planner])
         held_planner = start.predicted + known_before.held_out
         planner_terms = (*shared.terms, *level, *known_before.terms)
     return Calibration(
         effects,
-        (*level, *fit.terms[: len(silent)]) if chosen or plane else (),
+        (*level, *fit.terms[: len(silent)]) if effects or plane else (),
         shared,
         _errors(measured, before_energy),
+        _errors(measured, corrected),
         _errors(measured, held),
         _errors(measured, held_planner),
         traced,
@@ -165,6 +154,48 @@ def calibrate(
         first_terms,
         planner_terms,
     )
+
+
+class _Fitted(NamedTuple):
+    """The effects of a trace, fitted on top of `silent` terms to `start`, which holds what is corrected by `level`."""
+
+    fit: Fit
+    silent: list[Term]
+    level: list[Term]
+    start: Residuals
+
+
+def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: SharedErrors) -> _Fitted:
+    silent, level = list(plane), []
+    chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
+    if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
+        silent = [Term("level", "level", ("",))]
+    parts = {name for f in traced.found for name in f.candidate.parts}  # their interaction says where they differ
+    chosen, others = bounded(start, localised(start, chosen, silent, whole=parts), silent)
+
+    def fitted() -> Fit:
+        return fit_terms(
+            start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
+            others=[[*silent, *terms] for terms in others],
+        )  # fmt: skip
+
+    fit = fitted()
+    if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
+        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as in tracing
+        start = start.corrected(_total(level, start))
+        fit = fitted()
+    return _Fitted(fit, silent, level, start)
+
+
+def _idle(traced: Trace, fitted: _Fitted) -> Found | None:
+    """The least telling cause that may be nil in all its coefficients, once what base runs show as well is taken off:
+    no news, whatever helped to find it. What an interaction is part of stands with it."""
+    skip = len(fitted.silent)
+    for k, found in reversed(list(enumerate(traced.found))):
+        low, high = fitted.fit.low[skip + k], fitted.fit.high[skip + k]
+        if found not in traced.shadows and not interactions_of(found, traced.found) and np.all(low * high <= 0.0):
+            return found
+    return None
 
 
 def _total(terms: Sequence[Term], residuals: Residuals) -> FloatArray:

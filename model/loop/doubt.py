@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 _AS_MUCH = 0.5
 _SPREADS = (0.5, 2.0)
-_OF_THESE_RUNS = frozenset({"by_run", "place", "disk"})
+_FIELDS = frozenset({"by_run", "place", "disk"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def other_judgements(
     formula gives the same whatever counts more: White 1980), when effects that do not ask for the slope may be stronger
     uphill than downhill, and when the base model's level is taken as right."""
     scale, moving, grade = residuals.scale, residuals.moving, residuals.drive.grade
-    blind = np.repeat([not (t.reads_ground or t.formula in _OF_THESE_RUNS) for t in terms], counts).astype(bool)
+    blind = np.repeat([not (t.reads_ground or t.formula in _FIELDS) for t in terms], counts).astype(bool)
     slope = np.where(moving, (grade - grade[moving].mean()) / max(float(grade[moving].std()), 1e-12), 0.0)
     level = np.repeat([t.formula == "level" for t in terms], counts).astype(bool)
     found = [
@@ -120,7 +120,7 @@ def found_in_base(
     """Coefficients (so many per term) on runs without the effects, shrunk by what may be noise, and their standard
     errors; 0 where these runs vary a column much less than `usual` (as large as it is where the effects are)."""
     own, doubt = np.zeros((2, sum(counts)))
-    shared = np.repeat([t.formula not in _OF_THESE_RUNS and "runs" not in t.where for t in terms], counts).astype(bool)
+    shared = np.repeat([t.formula != "by_run" and "runs" not in t.where for t in terms], counts).astype(bool)
     if base is None or not shared.any():
         return own, doubt
     x = np.concatenate([t.columns(base.drive) for t in terms], axis=1) / base.scale[:, None]

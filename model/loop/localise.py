@@ -53,13 +53,13 @@ def localised(
         others = [*silent, *out[:k], *out[k + 1 :]]
         evidence = Evidence(residuals, [*others, term, *parts], level_doubt=0.0)
         fixed = np.concatenate([evidence.nuisance[:0], *evidence.columns[: len(others)]]).astype(np.int64)
-        whole = np.concatenate([fixed, evidence.columns[len(others)]])
-        error, without = evidence.held_out(whole), evidence.held_out(fixed)
+        everywhere = np.concatenate([fixed, evidence.columns[len(others)]])
+        error, without = evidence.held_out(everywhere), evidence.held_out(fixed)
         explained = float((without - error).sum())
         errors = [evidence.held_out(np.concatenate([fixed, c])) for c in evidence.columns[len(others) + 1 :]]
         best = int(np.argmin([e.sum() for e in errors]))
         fell = error - errors[best]
-        both = np.concatenate([whole, evidence.columns[len(others) + 1 + best]])
+        both = np.concatenate([everywhere, evidence.columns[len(others) + 1 + best]])
         strength = evidence.coefficients(both)[fixed.size :].reshape(2, -1)  # outside; what is more inside
         outside = np.abs(strength[0]).sum() < _OUTSIDE * np.abs(strength.sum(axis=0)).sum()
         if fell.sum() > _WORTH * explained and (fell > 0).mean() > 0.6 and outside:

@@ -11,7 +11,7 @@ of a cause is not quite right helps to predict, but is no reason of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from model.loop.candidates import Candidate
 from model.loop.evidence import Evidence, Verdict
@@ -38,6 +38,16 @@ class Trace:
     @property
     def chosen(self) -> list[int]:
         return [f.verdict.term for f in self.found]
+
+    def without(self, one: Found) -> Trace:
+        """The same with an effect fewer; shadows alone are nothing found."""
+        found = [f for f in self.found if f is not one]
+        if all(f in self.shadows for f in found):
+            found = []
+        names = {f.candidate.name for f in found}
+        remaining = sorted([*self.remaining, (one.candidate, one.verdict)], key=lambda pair: -pair[1].gain)
+        return replace(self, found=found, remaining=remaining, shadows=[f for f in self.shadows if f in found],
+                       confounded={k: v for k, v in self.confounded.items() if k in names})  # fmt: skip
 
 
 def trace(
