@@ -23,6 +23,7 @@ from model.loop.trace import Trace, trace
 FloatArray = NDArray[np.float64]
 
 _LEAST_SHARE = 0.05  # of the usual energy: relative errors of less say nothing
+_MOST_SHOWN = 0.5
 _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 
@@ -76,14 +77,16 @@ class Calibration:
         return (*self.shared.terms, *self.silent, *(e.term for e in self.effects))
 
     def errors_on(self, others: Residuals) -> dict[str, Any]:
-        """Errors before, after and after_planner on runs of the same base model that had no part in this."""
+        """Errors before, corrected, after and after_planner on runs of the same base model that had no part in this."""
         predicted = np.zeros(len(others)) if others.charge else others.predicted
 
         def error(terms: Sequence[Term]) -> dict[str, Any]:
             return _errors(others, predicted + _total(terms, others))
 
+        before = error(self.first_terms) if others.charge else _errors(others, _said(others))
         return {
-            "before": error(self.first_terms) if others.charge else _errors(others, _said(others)),
+            "before": before,
+            "corrected": before if others.charge else error(self.shared.terms),
             "after": error(self.terms),
             "after_planner": error(self.planner_terms),
         }
@@ -122,11 +125,9 @@ def calibrate(
         shared=lambda k: float(known[k]), seed=seed, progress=progress,
     )  # fmt: skip
     start = measured.without_prediction() if plane else residuals
-    fitted = _fitted(traced, start, plane, shared)
-    while idle := _idle(traced, fitted):
+    while traced.found and (idle := _idle(traced.causes, _fitted(traced.causes, start, plane, shared), shared)):
         traced = traced.without(idle)
-        fitted = _fitted(traced, start, plane, shared)
-    fit, silent, level, start = fitted
+    fit, silent, level, start = _fitted(traced, start, plane, shared)
     effects = _effects(traced, fit, len(silent))
     corrected = before_energy if plane else residuals.predicted
     held = start.predicted + fit.held_out if effects else corrected
@@ -187,13 +188,16 @@ def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: Shar
     return _Fitted(fit, silent, level, start)
 
 
-def _idle(traced: Trace, fitted: _Fitted) -> Found | None:
-    """The least telling cause that may be nil in all its coefficients, once what base runs show as well is taken off:
-    no news, whatever helped to find it. What an interaction is part of stands with it."""
+def _idle(causes: Trace, fitted: _Fitted, shared: SharedErrors) -> Found | None:
+    """The least telling cause that is no news, whatever helped to find it: all of its coefficients may be nil once what
+    base runs show as well is taken off, or (of a field, whose neighbours share what is there) they show most of it. How
+    far base runs are apart is part of the p-value of what differs between runs. What an interaction is part of stands
+    with it."""
     skip = len(fitted.silent)
-    for k, found in reversed(list(enumerate(traced.found))):
-        low, high = fitted.fit.low[skip + k], fitted.fit.high[skip + k]
-        if found not in traced.shadows and not interactions_of(found, traced.found) and np.all(low * high <= 0.0):
+    for k, found in reversed(list(enumerate(causes.found))):
+        term, low, high = fitted.fit.terms[skip + k], fitted.fit.low[skip + k], fitted.fit.high[skip + k]
+        nil = shared.shows(term) > _MOST_SHOWN if term.formula == "place" else bool(np.all(low * high <= 0.0))
+        if nil and not causes.evidence.differs[found.verdict.term] and not interactions_of(found, causes.found):
             return found
     return None
 

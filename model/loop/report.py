@@ -22,7 +22,8 @@ _SHARES = {"all": "of the predicted energy", "motion": "of the motion's energy"}
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
     """The report. before : the base model's provenance; after : the calibrated model's version, None where there is
-    none. `effects` are causes; `shadows` are in the model too, and mend the form of the effects."""
+    none. `effects` are causes; `shadows` are in the model too, and mend the form of the effects. `corrected` errors are
+    the base model's with what its own runs show of its errors, before any effect."""
     moving = found.residuals.moving
     held = (found.residuals.measured - found.held_out)[moving]
     held = held / np.maximum(found.held_out[moving], 0.05 * np.median(found.residuals.measured[moving]))
@@ -31,7 +32,12 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "verdict": "effects_added" if found.effects else "nothing_found",
         "target": "charge_as" if found.residuals.charge else "energy_j",
         "segments": {"fit": segments, "held_out": segments},
-        "error": {"before": found.before, "after": found.after, "after_planner": found.after_planner},
+        "error": {
+            "before": found.before,
+            "corrected": found.corrected,
+            "after": found.after,
+            "after_planner": found.after_planner,
+        },
         "effects": [_effect(e) for e in found.effects if not e.shadow],
         "shadows": [_effect(e) for e in found.effects if e.shadow],
         "candidates": _candidates(found),

@@ -46,6 +46,16 @@ class SharedErrors:
         after = [evidence.held_out(c, free=True).sum() for c in evidence.columns]
         return np.maximum(1.0 - np.array(after) / before, 0.0)
 
+    def shows(self, term: Term) -> float:
+        """Of a fitted effect, the least share that the base runs show as well: one standard error less than the least
+        squares scale of its shape there; 0 without runs, or where they were not."""
+        if self.residuals is None:
+            return 0.0
+        z = self.residuals.residual / self.residuals.scale
+        shape = term.energy(self.residuals.drive) / self.residuals.scale
+        size = float(shape @ shape)
+        return float((shape @ z - z.std() * np.sqrt(size)) / size) if size > 0.0 else 0.0
+
 
 def shared_errors(base: Residuals | None, carried_kg: float = 0.0) -> SharedErrors:
     """Corrections that hold over the runs the base model was made from. carried_kg : most that the new runs carried."""

@@ -39,6 +39,11 @@ class Trace:
     def chosen(self) -> list[int]:
         return [f.verdict.term for f in self.found]
 
+    @property
+    def causes(self) -> Trace:
+        """The same without shadows."""
+        return replace(self, found=[f for f in self.found if f not in self.shadows], shadows=[])
+
     def without(self, one: Found) -> Trace:
         """The same with an effect fewer; shadows alone are nothing found."""
         found = [f for f in self.found if f is not one]

@@ -144,16 +144,20 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
     answer.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
 
 
+_STATES = {
+    "before": "before", "corrected": "corrected by what its base runs show", "after": "after",
+    "after_planner": "with what a planner knows",
+}  # fmt: skip
+
+
 def _error_words(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
-    rows = {}
-    for key, name, scale, suffix in (
-        ("mean_relative", "mean relative", 100.0, " %"), ("rmse", "root mean square", 1.0, f" {unit}"),
-    ):  # fmt: skip
-        rows[f"{name} error{where}"] = (
-            f"{scale * error['before'][key]:.3g}{suffix} before, {scale * error['after'][key]:.3g}{suffix} after, "
-            f"{scale * error['after_planner'][key]:.3g}{suffix} with what a planner knows"
+    states = {k: words for k, words in _STATES.items() if k != "corrected" or error[k] != error["before"]}
+    return {
+        f"{name} error{where}": ", ".join(f"{scale * error[k][key]:.3g}{suffix} {words}" for k, words in states.items())
+        for key, name, scale, suffix in (
+            ("mean_relative", "mean relative", 100.0, " %"), ("rmse", "root mean square", 1.0, f" {unit}"),
         )
-    return rows
+    }  # fmt: skip
 
 
 def _route_words(route: Mapping[str, Any]) -> str:

@@ -133,6 +133,12 @@ def _confounded(document: Mapping[str, Any]) -> str:
     return f"<h2>What these runs cannot tell apart</h2><ul>{groups}</ul><p>Drives that would:</p><ul>{drives}</ul>"
 
 
+_STATES = {
+    "before": "before", "corrected": "before, corrected by what the base model's own runs show", "after": "after",
+    "after_planner": "after, as a planner knows it",
+}  # fmt: skip
+
+
 def _errors(document: Mapping[str, Any], unit: str) -> str:
     judged = [("each run held out in turn", document["segments"]["fit"], document["error"])]
     if "kept_aside" in document:
@@ -142,7 +148,7 @@ def _errors(document: Mapping[str, Any], unit: str) -> str:
         [f"{where}, {segments:,} segments: {state}", f"{error[key]['mean_relative']:.1%}",
          f"{error[key]['rmse']:.3g} {unit}", f"{error[key]['bias']:+.2g} {unit}"]
         for where, segments, error in judged
-        for key, state in (("before", "before"), ("after", "after"), ("after_planner", "after, as a planner knows it"))
+        for key, state in _STATES.items() if key != "corrected" or error[key] != error["before"]
     ]  # fmt: skip
     return _table(["judged by", "mean relative", "root mean square", "bias"], rows)
 

@@ -136,13 +136,13 @@ def test_runs_kept_aside_are_judged_by_and_nothing_else(field, tmp_path):
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["runs"]["names"] == ["run_01.csv", "run_03.csv", "run_04.csv"]
     error = report["kept_aside"]["error"]
-    assert all(set(error[key]["by_run"]) == {"run_02.csv"} for key in ("before", "after", "after_planner"))
+    assert all(set(error[key]["by_run"]) == {"run_02.csv"} for key in ("before", "corrected", "after", "after_planner"))
     assert "run_02.csv" not in report["error"]["before"]["by_run"]
     assert report["kept_aside"]["segments"] > 20
     assert "runs kept aside" in (tmp_path / "report.html").read_text()
     # without effects nothing is added, with them another way of stating the model's answer gives the same number
     if report["model"]["after"] is None:
-        assert error["after"] == error["before"]
+        assert error["after"] == error["corrected"] == error["before"]
         return
     told = tmp_path / "again.json"
     done = runner.invoke(

@@ -67,7 +67,7 @@ def test_nothing_is_found_where_nothing_is(seed):
     drive = made_up(rng)
     found = found_in(drive, noisy(rng, drive))
     assert not found.effects
-    assert found.before == found.after
+    assert found.before == found.corrected == found.after
     report = report_document(found, before=BEFORE, after=None)
     assert report["verdict"] == "nothing_found"
     json.dumps(report, allow_nan=False)
@@ -297,3 +297,28 @@ def test_a_record_of_runs_comes_back(tmp_path):
     np.savez(tmp_path / RECORD_FILE, **older)
     with pytest.raises(ModelError, match=r"lacks grades.*train the model again"):
         read_record(tmp_path)
+
+
+def test_what_base_runs_show_as_well_is_no_news():
+    """A patch that was as heavy when the base model's runs crossed it: nothing is found. Heavier by as much again: it
+    is, by what is new."""
+    rng = np.random.default_rng(12)
+    patch = EFFECTS["local_friction"]
+    before, after = made_up(rng), made_up(rng)
+    names = tuple(f"run{k}" for k in range(6))
+    base = residuals_of(before, noisy(rng, before, patch(before)), names, charge=False)
+    same = noisy(rng, after, patch(after))
+    assert found_in(after, same).effects  # without base runs it is news
+    assert not found_in(after, same, base=base).effects
+    more = found_in(after, noisy(rng, after, 2.5 * patch(after)), base=base).effects
+    assert more[0].term.name in ("local_friction", "learned:place")
+
+
+def test_cost_that_rises_through_the_day_is_a_drift_and_no_warmth():
+    """Nothing that moves is known to be stiffer in warm air: a curve that says so gives way to the hours."""
+    rng = np.random.default_rng(13)
+    drive = made_up(rng)
+    found = found_in(drive, noisy(rng, drive, 3.0 * drive.clock_s / 3600.0))
+    assert [e.term.name for e in found.effects] == ["drift"]
+    cold = found_in(drive, noisy(rng, drive, 3.0 * (20.0 - drive.columns["temperature"])))
+    assert [e.term.name for e in cold.effects] == ["temperature"]
