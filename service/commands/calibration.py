@@ -110,7 +110,8 @@ def _read(
     if terrain_from_name and odometry is None:
         raise typer.BadParameter("--terrain-from-name goes with --odometry")
     aside = find_runs(keep_aside or [])
-    files = [file for file in find_runs(runs) if file not in aside]
+    apart = {file.resolve() for file in aside}
+    files = [file for file in find_runs(runs) if file.resolve() not in apart]
     more = {"base_files": find_runs(base_runs or []), "aside_files": aside}
     if odometry is not None:
         return read_odometry_runs(files, Odometry(odometry, terrain_from_name), **more)
