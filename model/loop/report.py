@@ -10,6 +10,7 @@ import numpy as np
 
 from model.loop.calibration import Calibration, Effect, verdict_words
 from model.loop.effects import Term
+from model.loop.formulas import driven_heights
 
 _UNITS = {
     "roughness": "m", "elevation": "m", "hollow": "m", "speed": "m/s", "column:temperature": "degC",
@@ -80,7 +81,8 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
             "taken": candidate.name in taken,
         }  # fmt: skip
         if candidate.name not in taken:
-            row["why_not"] = verdict_words(last.get(candidate.name, verdict))
+            beside = "beside the effects found, " if taken else ""  # p_value is of the candidate alone
+            row["why_not"] = beside + verdict_words(last.get(candidate.name, verdict))
         elif taken[candidate.name].shadow:
             row |= {"taken": False, "why_not": "it mends the form of the effects found, and is no cause of its own"}
         out.append(row)
@@ -100,7 +102,8 @@ def coefficient_units(term: Term) -> list[str]:
 
 
 def _with_unit(value: float, over: str) -> str:
-    return f"{value:.4g} {_UNITS.get(over, '')}".rstrip()
+    digits = ".1f" if over == "elevation" else ".4g"  # heights may be large and their differences small
+    return f"{value:{digits}} {_UNITS.get(over, '')}".rstrip()
 
 
 def coefficient_names(term: Term) -> list[str]:
@@ -139,6 +142,9 @@ def where_words(term: Term) -> str:
         gentle = term.coefficients[0] / term.settings.get("share", 1.0)
         slow = f"{gentle:.4g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, no more above"
         return f"everywhere; {slow} (the coefficient is over all turns)"
+    if not term.where and term.settings.get("over") == "elevation":
+        low, high = driven_heights(term.settings["knots"])
+        return f"at heights about those driven, {low:.1f} to {high:.1f} m; nothing at others"
     if not term.where:
         return "everywhere"
     if "runs" in term.where:
