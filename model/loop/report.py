@@ -10,6 +10,7 @@ import numpy as np
 
 from model.loop.calibration import Calibration, Effect, verdict_words
 from model.loop.effects import Term
+from model.loop.evidence import Verdict
 from model.loop.formulas import driven_heights
 
 _UNITS = {
@@ -81,13 +82,22 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
             "taken": candidate.name in taken,
         }  # fmt: skip
         if candidate.name not in taken:
-            beside = "beside the effects found, " if taken else ""  # p_value is of the candidate alone
-            row["why_not"] = beside + verdict_words(last.get(candidate.name, verdict))
+            row["why_not"] = _why_not(verdict, last.get(candidate.name)) if taken else verdict_words(verdict)
         elif taken[candidate.name].shadow:
             row |= {"taken": False, "why_not": "it mends the form of the effects found, and is no cause of its own"}
         out.append(row)
     first = [r for r in out if r["taken"]]
     return [*sorted(first, key=lambda r: list(taken).index(r["name"])), *(r for r in out if not r["taken"])]
+
+
+def _why_not(alone: Verdict, beside: Verdict | None) -> str:
+    """Why a candidate was not taken where others were; it may be well above chance alone. beside : beside those, None
+    where it was not tried with them."""
+    if alone.why:
+        return alone.why
+    if beside is None:
+        return "one of the effects found says the same, or leaves it no sense"
+    return f"beside the effects found, {verdict_words(beside)}"
 
 
 def _finite(value: float) -> float | None:
