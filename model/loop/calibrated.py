@@ -36,11 +36,11 @@ class Correction:
     """What a calibration adds to a base model.
 
     terms : everything on top of it. planner : per term, whether a planner knows what it depends on. charge : the base
-    prediction's scale is unknown, so that the terms replace it. turn_j_per_rad : see `effects.turning_per_rad`.
-    conditions : logged columns at which plans are made unless told otherwise (their means on the runs). evidence : the
-    report's effects, JSON-able. spread : how far off the calibrated model was on held-out runs, whose fits did not know
-    them: what is not explained and what the coefficients are in doubt. Its factor is that on `assumed_std`; None of a
-    charge.
+    prediction's scale is unknown, so that the terms replace it. turn_j_per_rad : of turning in plans, beyond the
+    robot's own. conditions : logged columns at which plans are made unless told otherwise (their means on the runs).
+    evidence : the report's effects, JSON-able. spread : how far off the calibrated model was on held-out runs, whose
+    fits did not know them: what is not explained and what the coefficients are in doubt. Its factor is that on
+    `assumed_std`; None of a charge.
     """
 
     terms: tuple[Term, ...]
