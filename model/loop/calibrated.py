@@ -18,6 +18,7 @@ from model.errors import ConflictError, ModelError
 from model.frames import GridFrame
 from model.loop.drive import Drive, describe_segments, planned_drive
 from model.loop.effects import Term
+from model.loop.formulas import driven_heights
 from model.loop.segments import Segments
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
@@ -27,6 +28,7 @@ FloatArray = NDArray[np.float64]
 CALIBRATION_FILE = "calibration.json"
 FORMAT = 1
 _CHUNK = 400_000  # cells x headings described at a time
+_OTHER_HEIGHTS = 0.05  # of a map: less is no news
 
 
 @dataclass(frozen=True)
@@ -34,11 +36,11 @@ class Correction:
     """What a calibration adds to a base model.
 
     terms : everything on top of it. planner : per term, whether a planner knows what it depends on. charge : the base
-    prediction's scale is unknown, so that the terms replace it. turn_j_per_rad : see `effects.turning_per_rad`.
-    conditions : logged columns at which plans are made unless told otherwise (their means on the runs). evidence : the
-    report's effects, JSON-able. spread : how far off the calibrated model was on held-out runs, whose fits did not know
-    them: what is not explained and what the coefficients are in doubt. Its factor is that on `assumed_std`; None of a
-    charge.
+    prediction's scale is unknown, so that the terms replace it. turn_j_per_rad : of turning in plans, beyond the
+    robot's own. conditions : logged columns at which plans are made unless told otherwise (their means on the runs).
+    evidence : the report's effects, JSON-able. spread : how far off the calibrated model was on held-out runs, whose
+    fits did not know them: what is not explained and what the coefficients are in doubt. Its factor is that on
+    `assumed_std`; None of a charge.
     """
 
     terms: tuple[Term, ...]
@@ -103,11 +105,19 @@ class CalibratedPredictor:
         }  # fmt: skip
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Those of the base, and effects that plans cannot contain."""
+        """Those of the base, effects that plans cannot contain, and those of heights that this map does not have."""
         found = list(self.base.warnings(heightmap, robot))
         for term, known in zip(self.correction.terms, self.correction.planner, strict=True):
             if not known:
                 found.append(f"the effect {term.name} needs what only a log knows: it is not in plans")
+            elif term.settings.get("over") == "elevation":
+                low, high = driven_heights(term.settings["knots"])
+                heights = heightmap.heights[np.isfinite(heightmap.heights)]
+                if (other := np.mean((heights < low) | (heights > high))) > _OTHER_HEIGHTS:
+                    found.append(
+                        f"the effect {term.name} is known at heights from {low:.1f} to {high:.1f} m: it adds nothing "
+                        f"on the {other:.0%} of this map that lies at others"
+                    )
         return found
 
     def robot_with_turning(self, robot: Robot) -> Robot:

@@ -23,7 +23,7 @@ from model.loop.trace import Trace, trace
 FloatArray = NDArray[np.float64]
 
 _LEAST_SHARE = 0.05  # of the usual energy: relative errors of less say nothing
-_MOST_SHOWN = 0.5
+_MOST_SHOWN, _LITTLE = 0.5, 0.2
 _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 
@@ -189,17 +189,24 @@ def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: Shar
 
 
 def _idle(causes: Trace, fitted: _Fitted, shared: SharedErrors) -> Found | None:
-    """The least telling cause that is no news, whatever helped to find it: all of its coefficients may be nil once what
-    base runs show as well is taken off, or (of a field, whose neighbours share what is there) they show most of it. How
-    far base runs are apart is part of the p-value of what differs between runs. What an interaction is part of stands
-    with it."""
+    """The least telling cause that is no news, whatever helped to find it: base runs show most of it, or it explains
+    little and may be nil in all its coefficients. How far base runs are apart is part of the p-value of what differs
+    between runs. What an interaction is part of stands with it."""
     skip = len(fitted.silent)
     for k, found in reversed(list(enumerate(causes.found))):
         term, low, high = fitted.fit.terms[skip + k], fitted.fit.low[skip + k], fitted.fit.high[skip + k]
-        nil = shared.shows(term) > _MOST_SHOWN if term.formula == "place" else bool(np.all(low * high <= 0.0))
-        if nil and not causes.evidence.differs[found.verdict.term] and not interactions_of(found, causes.found):
+        nil = bool(np.all(low * high <= 0.0)) and not causes.evidence.differs[found.verdict.term]
+        idle = shared.shows(term) > _MOST_SHOWN or (nil and _share(causes, found) < _LITTLE)
+        if idle and not interactions_of(found, causes.found):
             return found
     return None
+
+
+def _share(traced: Trace, one: Found) -> float:
+    """Of the residual's squared size that goes with an effect, and with the interactions that it is part of."""
+    gone = [one, *interactions_of(one, traced.found)]
+    lost = _error(traced, [f.verdict.term for f in traced.found if f not in gone]) - _error(traced, traced.chosen)
+    return float(np.clip(lost / float(traced.evidence.by_fold[:, -1, -1].sum()), 0.0, 1.0))
 
 
 def _total(terms: Sequence[Term], residuals: Residuals) -> FloatArray:
@@ -227,18 +234,13 @@ def _usual(base: Residuals | None) -> dict[str, float]:
 
 
 def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
-    total = float(traced.evidence.by_fold[:, -1, -1].sum())
     out = []
     for k, found in enumerate(traced.found):
         term, low, high = fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k]
-        gone = [found, *interactions_of(found, traced.found)]
-        rest = [f.verdict.term for f in traced.found if f not in gone]
-        lost = _error(traced, rest) - _error(traced, traced.chosen)
         out.append(
             Effect(
                 term, np.asarray(term.coefficients) - fit.own[skip + k], low, high, found.verdict.p_value,
-                float(np.clip(lost / total, 0.0, 1.0)), found.candidate.in_plans(term), found.candidate.reveals,
-                found in traced.shadows,
+                _share(traced, found), found.candidate.in_plans(term), found.candidate.reveals, found in traced.shadows,
             )
         )  # fmt: skip
     return tuple(out)

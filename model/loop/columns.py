@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,9 @@ def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], ref
     into `refused`."""
     drive, moving = residuals.drive, residuals.moving
     only = drive.take(moving)
-    meters = {key: values for key, values in electric.items() if key != "ripple"}
+    meters = {key: values[moving] for key, values in electric.items() if key != "ripple"}
+    said = residuals.predicted[moving]
+    expected = [only.grade, said, said / only.duration_s]
     kept: dict[str, FloatArray] = {}
     for key, every in sorted(drive.columns.items()):
         values = every[moving]
@@ -37,7 +39,7 @@ def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], ref
             refused[f"learned:{key}"] = f"recorded on {known.mean():.0%} of the segments only"
         elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
             refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
-        elif copied := next((m for m, e in meters.items() if _alike(values, e[moving], only)), None):
+        elif copied := next((m for m, e in meters.items() if _alike(values, e, expected, only)), None):
             refused[f"learned:{key}"] = f"a copy of the {copied}, which is part of the measurement itself"
         elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
             refused[f"learned:{key}"] = f"identical to {twin}"
@@ -48,21 +50,28 @@ def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], ref
     return list(kept)
 
 
-def _alike(values: FloatArray, electric: FloatArray, drive: Drive) -> bool:
+def _alike(values: FloatArray, electric: FloatArray, expected: Sequence[FloatArray], drive: Drive) -> bool:
     """Whether a column follows a reading of the battery from segment to segment: what both have of a day's slow course
     (a voltage sinks while the air warms) makes no copy, so that each run's straight line in time is taken out; nor do
-    spikes, which were taken out of the reading, make a copy another."""
+    spikes, which were taken out of the reading, make a copy another. What follows something of `expected`, which needs
+    no meter, more closely still is that (a pitch on hills); a copy with noise is nearer to what it copies."""
     both = np.isfinite(values) & np.isfinite(electric)
     for _ in range(3):
         if both.sum() < 10:
             return False
         run, since = drive.run[both], drive.since_s[both]
-        a, b = (_without_lines(v[both], run, since) for v in (values, electric))
+        a, b, *others = (_without_lines(v[both], run, since) for v in (values, electric, *expected))
         near = np.all([np.abs(v) <= _SPIKE * np.median(np.abs(v)) for v in (a, b)], axis=0)
         both[both] = near
-    a, b = a[near], b[near]
-    least = 1e-9 * max(1.0, float(np.abs(values[both]).max()))
-    return bool(a.std() > least and b.std() > 1e-9 and abs(np.corrcoef(a, b)[0, 1]) > _COPY)
+    if a[near].std() <= 1e-9 * max(1.0, float(np.abs(values[both]).max())):
+        return False
+    follows = _likeness(a[near], b[near])
+    return follows > max(_COPY, *(_likeness(a[near], other[near]) for other in others))
+
+
+def _likeness(a: FloatArray, b: FloatArray) -> float:
+    """Magnitude of the correlation; 0 with what is constant."""
+    return float(abs(np.corrcoef(a, b)[0, 1])) if min(a.std(), b.std()) > 1e-9 else 0.0
 
 
 def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ that effects add up and their coefficients follow from least squares.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -278,18 +278,25 @@ def smooth(drive: Drive, *, over: str, knots: list[float], of: str, level: bool 
     a quantity; it is 0 at the middle one, unless it brings its own level.
 
     The curve is constant beyond its outer knots; where the quantity is unknown it says what it says at the middle. So
-    it does of heights far from all that were driven: those are of another place.
+    it does of heights outside `driven_heights`.
     """
     values = quantity(drive, over)
     if over == "elevation":
-        far = knots[-1] - knots[0]
-        values = np.where((values > knots[0] - far) & (values < knots[-1] + far), values, np.nan)
+        low, high = driven_heights(knots)
+        values = np.where((values >= low) & (values <= high), values, np.nan)
     amount = {"length": drive.length_m, "all": np.where(drive.standing, 0.0, drive.predicted),
               "motion": drive.motion_part}[of]  # fmt: skip
     middle = len(knots) // 2
     filled = np.where(np.isfinite(values), values, knots[middle])
     hats = [np.interp(filled, knots, row) for k, row in enumerate(np.eye(len(knots))) if level or k != middle]
     return np.stack(hats, axis=1) * amount[:, None]
+
+
+def driven_heights(knots: Sequence[float]) -> tuple[float, float]:
+    """(lowest, highest) [m] that a curve over heights speaks of: a quarter of its range beyond its outer knots, which
+    leave out the lowest and the highest of the drives. A height further off is one of another place."""
+    margin = 0.25 * (knots[-1] - knots[0])
+    return knots[0] - margin, knots[-1] + margin
 
 
 def _known(drive: Drive, column: str, reference: float) -> FloatArray:

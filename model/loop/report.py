@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from model.frames import heading_vector
 from model.loop.calibration import Calibration, Effect, verdict_words
 from model.loop.effects import Term
+from model.loop.evidence import Verdict
+from model.loop.formulas import driven_heights
+
+FloatArray = NDArray[np.float64]
 
 _UNITS = {
     "roughness": "m", "elevation": "m", "hollow": "m", "speed": "m/s", "column:temperature": "degC",
@@ -60,7 +67,7 @@ def _effect(effect: Effect) -> dict[str, Any]:
     names, units = coefficient_names(effect.term), coefficient_units(effect.term)
     return {
         "name": effect.term.name,
-        "where": where_words(effect.term),
+        "where": where_words(replace(effect.term, coefficients=tuple(effect.coefficients.tolist()))),
         "form": effect.term.formula,
         "settings": dict(effect.term.settings),
         "coefficients": [
@@ -86,12 +93,22 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
             "taken": candidate.name in taken,
         }  # fmt: skip
         if candidate.name not in taken:
-            row["why_not"] = verdict_words(last.get(candidate.name, verdict))
+            row["why_not"] = _why_not(verdict, last.get(candidate.name)) if taken else verdict_words(verdict)
         elif taken[candidate.name].shadow:
             row |= {"taken": False, "why_not": "it mends the form of the effects found, and is no cause of its own"}
         out.append(row)
     first = [r for r in out if r["taken"]]
     return [*sorted(first, key=lambda r: list(taken).index(r["name"])), *(r for r in out if not r["taken"])]
+
+
+def _why_not(alone: Verdict, beside: Verdict | None) -> str:
+    """Why a candidate was not taken where others were; it may be well above chance alone. beside : beside those, None
+    where it was not tried with them."""
+    if alone.why:
+        return alone.why
+    if beside is None:
+        return "one of the effects found says the same, or leaves it no sense"
+    return f"beside the effects found, {verdict_words(beside)}"
 
 
 def _finite(value: float) -> float | None:
@@ -106,7 +123,8 @@ def coefficient_units(term: Term) -> list[str]:
 
 
 def _with_unit(value: float, over: str) -> str:
-    return f"{value:.4g} {_UNITS.get(over, '')}".rstrip()
+    digits = ".1f" if over == "elevation" else ".4g"  # heights may be large and their differences small
+    return f"{value:{digits}} {_UNITS.get(over, '')}".rstrip()
 
 
 def coefficient_names(term: Term) -> list[str]:
@@ -141,10 +159,15 @@ def where_words(term: Term) -> str:
     if term.formula == "disk":
         s = term.settings
         return f"within {s['radius_m']:g} m of x {s['x']:.1f}, y {s['y']:.1f}"
+    if term.formula == "place":
+        return _field_words(term)
     if term.formula == "turning" and term.settings.get("limit_radps"):
         gentle = term.coefficients[0] / term.settings.get("share", 1.0)
         slow = f"{gentle:.4g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, no more above"
         return f"everywhere; {slow} (the coefficient is over all turns)"
+    if not term.where and term.settings.get("over") == "elevation":
+        low, high = driven_heights(term.settings["knots"])
+        return f"at heights about those driven, {low:.1f} to {high:.1f} m; nothing at others"
     if not term.where:
         return "everywhere"
     if "runs" in term.where:
@@ -154,3 +177,22 @@ def where_words(term: Term) -> str:
     side = "above" if "above" in term.where else "below"
     over = term.where["over"]
     return f"where {over.removeprefix('column:')} is {side} {_with_unit(term.where[side], over)}"
+
+
+def _field_words(term: Term) -> str:
+    """Where a field of bell curves is largest, and how far from there it falls to half, mean over all bearings."""
+    centres, width = np.asarray(term.settings["centres"]), term.settings["width_m"]
+
+    def field(at: FloatArray) -> FloatArray:
+        away = at[..., None, :] - centres  # (..., centres, 2)
+        return np.exp(-0.5 * (away**2).sum(axis=-1) / width**2) @ np.asarray(term.coefficients)
+
+    at_centres = field(centres)
+    peak = int(np.argmax(np.abs(at_centres)))
+    radii = width * np.arange(1, 41) / 4.0
+    dx, dy = heading_vector(np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False))
+    around = field(centres[peak] + radii[:, None, None] * np.stack([dx, dy], axis=-1)).mean(axis=1)
+    beyond = np.abs(around) < 0.5 * abs(at_centres[peak])
+    half = f", half of it {radii[np.argmax(beyond)]:.0f} m away" if beyond.any() else ""
+    x, y = centres[peak]
+    return f"a field over the map, strongest at x {x:.1f}, y {y:.1f}: {at_centres[peak]:+.2g}{half}"

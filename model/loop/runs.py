@@ -69,15 +69,16 @@ class Run:
         return int(self.t.size)
 
 
-def read_run(path: str | Path, *, crs: str | None = None) -> Run:
+def read_run(path: str | Path, *, name: str | None = None, crs: str | None = None) -> Run:
     """Read a run in CSV or Parquet: `t`, `x`,`y` (or `lat`,`lon` with the map's `crs`), `current` or `current_*`, and
-    optionally `voltage` and any further column. Raises RunsError naming file, column and row."""
+    optionally `voltage` and any further column. name : default that of the file. Raises RunsError naming file, column
+    and row."""
     path = Path(path)
     try:
         content = path.read_bytes()
     except OSError as error:
         raise RunsError(f"run {path}: {error}", path=str(path)) from error
-    return parse_run(content, name=path.name, crs=crs)
+    return parse_run(content, name=name or path.name, crs=crs)
 
 
 def parse_run(content: str | bytes, *, name: str, crs: str | None = None) -> Run:

@@ -20,7 +20,7 @@ from service.commands.options import (
     find_runs,
     robot_of,
 )
-from service.commands.words import energy_words
+from service.commands.words import energy_words, runs_words
 
 if TYPE_CHECKING:
     from model.robot import Robot
@@ -90,7 +90,7 @@ def calibrate(
     write_file(out / "report.html", report_page(made, ground).encode())
     _say(answer, made.document, out)
     count = len(read.segments.runs) + (0 if read.aside is None else len(read.aside.runs))
-    answer.say(f"{count} runs, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
+    answer.say(f"{runs_words(count)}, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
                f"{time.perf_counter() - began:.0f} s")  # fmt: skip
     answer.warn(made.document["warnings"])
     answer.document(made.document)
@@ -110,7 +110,8 @@ def _read(
     if terrain_from_name and odometry is None:
         raise typer.BadParameter("--terrain-from-name goes with --odometry")
     aside = find_runs(keep_aside or [])
-    files = [file for file in find_runs(runs) if file not in aside]
+    apart = {file.resolve() for file in aside}
+    files = [file for file in find_runs(runs) if file.resolve() not in apart]
     more = {"base_files": find_runs(base_runs or []), "aside_files": aside}
     if odometry is not None:
         return read_odometry_runs(files, Odometry(odometry, terrain_from_name), **more)

@@ -24,6 +24,7 @@ from service.commands.options import (
     robot_of,
     there,
 )
+from service.commands.words import runs_words
 
 if TYPE_CHECKING:
     from model.robot import Robot
@@ -101,7 +102,7 @@ def simulate(
             files.append(str(log.write_csv(out / f"run_{number:02d}.csv")))
             metres += driven.length_m
             report(number / runs)
-    answer.say(f"[bold]Simulated[/] {runs} runs over {site.value}, {metres:.0f} m in all, written to {out}")
+    answer.say(f"[bold]Simulated[/] {runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}")
     answer.document(
         {
             "heightmap": str(out / "dem.tif"),
@@ -236,7 +237,7 @@ def train(
     answer.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
     answer.table(
         {
-            "learned from": f"{model.segments} segments of {_runs(len(model.runs))}",
+            "learned from": f"{model.segments} segments of {runs_words(len(model.runs))}",
             "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
             + (", flattered a little: they said when to stop" if model.stopped_by_held_out else ""),
             "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",
@@ -268,7 +269,7 @@ def evaluate(
     rover = robot_of(robot)
     found = evaluate_on_runs(find_predictor(model), read_heightmap(heightmap), rover, find_runs(runs), charge=charge)
     answer.say(
-        f"[bold]Model {found['model']}[/] on {_runs(len(found['route_relative_errors']))}: {_errors_words(found)}"
+        f"[bold]Model {found['model']}[/] on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}"
     )
     answer.table(
         {
@@ -300,7 +301,3 @@ def _coverage_words(covered: dict[str, float] | None) -> str:
 
 def _errors_words(found: dict[str, Any]) -> str:
     return f"mean error {found['mean_relative_error']:.1%} per 1 m segment"
-
-
-def _runs(count: int) -> str:
-    return "1 run" if count == 1 else f"{count} runs"

@@ -99,4 +99,4 @@ def find_runs(patterns: list[str]) -> list[Path]:
             where = f"the folder {pattern} holds no" if Path(pattern).is_dir() else f"{pattern!r} names no"
             raise NotFoundError(f"{where} CSV or Parquet file (looked for from {Path.cwd()})", pattern=pattern)
         files += found
-    return list(dict.fromkeys(files))
+    return list({file.resolve(): file for file in files}.values())

@@ -13,6 +13,7 @@ import typer
 from model.errors import InputError
 from service.commands.console import Answer, JsonFile, progress_bar
 from service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, robot_of, there
+from service.commands.words import runs_words
 
 
 class ProfileName(StrEnum):
@@ -120,7 +121,7 @@ def baselines(
         read_heightmap(heightmap), rover, learned, tested, tested_heightmap=elsewhere,
         models=[find_predictor(name) for name in model or ()],
     )  # fmt: skip
-    answer.say(f"[bold]Fitted[/] to {len(learned)} runs, judged on {len(tested)}: mean error per 1 m segment")
+    answer.say(f"[bold]Fitted[/] to {runs_words(len(learned))}, judged on {len(tested)}: mean error per 1 m segment")
     answer.table(
         {
             name: f"{one['mean_relative_error']:.1%} straight, {one['with_turns']:.1%} with turns, "

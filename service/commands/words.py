@@ -20,6 +20,10 @@ def duration_words(seconds: float) -> str:
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
+def runs_words(count: int) -> str:
+    return "1 run" if count == 1 else f"{count} runs"
+
+
 def route_words(route: Mapping[str, Any]) -> str:
     """A route's length, energy and time. route : energy_j, length_m, and duration_s where it is known."""
     words = f"{route['length_m']:.1f} m, {energy_words(route['energy_j'])}"

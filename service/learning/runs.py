@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from model.errors import RunsError
+from model.loop.run_names import distinct_names
 from model.loop.runs import Run, read_run
 from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
@@ -22,7 +23,7 @@ def read_segments(
     """
     if not files:
         raise RunsError("there is no run to read: no file has such a name")
-    runs = [read_run(file, crs=crs) for file in files]
+    runs = [read_run(file, name=name, crs=crs) for file, name in zip(files, distinct_names(files), strict=True)]
     parts = []
     for run in runs:
         counted = charge or run.voltage_v is None

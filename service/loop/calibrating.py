@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from service.loop.next_drive import next_drive
 from service.loop.rerouting import Comparison, Task, compare_routes
 from service.loop.residuals import base_residuals, residuals_on
 from service.loop.runs import CalibrationRuns
-from service.models import CALIBRATED_FOLDER, load_model, model_name
+from service.models import CALIBRATED_FOLDER, load_model, model_name, planning_robot
 
 FloatArray = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def calibrate_on_runs(
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=_part(progress, _READ, _TRACED))
     version, routes, why_not = None, None, "nothing was found that changes a route"
     if found.terms:
-        correction = correction_of(found, std)
+        correction = correction_of(found, std, base_turn=planning_robot(predictor, robot).turn_j_per_rad)
         version = _write(begun, model, predictor, correction)
         after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
         driven = measured.drive.take(measured.moving)  # on ground that the map knows
@@ -144,8 +144,9 @@ def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
         raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
 
 
-def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
-    """What a calibration adds to its base model. std_j : (n,) of the base model for each of the calibration's rows."""
+def correction_of(found: Calibration, std_j: FloatArray, *, base_turn: float) -> Correction:
+    """What a calibration adds to its base model. std_j : (n,) of the base model for each of the calibration's rows;
+    base_turn : what turning costs in plans with it [J/rad]."""
     drive, moving = found.residuals.drive, found.residuals.moving
     planner = [True] * (len(found.shared.terms) + len(found.silent)) + [e.planner for e in found.effects]
     conditions = {k: float(np.nanmean(v)) for k, v in drive.columns.items() if np.isfinite(v).any()}
@@ -153,7 +154,7 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
         found.terms,
         tuple(planner),
         charge=found.residuals.charge,
-        turn_j_per_rad=drive.unit_j * turning_per_rad(found.terms, drive),
+        turn_j_per_rad=_turn_j_per_rad(found, base_turn) - drive.robot.turn_j_per_rad,
         conditions=conditions,
         evidence=[{"name": e.term.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=None
@@ -162,6 +163,19 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
             found.residuals.measured[moving], found.held_out_planner[moving], std_j[moving], drive.run[moving]
         ),
     )
+
+
+def _turn_j_per_rad(found: Calibration, base_turn: float) -> float:
+    """What turning costs in plans after a calibration: what it does with the base model, where nothing of turning was
+    found; what was found, where that is told from no base runs. What is new beside base runs comes on top of what these
+    took, by the base model (with the slowing down, which no plan has) or by its corrections, whichever is more."""
+    drive = found.residuals.drive
+    turning = [e for e in found.effects if e.term.formula.startswith("turning")]
+    every = drive.unit_j * turning_per_rad(found.terms, drive)
+    if turning and found.shared.residuals is None:
+        return every
+    new = [replace(e.term, coefficients=tuple(e.coefficients.tolist())) for e in turning]
+    return max(every, base_turn + drive.unit_j * turning_per_rad(new, drive))
 
 
 def _write(target: Path, model: str | Path, predictor: Predictor, correction: Correction) -> str:

@@ -85,8 +85,11 @@ def _figures(figures: Sequence[str], kind: str = "figures") -> str:
 
 
 def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
-    """Each coefficient of an effect with its 95 % interval; of many the least and the greatest."""
+    """Each coefficient of an effect with its 95 % interval; of many the least and the greatest. Those of a field mean
+    something together only: its place is told in `where`."""
     found = effect["coefficients"]
+    if effect["form"] == "place":
+        return [f"{len(found)} values"]
     told = found if len(found) <= _FEW else [f(found, key=lambda c: c["value"]) for f in (min, max)]
     words = [
         f"{c['name']}: {c['value']:.4g} {c['unit']} ({c['ci95'][0]:.4g} to {c['ci95'][1]:.4g})".replace("  ", " ")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from model.errors import RunsError
 from model.loop.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
+from model.loop.run_names import distinct_names
 from model.loop.runs import Run, read_run
 from model.loop.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
 from model.robot import Robot
@@ -44,8 +44,8 @@ def read_calibration_runs(
     def cut(run: Run, charge: bool) -> Segments:
         return cut_segments(run, charge=charge, max_speed_mps=CARRIED * robot.speed_mps)
 
-    read = [[read_run(file, crs=crs) for file in some] for some in (files, base_files, aside_files)]
-    return _cut((files, base_files, aside_files), read, cut)
+    read = _read((files, base_files, aside_files), lambda file, name: read_run(file, name=name, crs=crs))
+    return _cut(read, cut)
 
 
 def read_odometry_runs(
@@ -57,17 +57,20 @@ def read_odometry_runs(
 ) -> tuple[CalibrationRuns, Heightmap]:
     """Runs without positions, whose wheel speeds are integrated, and level ground under all of them. Raises RunsError
     as `read_calibration_runs`."""
-    read = [[read_odometry(file, odometry) for file in some] for some in (files, base_files, aside_files)]
-    runs = _cut((files, base_files, aside_files), read, lambda run, charge: cut_travel(run, charge=charge))
+    read = _read((files, base_files, aside_files), lambda file, name: read_odometry(file, odometry, name=name))
+    runs = _cut(read, lambda run, charge: cut_travel(run, charge=charge))
     return replace(runs, placed=False), flat_heightmap([run for some in read for run in some])
 
 
-def _cut(
-    files: tuple[Sequence[Path], ...], read: list[list[Run]], cut: Callable[[Run, bool], Segments]
-) -> CalibrationRuns:
+def _read(files: Sequence[Sequence[Path]], read: Callable[[Path, str], Run]) -> list[list[Run]]:
+    """The runs of each sequence of files, no two of different files under one name."""
     if not files[0]:
         raise RunsError("there is no run to read: no file has such a name")
-    read = [_named_apart(some, runs) for some, runs in zip(files, read, strict=True)]
+    names = iter(distinct_names([file for some in files for file in some]))
+    return [[read(file, next(names)) for file in some] for some in files]
+
+
+def _cut(read: list[list[Run]], cut: Callable[[Run, bool], Segments]) -> CalibrationRuns:
     every = [run for some in read for run in some]
     without = [run.name for run in every if run.voltage_v is None]
     if without and len(without) < len(every):
@@ -81,12 +84,3 @@ def _cut(
     assert segments is not None
     repairs = {run.name: run.repairs for run in every if run.repairs}
     return CalibrationRuns(segments, base, aside, sum(len(run) for run in every), repairs)
-
-
-def _named_apart(files: Sequence[Path], runs: list[Run]) -> list[Run]:
-    """Runs of one name in several folders, with their folders' names."""
-    names = Counter(file.name for file in files)
-    return [
-        replace(run, name=f"{file.parent.name}/{run.name}") if names[file.name] > 1 else run
-        for run, file in zip(runs, files, strict=True)
-    ]

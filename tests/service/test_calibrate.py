@@ -225,8 +225,10 @@ def test_wheel_speeds_stand_in_for_positions(tmp_path):
 
 def test_of_many_coefficients_the_least_and_the_greatest_are_told():
     def effect(*values):
-        return {"coefficients": [{"name": f"at {v}", "value": v, "unit": "J", "ci95": [v - 1, v + 1]} for v in values]}
+        told = [{"name": f"at {v}", "value": v, "unit": "J", "ci95": [v - 1, v + 1]} for v in values]
+        return {"form": "smooth", "coefficients": told}
 
     assert coefficient_words(effect(3, 5)) == ["at 3: 3 J (2 to 4)", "at 5: 5 J (4 to 6)"]
     told = coefficient_words(effect(3, 9, 5, -2, 4))
     assert told == ["5 values, the least and the greatest", "at -2: -2 J (-3 to -1)", "at 9: 9 J (8 to 10)"]
+    assert coefficient_words(effect(1, 2) | {"form": "place"}) == ["2 values"]

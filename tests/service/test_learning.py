@@ -18,8 +18,11 @@ from model.loop.prediction import predict_segments
 from model.loop.record import RECORD_FILE
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.learning.evaluation import evaluate_on_runs
 from service.learning.runs import read_segments
 from service.learning.training import train_on_runs
+from service.loop.runs import read_calibration_runs
+from service.models import find_predictor
 from service.workflows import make_cost_lattice
 
 ROBOT = Robot(rolling_resistance=0.1)
@@ -162,3 +165,19 @@ def test_a_calibration_without_effects_changes_no_prediction_and_leaves_loads_to
     np.testing.assert_array_equal(predict_segments(calibrated, waves(), ROBOT, loaded).energy_j, same.energy_j)
     charge = CalibratedPredictor(base, Correction((), (), charge=True), name="mine", version="1")
     assert np.isfinite(predict_segments(charge, waves(), ROBOT, loaded).energy_j).all()
+
+
+def test_runs_of_one_name_in_several_folders_stay_apart(tmp_path):
+    files = []
+    for k, day in enumerate(["monday", "tuesday"]):
+        folder = tmp_path / day / "new"
+        folder.mkdir(parents=True)
+        files.append(drive(folder, "run_01.csv", y=3.0 + k))
+    files.append(drive(tmp_path, "run_02.csv", y=5.0))
+    names = ["monday/new/run_01.csv", "tuesday/new/run_01.csv", "run_02.csv"]
+    found = evaluate_on_runs(find_predictor("physics"), waves(), ROBOT, files)
+    assert list(found["route_relative_errors"]) == names
+    assert found["route_relative_error"] == pytest.approx(np.mean(list(found["route_relative_errors"].values())))
+    with_base = read_calibration_runs(files[:1], ROBOT, crs=None, base_files=files[1:2], aside_files=files[2:])
+    parts = with_base.segments, with_base.base, with_base.aside
+    assert [part.runs for part in parts] == [(name,) for name in names]

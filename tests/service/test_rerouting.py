@@ -10,10 +10,14 @@ from model.energy.uncertainty import Spread
 from model.errors import BlockedError, NoRouteError
 from model.frames import GridFrame
 from model.loop.calibrated import CalibratedPredictor, Correction
+from model.loop.calibration import calibrate
 from model.loop.effects import Term
+from model.loop.residual import residuals_of
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
+from service.loop.calibrating import correction_of
 from service.loop.rerouting import compare_routes, drawn_tasks
+from tests.reference.drives import made_up, noisy
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, rolling_resistance=0.05)
 PLACES = np.stack(np.meshgrid(np.arange(3.5, 38.0, 4.0), np.arange(3.5, 28.0, 4.0)), axis=-1).reshape(-1, 2)
@@ -45,6 +49,23 @@ def test_turning_straightens_the_route() -> None:
     changed = told.map_as_dict()
     assert changed["turn_j_per_rad"] == {"before": 0.0, "after": 200.0}
     assert changed["change_per_m"] == pytest.approx({"low": 0.0, "high": 0.0}, abs=1e-3)  # straight metres
+
+
+def test_turns_cost_what_base_runs_took_and_what_is_new_beside_them() -> None:
+    """By a base model that charges 80 J/rad, whose runs show 20 of it once all else is told apart; then 60 more."""
+    rng = np.random.default_rng(8)
+    drives = [made_up(rng) for _ in range(2)]
+    names = tuple(f"run{k}" for k in range(int(drives[0].run.max()) + 1))
+    took = [noisy(rng, d, extra * d.turned_abs_rad) for d, extra in zip(drives, (20.0, 80.0), strict=True)]
+    base, new = (residuals_of(d, m, names, charge=False) for d, m in zip(drives, took, strict=True))
+    same, more, alone = calibrate(base, base=base), calibrate(new, base=base), calibrate(new)
+    assert [e.term.name for e in same.effects] == []
+    (effect,) = more.effects
+    told = [correction_of(found, np.ones(len(new)), base_turn=80.0).turn_j_per_rad for found in (same, more, alone)]
+    assert told[0] == 80.0
+    assert told[1] == pytest.approx(80.0 + effect.coefficients[0], rel=1e-3)
+    assert effect.coefficients[0] == pytest.approx(60.0, rel=0.1)
+    assert told[2] == pytest.approx(80.0, rel=0.1)  # all that these runs took
 
 
 def test_where_everything_got_dearer_alike_the_way_stays() -> None:

@@ -13,6 +13,7 @@ from model.frames import GridFrame, heading_bins
 from model.loop.calibrated import CalibratedPredictor, Correction
 from model.loop.effects import Term
 from model.loop.formulas import FORMULAS, GROUND, quantity
+from model.loop.report import where_words
 from model.robot import Robot
 from model.terrain.heightmap import Heightmap
 
@@ -65,6 +66,20 @@ def test_a_lattice_entry_is_the_answer_for_that_segment():
     for row, col, k in ((5, 7, 0), (20, 30, 3), (12, 25, 6)):
         one = source.segment_traction(ground, ROBOT, [x[col]], [y[row]], [headings[k]])
         assert lattice[row, col, k] == pytest.approx(one[0], rel=1e-5)
+
+
+def test_what_was_learned_of_heights_stays_near_them():
+    """Grass below 2 m on a hill that was driven from 1 to 3 m: known from 0.5 to 3.5 m, and nowhere lower or higher."""
+    knots = {"over": "elevation", "knots": [1.0, 2.0, 3.0], "of": "length"}
+    grass = Term("learned:elevation", "smooth", ("J/m", "J/m"), knots, {}, (40.0, 0.0))
+    source, base = calibrated(grass), calibrated()
+    x = np.array([4.0, 6.0, 10.0, 15.0, 36.0])  # heights 0.4, 0.6, 1.0, 1.5 and 3.6 m
+    extra = [ROBOT.price_per_m(m.segment_traction(hill(0.1), ROBOT, x, 15.0, math.pi / 2)) for m in (source, base)]
+    np.testing.assert_allclose(extra[0] - extra[1], [0.0, 40.0, 40.0, 20.0, 0.0], atol=1e-4)
+    assert where_words(grass) == "at heights about those driven, 0.5 to 3.5 m; nothing at others"
+    assert source.warnings(hill(0.0), ROBOT)[-1].endswith("it adds nothing on the 100% of this map that lies at others")
+    near = Heightmap(hill().heights + 1.0, hill().frame)  # from 1 to 3 m
+    assert source.warnings(near, ROBOT) == base.warnings(near, ROBOT)
 
 
 def test_turns_go_into_the_robot():

@@ -39,6 +39,15 @@ def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():
     assert turning_per_rad(terms[2:], drive) == 0.0
 
 
+def test_of_a_field_its_strongest_place_is_told():
+    """Of one bell curve of 4 m, half is at sqrt(2 ln 2) x 4 m = 4.7 m; told in quarters of its width."""
+    settings = {"centres": [[0.0, 0.0], [100.0, 0.0]], "width_m": 4.0, "of_all": False}
+    field = Term("local_friction", "place", ("", ""), settings, {}, (0.01, -0.08))
+    assert where_words(field) == "a field over the map, strongest at x 100.0, y 0.0: -0.08, half of it 5 m away"
+    sum_of_two = replace(field, settings=settings | {"centres": [[0.0, 0.0], [0.1, 0.0]]}, coefficients=(0.5, -0.4))
+    assert "x 0.0, y 0.0: +0.1" in where_words(sum_of_two)
+
+
 def test_units_are_told_where_they_are_known():
     warm = {"over": "column:temperature", "knots": [5.0, 12.5, 20.0], "of": "motion"}
     curve = Term("learned:temperature", "smooth", ("", ""), warm, {}, (0.2, -0.1))

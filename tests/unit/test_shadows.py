@@ -40,6 +40,9 @@ def test_a_measured_tilt_is_the_shadow_of_the_slope_across():
     (row,) = [c for c in document["candidates"] if c["name"] == "learned:roll"]
     assert not row["taken"]
     assert "no cause" in row["why_not"]
+    (gain,) = [c for c in document["candidates"] if c["name"] == "sensor_gain"]
+    assert gain["p_value"] < 0.05  # alone; the slope across says it all
+    assert gain["why_not"] == "beside the effects found, chance does as well"
     alone = [e.term for e in found.effects if not e.shadow]
     both = [e.term for e in found.effects]
     extra = 25.0 * ROBOT.weight_n * squared

@@ -9,6 +9,7 @@ import pytest
 from model.errors import ConflictError, ModelError, RunsError
 from model.loop.bounds import bounded
 from model.loop.calibrated import Correction, read_calibrated, save_calibrated
+from model.loop.columns import usable_columns
 from model.loop.effects import Term, inside
 from model.loop.fitting import fit_terms
 from model.loop.record import RECORD_FILE, read_record, save_record
@@ -102,6 +103,21 @@ def test_what_sinks_while_another_rises_is_no_copy_of_it():
     found = found_in(replace(drive, columns=columns), measured, electric={"voltage": volts})
     assert "learned:warm" not in found.refused
     assert "copy of the voltage" in found.refused["learned:sagging"]
+
+
+def test_a_pitch_on_hills_is_no_copy_of_the_energy_and_a_noisy_copy_is():
+    """Climbs so steep that pitch goes with the energy, and still more closely with the grade."""
+    rng = np.random.default_rng(5)
+    drive = made_up(rng)
+    drive = replace(drive, traction_per_m=ROBOT.weight_n * (0.5 + 4.0 * drive.grade), grade=4.0 * drive.grade)
+    measured = drive.predicted + rng.normal(0.0, 0.1 * drive.predicted.std(), len(drive))
+    pitch = np.degrees(np.arctan(drive.grade)) + rng.normal(0.0, 0.5, len(drive))
+    copy = measured + rng.normal(0.0, 0.05 * measured.std(), len(drive))
+    assert abs(np.corrcoef(pitch, measured)[0, 1]) > 0.95
+    residuals = residuals_of(replace(drive, columns={"pitch": pitch, "copy": copy}), measured, ("run",), charge=False)
+    refused = {}
+    assert usable_columns(residuals, {"energy": residuals.measured}, refused) == ["pitch"]
+    assert "copy of the energy" in refused["learned:copy"]
 
 
 def test_a_wind_nobody_logged_is_a_diagnosis_and_acts_in_these_runs_only():
