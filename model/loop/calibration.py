@@ -190,12 +190,12 @@ def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: Shar
 
 def _idle(causes: Trace, fitted: _Fitted, shared: SharedErrors) -> Found | None:
     """The least telling cause that is no news, whatever helped to find it: base runs show most of it, or it explains
-    little and may be nil in all its coefficients. How far base runs are apart is part of the p-value of what differs
-    between runs. What an interaction is part of stands with it."""
+    little and may be nil in its one or two coefficients (those of a curve share what is there). How far base runs are
+    apart is part of the p-value of what differs between runs. What an interaction is part of stands with it."""
     skip = len(fitted.silent)
     for k, found in reversed(list(enumerate(causes.found))):
         term, low, high = fitted.fit.terms[skip + k], fitted.fit.low[skip + k], fitted.fit.high[skip + k]
-        nil = bool(np.all(low * high <= 0.0)) and not causes.evidence.differs[found.verdict.term]
+        nil = low.size <= 2 and bool(np.all(low * high <= 0.0)) and not causes.evidence.differs[found.verdict.term]
         idle = shared.shows(term) > _MOST_SHOWN or (nil and _share(causes, found) < _LITTLE)
         if idle and not interactions_of(found, causes.found):
             return found
