@@ -1,4 +1,4 @@
-"""The moves of a selection of effects: judge each candidate, take the best, settle those taken, and name the rivals."""
+"""The moves of a selection of effects: judge each candidate, take the best, and settle those taken."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from model.loop.candidates import Candidate
 from model.loop.evidence import Evidence, Verdict
 
 ALPHA = 0.05
-
 SENSELESS = "its sign or its size makes no sense"
+CURVES = {
+    "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
+    "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",
+    "local_friction": "learned:place",
+}  # fmt: skip
+"""The curve over the very quantity of a named effect: it could only mend the form of that."""
 
 _STEADY = 0.6  # of the folds must gain
 _COEFFICIENT, _MOST = 0.01, 0.04
 _NEARLY, _FAIRLY = 0.85, 0.7  # of a learned curve's gain is enough for a physical form; within the noise, less
 _SURE, _LITTLE = 0.01, 0.02
 _ROUNDS = 3
-_TOLERANCE = 0.1
 _LEFT = 0.75  # of the work, as far as anybody knows, after each judging of all candidates
-_CURVES = {
-    "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
-    "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",
-    "local_friction": "learned:place",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class Search:
         if key in self._best:
             return self._best[key]
         names = {f.candidate.name for f in found}
-        names |= self._refused | {_CURVES[name] for name in names if name in _CURVES}
+        names |= self._refused | {CURVES[name] for name in names if name in CURVES}
         tried = [k for k, c in enumerate(self.owner) if c.name not in names]
         forms: dict[str, list[Verdict]] = {}
         for verdict in self.evidence.judge(taken, tried):
@@ -149,14 +148,18 @@ class Search:
             return None
         taken = [f.verdict.term for f in found]
         best = max(first, key=lambda f: self.score(f.verdict))
-        copies = [Found(c, v) for c, v in verdicts
-                  if v.p_value > ALPHA and not v.why and self.between(v.term) and self.clears_floor(v)]  # fmt: skip
+        copies = [Found(c, replace(v, p_value=best.verdict.p_value)) for c, v in verdicts
+                  if v.p_value > ALPHA and self.may_copy(v)]  # fmt: skip
         alike = [f for f in first + copies if f is best or self.as_good(taken, f, best)]
-        opposed = {_CURVES.get(c.name) for c, v in verdicts if v.why == SENSELESS}
+        opposed = {CURVES.get(c.name) for c, v in verdicts if v.why == SENSELESS}
         alike.sort(key=lambda f: (self.named(f), f.candidate.name not in opposed, self.score(f.verdict)), reverse=True)
         chosen = alike[0]
         above = [f for f in alike[1:] if self.score(f.verdict) > self.score(chosen.verdict)]
         return next((c for c in above if self.tells_more(taken, c, chosen)), chosen)
+
+    def may_copy(self, verdict: Verdict) -> bool:
+        """Whether a term may be a near copy of one that is more than chance: told between runs alone, and helpful."""
+        return not verdict.why and self.between(verdict.term) and self.clears_floor(verdict)
 
     def named(self, one: Found) -> bool:
         """Whether a physical form speaks for an effect: a curve, a drift, a field over the map and coefficients for
@@ -292,53 +295,3 @@ class Search:
         rest = [f.verdict.term for f in self.beside(found, one)]
         its = [f.verdict.term for f in (one, *interactions_of(one, found))]
         return self.saved(rest, its) / max(self.error(rest), 1e-12)
-
-    def shadows(self, found: Sequence[Found]) -> list[Found]:
-        """The effects that only fill in where the others have not quite the right form, the weakest first."""
-        causes = list(found)
-        while shadows := [f for f in causes if not interactions_of(f, causes) and self._shadow(causes, f)]:
-            causes.remove(min(shadows, key=lambda f: self.worth(causes, f)))
-        return [f for f in found if f not in causes]
-
-    def _shadow(self, found: Sequence[Found], one: Found) -> bool:
-        """Whether an effect is but the shadow of others: a curve over the ground or over what answers to the drive on
-        it, of which they explain nine tenths of all it explains alone (a tolerance below 0.1: Marquardt 1970)."""
-        rest = [f.verdict.term for f in self.beside(found, one)]
-        follows = one.candidate.response or self.evidence.terms[one.verdict.term].reads_ground
-        if self.named(one) or not follows or not rest:
-            return False
-        own = [k for k, c in enumerate(self.owner) if c.name == one.candidate.name]
-        alone = max(self.saved([], [k]) for k in own)
-        return self.saved(rest, [one.verdict.term]) < _TOLERANCE * alone
-
-    def by_worth(self, found: list[Found]) -> list[Found]:
-        """The most telling first; what answers to the drive comes after what explains it."""
-        return sorted(found, key=lambda f: (f.candidate.response, -self.worth(found, f)))
-
-    def contains(self, rival: int, term: int) -> bool:
-        """Whether a rival is the very effect and something more, which shows nothing but the effect again."""
-        its, mine = (self.evidence.x[:, self.evidence.columns[k]] for k in (rival, term))
-        if its.shape[1] <= mine.shape[1]:
-            return False
-        rest = mine - its @ np.linalg.lstsq(its, mine, rcond=None)[0]
-        return bool((rest**2).sum() < 1e-6 * (mine**2).sum())
-
-    def rivals(self, found: Sequence[Found], one: Found) -> list[str]:
-        """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise."""
-        rest = [f.verdict.term for f in found if f is not one]
-        names = {f.candidate.name for f in found}
-        mine = self.evidence.columns_of([*rest, one.verdict.term])
-        gained = self.error(rest) - self.error([*rest, one.verdict.term])
-        out = []
-        for candidate, verdict in self.best_of_each([f for f in found if f is not one]):
-            if candidate.name in names or verdict.p_value > ALPHA or not self.clears_floor(verdict):
-                continue
-            if self.contains(verdict.term, one.verdict.term):
-                continue
-            its = self.evidence.columns_of([*rest, verdict.term])
-            blocks = self.evidence.own(mine) or self.evidence.own(its)
-            worse = self.evidence.held_out(its, blocks=blocks) - self.evidence.held_out(mine, blocks=blocks)
-            noise = float(worse.std(ddof=1)) * np.sqrt(worse.size)
-            if worse.sum() < noise and worse.sum() < 0.1 * gained:
-                out.append(candidate.name)
-        return out

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 from model.loop.candidates import Candidate
 from model.loop.evidence import Evidence, Verdict
+from model.loop.naming import by_worth, rivals, shadows_of
 from model.loop.residual import Residuals
 from model.loop.selection import Floors, Found, Search
 
@@ -91,10 +92,10 @@ def trace(
             search.refuse(wrong)
             found, needless = [], set()
         verdicts = search.best_of_each(found)
-    found = search.by_worth(search.two_named(found))
-    shadows = search.shadows(found)
+    found = by_worth(search, search.two_named(found))
+    shadows = shadows_of(search, found)
     remaining = [v for v in verdicts if v[0].name not in {f.candidate.name for f in found}]
-    names = {f.candidate.name: search.rivals(found, f) for f in found if f not in shadows}
+    names = {f.candidate.name: rivals(search, found, f) for f in found if f not in shadows}
     least = min((v.p_value for _, v in remaining if search.clears_floor(v)), default=None)
     if least is None:
         least = max((v.p_value for _, v in remaining), default=1.0)
