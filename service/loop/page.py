@@ -149,7 +149,7 @@ def _errors(document: Mapping[str, Any], unit: str) -> str:
         judged.append(("runs kept aside, in which nothing was sought", aside["segments"], aside["error"]))
     rows = [
         [f"{where}, {segments:,} segments: {state}", f"{error[key]['mean_relative']:.1%}",
-         f"{error[key]['rmse']:.3g} {unit}", f"{error[key]['bias']:+.2g} {unit}"]
+         f"{error[key]['rmse']:.3g} {unit}", f"{error[key]['bias']:+.3g} {unit}"]
         for where, segments, error in judged
         for key, state in _STATES.items() if key != "corrected" or error[key] != error["before"]
     ]  # fmt: skip
