@@ -125,9 +125,13 @@ def calibrate(
         shared=lambda k: float(known[k]), seed=seed, progress=progress,
     )  # fmt: skip
     start = measured.without_prediction() if plane else residuals
-    while traced.found and (idle := _idle(traced.causes, _fitted(traced.causes, start, plane, shared), shared)):
+    fitted = _fitted(traced.causes, start, plane, shared)
+    while idle := _idle(traced.causes, fitted, shared):
         traced = traced.without(idle)
-    fit, silent, level, start = _fitted(traced, start, plane, shared)
+        fitted = _fitted(traced.causes, start, plane, shared)
+    if traced.shadows:
+        fitted = _fitted(traced, start, plane, shared)
+    fit, silent, level, start = fitted
     effects = _effects(traced, fit, len(silent))
     corrected = before_energy if plane else residuals.predicted
     held = start.predicted + fit.held_out if effects else corrected
