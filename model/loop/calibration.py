@@ -23,7 +23,8 @@ from model.loop.trace import Trace, trace
 FloatArray = NDArray[np.float64]
 
 _LEAST_SHARE = 0.05  # of the usual energy: relative errors of less say nothing
-_MOST_SHOWN, _LITTLE = 0.5, 0.2
+_MOST_SHOWN = 0.5  # of an effect, by base runs: more is no news
+_SMALL = 0.2  # share of the residual's squared size below which an effect has to differ from nil
 _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 
@@ -200,7 +201,7 @@ def _idle(causes: Trace, fitted: _Fitted, shared: SharedErrors) -> Found | None:
     for k, found in reversed(list(enumerate(causes.found))):
         term, low, high = fitted.fit.terms[skip + k], fitted.fit.low[skip + k], fitted.fit.high[skip + k]
         nil = low.size <= 2 and bool(np.all(low * high <= 0.0)) and not causes.evidence.differs[found.verdict.term]
-        idle = shared.shows(term) > _MOST_SHOWN or (nil and _share(causes, found) < _LITTLE)
+        idle = shared.shows(term) > _MOST_SHOWN or (nil and _share(causes, found) < _SMALL)
         if idle and not interactions_of(found, causes.found):
             return found
     return None

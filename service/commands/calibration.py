@@ -145,14 +145,10 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
     answer.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
 
 
-_STATES = {
-    "before": "before", "corrected": "corrected by what its base runs show", "after": "after",
-    "after_planner": "with what a planner knows",
-}  # fmt: skip
-
-
 def _error_words(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
-    states = {k: words for k, words in _STATES.items() if k != "corrected" or error[k] != error["before"]}
+    from service.loop.page import error_states
+
+    states = error_states(error)
     return {
         f"{name} error{where}": ", ".join(f"{scale * error[k][key]:.3g}{suffix} {words}" for k, words in states.items())
         for key, name, scale, suffix in (

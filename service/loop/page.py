@@ -136,10 +136,11 @@ def _confounded(document: Mapping[str, Any]) -> str:
     return f"<h2>What these runs cannot tell apart</h2><ul>{groups}</ul><p>Drives that would:</p><ul>{drives}</ul>"
 
 
-_STATES = {
-    "before": "before", "corrected": "before, corrected by what the base model's own runs show", "after": "after",
-    "after_planner": "after, as a planner knows it",
-}  # fmt: skip
+def error_states(error: Mapping[str, Any]) -> dict[str, str]:
+    """Words for each state that errors are stated of; what the base model's own runs correct where that is anything."""
+    states = {"before": "before", "corrected": "corrected by what the base model's own runs show", "after": "after",
+              "after_planner": "after, as a planner knows it"}  # fmt: skip
+    return {key: words for key, words in states.items() if key != "corrected" or error[key] != error["before"]}
 
 
 def _errors(document: Mapping[str, Any], unit: str) -> str:
@@ -151,7 +152,7 @@ def _errors(document: Mapping[str, Any], unit: str) -> str:
         [f"{where}, {segments:,} segments: {state}", f"{error[key]['mean_relative']:.1%}",
          f"{error[key]['rmse']:.3g} {unit}", f"{error[key]['bias']:+.3g} {unit}"]
         for where, segments, error in judged
-        for key, state in _STATES.items() if key != "corrected" or error[key] != error["before"]
+        for key, state in error_states(error).items()
     ]  # fmt: skip
     return _table(["judged by", "mean relative", "root mean square", "bias"], rows)
 

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from model.errors import ConflictError, ModelError, RunsError
+from model.loop import calibration
 from model.loop.bounds import bounded
 from model.loop.calibrated import Correction, read_calibrated, save_calibrated
 from model.loop.columns import usable_columns
 from model.loop.effects import Term, inside
-from model.loop.fitting import fit_terms
+from model.loop.fitting import Fit, fit_terms
 from model.loop.record import RECORD_FILE, read_record, save_record
 from model.loop.report import report_document
 from model.loop.residual import residuals_of
+from model.loop.shared import SharedErrors
 from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
 
 BEFORE = {"name": "made up", "version": "1"}
@@ -338,3 +340,22 @@ def test_cost_that_rises_through_the_day_is_a_drift_and_no_warmth():
     assert [e.term.name for e in found.effects] == ["drift"]
     cold = found_in(drive, noisy(rng, drive, 3.0 * (20.0 - drive.columns["temperature"])))
     assert [e.term.name for e in cold.effects] == ["temperature"]
+
+
+def test_a_small_effect_that_may_be_nil_is_none():
+    """Of one effect found, with its interval as it is and moved to hold zero; a large one stands all the same."""
+    for strength, small in ((6.0, True), (80.0, False)):
+        rng = np.random.default_rng(14)
+        drive = made_up(rng)
+        found = found_in(drive, noisy(rng, drive, strength * drive.turned_abs_rad))
+        assert [e.term.name for e in found.effects] == ["turning"]
+        term, low, high = found.effects[0].term, found.effects[0].low, found.effects[0].high
+        assert low.size <= 2
+        assert (found.effects[0].share < 0.2) is small
+
+        def news(low, high, trace=found.trace, term=term):
+            fit = Fit((term,), (np.zeros(low.size),), (low,), (high,), np.zeros(0))
+            return calibration._idle(trace, calibration._Fitted(fit, [], [], trace.evidence.residuals), SharedErrors())
+
+        assert news(low, high) is None
+        assert news(-np.abs(high), np.abs(high)) is (found.trace.found[0] if small else None)
