@@ -359,3 +359,13 @@ def test_a_small_effect_that_may_be_nil_is_none():
 
         assert news(low, high) is None
         assert news(-np.abs(high), np.abs(high)) is (found.trace.found[0] if small else None)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_single_run_names_what_it_shows_and_nothing_else(seed):
+    """Held out in parts; what differs between runs, as weather and hours do, cannot be asked of one."""
+    rng = np.random.default_rng(200 + seed)
+    drive = made_up(rng, runs=1, each=400)
+    assert not found_in(drive, noisy(rng, drive)).effects
+    turned = found_in(drive, noisy(rng, drive, EFFECTS["turning"](drive)))
+    assert [e.term.name for e in turned.effects] == ["turning"]
