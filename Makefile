@@ -37,7 +37,7 @@ openapi: $(INSTALLED) ## write openapi/openapi.json anew
 
 clean: ## remove caches and the demo's output (data/ and $(VENV) stay)
 	rm -rf build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	find model planner service tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find model planner service joulemap tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean ## remove the environment too
 	rm -rf $(VENV)
@@ -45,8 +45,10 @@ distclean: clean ## remove the environment too
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-# Installed anew when the dependencies change; the kernels are compiled here so that nobody waits for them later.
+# Installed anew when the dependencies change. The kernels are compiled here so that nobody waits for them later; those
+# of an earlier version are removed first, because their cache remembers module names.
 $(INSTALLED): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[dev]'
+	find model planner service -name '*.nb[ci]' -delete
 	$(BIN)/joulemap warmup
 	touch $@

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import HeightmapError, PointError
+from joulemap.model.errors import HeightmapError, PointError
 
 TAU = 2.0 * math.pi
 RESOLUTION_LIMITS_M = (1e-3, 1e4)
@@ -69,8 +69,9 @@ class GridFrame:
         if math.isfinite(self.resolution_m) and self.resolution_m > 0 and not low <= self.resolution_m <= high:
             raise HeightmapError(
                 f"a resolution of {self.resolution_m:g} m is outside the {low:g}..{high:g} m a map may have",
-                resolution_m=self.resolution_m, limit=[low, high],
-            )  # fmt: skip
+                resolution_m=self.resolution_m,
+                limit=[low, high],
+            )
         if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
             raise HeightmapError(
                 f"resolution must be a positive number of metres, got {self.resolution_m}",
@@ -121,8 +122,10 @@ class GridFrame:
             raise PointError(
                 f"{name} ({x:.2f}, {y:.2f}) lies outside the map, which spans x {west:.2f}..{east:.2f}, "
                 f"y {south:.2f}..{north:.2f}",
-                x=x, y=y, bounds=[west, south, east, north],
-            )  # fmt: skip
+                x=x,
+                y=y,
+                bounds=[west, south, east, north],
+            )
         row, col = self.rowcol(x, y)
         return min(int(row + 0.5), self.rows - 1), min(int(col + 0.5), self.cols - 1)
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import InputError, RobotError
+from joulemap.model.errors import InputError, RobotError
 
 GRAVITY_MPS2 = 9.80665
 """Standard gravity [m/s2]. Source: CGPM 1901."""
@@ -52,8 +52,10 @@ class Robot:
             if not (math.isfinite(value) and inside):
                 raise RobotError(
                     f"robot: {key} = {value} is outside {'[' if low_ok else '('}{low:g}, {high:g}]",
-                    key=key, value=str(value), limit=[low, high],
-                )  # fmt: skip
+                    key=key,
+                    value=str(value),
+                    limit=[low, high],
+                )
             object.__setattr__(self, key, float(value))
         if not self.name or not isinstance(self.name, str):
             raise RobotError(f"robot: name must be a non-empty text, got {self.name!r}", key="name")

@@ -16,9 +16,12 @@ Part = TypeVar("Part")
 
 
 def share_out(
-    do: Callable[[Part], object], parts: Sequence[Part], *, initializer: Callable[..., object] | None = None,
+    do: Callable[[Part], object],
+    parts: Sequence[Part],
+    *,
+    initializer: Callable[..., object] | None = None,
     initargs: Iterable[Any] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Do every part, each in one of as many threads as numba may use, in no particular order; raises what one raises.
 
     initializer : called with `initargs` in every thread before its first part.

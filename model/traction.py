@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 
 class TractionSource(Protocol):
@@ -28,4 +28,5 @@ class TractionSource(Protocol):
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """(rows, cols, headings) float32 at the cell centres of `frame`, NaN where the map is unknown: traction [J/m],
-        and the standard deviation of a 1 m segment's energy [J], None from a source that does not know it."""
+        and the standard deviation of a 1 m segment's energy [J], None from a source that does not know it.
+        """

@@ -15,16 +15,16 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from model.errors import InputError
-from planner.buckets import SETTLED
-from planner.edges import Points, path_price
-from planner.fields import field_from, field_towards
-from planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
-from planner.lattice import CostLattice
-from planner.moves import MoveTable
-from planner.refine import refine_path, subdivided
-from planner.search import GridPath, grid_search, joined_points
-from planner.states import Search
+from joulemap.model.errors import InputError
+from joulemap.planner.buckets import SETTLED
+from joulemap.planner.edges import Points, path_price
+from joulemap.planner.fields import field_from, field_towards
+from joulemap.planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.refine import refine_path, subdivided
+from joulemap.planner.search import GridPath, grid_search, joined_points
+from joulemap.planner.states import Search
 
 STRETCH = 1.3
 """Most energy of another way, in multiples of the best one's."""
@@ -33,9 +33,17 @@ LEAST_SHARE = 0.3
 
 
 def alternative_paths(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, count: int = 3, stretch: float = STRETCH,
-    plateau: float = 0.1, apart_m: float | None = None, share: float = LEAST_SHARE,
-) -> list[GridPath]:  # fmt: skip
+    lattice: CostLattice,
+    table: MoveTable,
+    start: Points,
+    goal: Points,
+    *,
+    count: int = 3,
+    stretch: float = STRETCH,
+    plateau: float = 0.1,
+    apart_m: float | None = None,
+    share: float = LEAST_SHARE,
+) -> list[GridPath]:
     """The best way and up to `count` - 1 others, cheapest first.
 
     start, goal : (2,) (row, col). stretch : the most energy of another way, in multiples of the best one's; plateau :

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from model.robot import Battery
+from joulemap.model.robot import Battery
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class Verdict:
 
 def judge(energy_j: float, battery: Battery, *, std_j: float | None = None) -> Verdict:
     """The verdict for a task of `energy_j` [J], negative where regeneration fills the battery. std_j : its standard
-    deviation [J], of a normal distribution."""
+    deviation [J], of a normal distribution.
+    """
     margin = battery.available_j - energy_j
     at_end = battery.charge - energy_j / (battery.capacity_wh * 3600.0)
     return Verdict(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import InputError, PointError
-from model.frames import heading_of
-from planner.kernels import heading_weights, leg_energies, path_energy
-from planner.lattice import CostLattice
+from joulemap.model.errors import InputError, PointError
+from joulemap.model.frames import heading_of
+from joulemap.planner.kernels import heading_weights, leg_energies, path_energy
+from joulemap.planner.lattice import CostLattice
 
 Points = NDArray[np.float64]
 

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import BlockedError, NoRouteError
-from planner.edges import Points, path_price
-from planner.heuristics import guide_everywhere
-from planner.lattice import CostLattice
-from planner.moves import MoveTable
-from planner.search import GridPath, direct_energy, joined_points, terminals
-from planner.states import Search, layer_count, new_search, run_search
+from joulemap.model.errors import BlockedError, NoRouteError
+from joulemap.planner.edges import Points, path_price
+from joulemap.planner.heuristics import guide_everywhere
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.search import GridPath, direct_energy, joined_points, terminals
+from joulemap.planner.states import Search, layer_count, new_search, run_search
 
 _NONE = -1
 
@@ -93,9 +93,14 @@ def field_towards(lattice: CostLattice, table: MoveTable, goals: Points) -> Ener
 
 
 def _field(
-    lattice: CostLattice, table: MoveTable, places: Points, cells: NDArray[np.int64], cost: NDArray[np.float64], *,
+    lattice: CostLattice,
+    table: MoveTable,
+    places: Points,
+    cells: NDArray[np.int64],
+    cost: NDArray[np.float64],
+    *,
     backward: bool,
-) -> EnergyField:  # fmt: skip
+) -> EnergyField:
     search = new_search(table, layer_count(lattice, table), cells, cost, backward=backward)
     run_search(search, table, np.unique(cells), guide_everywhere(table, backward=backward))
     return EnergyField(lattice, table, places, search)

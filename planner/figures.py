@@ -9,23 +9,28 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from model.frames import heading_bins, heading_vector
-from planner.edges import price_terms
-from planner.lattice import Blocked, CostLattice
+from joulemap.model.frames import heading_bins, heading_vector
+from joulemap.planner.edges import price_terms
+from joulemap.planner.lattice import Blocked, CostLattice
 
 
 def figures_of(lattice: CostLattice) -> dict[str, Any]:
     """What `joined_figures` needs of a part of a lattice, JSON-able. min, max, total of the prices [J/m] of all (cell,
-    heading) pairs that may be driven, None where there is none; counts : pairs under each `Blocked` code."""
+    heading) pairs that may be driven, None where there is none; counts : pairs under each `Blocked` code.
+    """
     counts = np.zeros(len(Blocked), dtype=np.int64)
     least, most, total = _tally(
-        lattice.traction_per_m, lattice.gradient, lattice.blocked, price_terms(lattice),
-        *heading_vector(heading_bins(lattice.headings)), int(Blocked.GRADE), int(Blocked.CROSS_SLOPE), counts,
-    )  # fmt: skip
+        lattice.traction_per_m,
+        lattice.gradient,
+        lattice.blocked,
+        price_terms(lattice),
+        *heading_vector(heading_bins(lattice.headings)),
+        int(Blocked.GRADE),
+        int(Blocked.CROSS_SLOPE),
+        counts,
+    )
     free = counts[Blocked.FREE] > 0
-    return {
-        "min": least if free else None, "max": most if free else None, "total": total, "counts": counts.tolist()
-    }  # fmt: skip
+    return {"min": least if free else None, "max": most if free else None, "total": total, "counts": counts.tolist()}
 
 
 def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -36,11 +41,15 @@ def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """
     counts = np.sum([part["counts"] for part in parts], axis=0)
     driven = [part for part in parts if part["counts"][Blocked.FREE]]
-    energy = {
-        "min": min(part["min"] for part in driven),
-        "mean": sum(part["total"] for part in driven) / int(counts[Blocked.FREE]),
-        "max": max(part["max"] for part in driven),
-    } if driven else None  # fmt: skip
+    energy = (
+        {
+            "min": min(part["min"] for part in driven),
+            "mean": sum(part["total"] for part in driven) / int(counts[Blocked.FREE]),
+            "max": max(part["max"] for part in driven),
+        }
+        if driven
+        else None
+    )
     return {
         "energy_per_m": energy,
         "blocked": {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked},

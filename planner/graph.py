@@ -5,13 +5,13 @@ from __future__ import annotations
 import networkx as nx
 import numpy as np
 
-from model.errors import TooLargeError
-from planner.edges import leg_prices_between
-from planner.lattice import Blocked, CostLattice
-from planner.moves import move_offsets
+from joulemap.model.errors import TooLargeError
+from joulemap.planner.edges import leg_prices_between
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.moves import move_offsets
 
 MAX_GRAPH_CELLS = 250_000
-"""A node is a Python object: larger lattices belong to `planner.search`."""
+"""A node is a Python object: larger lattices belong to `joulemap.planner.search`."""
 
 
 def lattice_graph(lattice: CostLattice, *, neighbours: int = 16) -> nx.DiGraph:
@@ -24,8 +24,9 @@ def lattice_graph(lattice: CostLattice, *, neighbours: int = 16) -> nx.DiGraph:
     if rows * cols > MAX_GRAPH_CELLS:
         raise TooLargeError(
             f"{rows} x {cols} cells are too many for a networkx graph, the limit is {MAX_GRAPH_CELLS:,} cells",
-            cells=rows * cols, limit=MAX_GRAPH_CELLS,
-        )  # fmt: skip
+            cells=rows * cols,
+            limit=MAX_GRAPH_CELLS,
+        )
     graph = nx.DiGraph(crs=lattice.frame.crs, spacing_m=lattice.frame.resolution_m)
     row, col = np.nonzero(lattice.blocked == Blocked.FREE)
     x, y = lattice.frame.xy(row, col)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planner.buckets import BUCKETS, NEVER, bound_at, open_ring, put
+from joulemap.planner.buckets import BUCKETS, NEVER, bound_at, open_ring, put
 
 SEED, DROVE, TURNED_RIGHT, TURNED_LEFT = 0, 1, 2, 3
 """How a state of `search_headings` came by its energy."""

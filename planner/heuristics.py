@@ -27,9 +27,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.buckets import Guide
-from planner.edges import Points
-from planner.moves import MoveTable
+from joulemap.planner.buckets import Guide
+from joulemap.planner.edges import Points
+from joulemap.planner.moves import MoveTable
 
 _NO_MARKS = np.empty((0, 0), dtype=np.float32)
 
@@ -48,9 +48,15 @@ def dijkstra_bounds(table: MoveTable) -> NDArray[np.float64]:
 
 
 def guide_towards(
-    table: MoveTable, bounds: NDArray[np.float64], goal: Points, targets: NDArray[np.int64],
-    rest: NDArray[np.float64], spacing_m: float, marks: NDArray[np.float32] | None = None, slack_j: float = 0.0,
-) -> Guide:  # fmt: skip
+    table: MoveTable,
+    bounds: NDArray[np.float64],
+    goal: Points,
+    targets: NDArray[np.int64],
+    rest: NDArray[np.float64],
+    spacing_m: float,
+    marks: NDArray[np.float32] | None = None,
+    slack_j: float = 0.0,
+) -> Guide:
     """What leads a search to `goal` (2,) (row, col), which is joined to the cells `targets` (T,) at `rest` (T,) [J].
 
     bounds : (B, 2) from above; marks : (cells, M) of `Landmarks`, each known to within slack_j / 2.

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from model.frames import heading_of_step
+from joulemap.model.frames import heading_of_step
 
 TOUCH = 1e-9
 """Bilinear weight below which a cell does not count as touched."""
@@ -108,9 +108,11 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
     rows, cols, bins = traction.shape
     slack = 0.5 + 1e-6
     if not (
-        -slack <= row0 <= rows - 1 + slack and -slack <= row1 <= rows - 1 + slack
-        and -slack <= col0 <= cols - 1 + slack and -slack <= col1 <= cols - 1 + slack
-    ):  # fmt: skip
+        -slack <= row0 <= rows - 1 + slack
+        and -slack <= row1 <= rows - 1 + slack
+        and -slack <= col0 <= cols - 1 + slack
+        and -slack <= col1 <= cols - 1 + slack
+    ):
         return math.nan
     drow = row1 - row0
     dcol = col1 - col0

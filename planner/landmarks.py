@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from planner.heuristics import guide_everywhere
-from planner.moves import MoveTable
-from planner.states import new_search, run_search
+from joulemap.planner.heuristics import guide_everywhere
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.states import new_search, run_search
 
 DEFAULT_LANDMARKS = 4
 _EPS = float(np.finfo(np.float32).eps)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import InputError
-from model.frames import GridFrame, heading_bins, heading_vector
-from model.robot import Robot
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame, heading_bins, heading_vector
+from joulemap.model.robot import Robot
 
 
 class Blocked(IntEnum):

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import TooLargeError
-from model.frames import GridFrame, heading_bins
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.windows import Ground, overview
-from model.traction import TractionSource
-from planner.lattice import Blocked, CostLattice
-from planner.lattice_io import LatticeFolder
-from planner.limits import ground_limits
-from planner.tiles import Tiling, ground_of
+from joulemap.model.errors import TooLargeError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.windows import Ground, overview
+from joulemap.model.traction import TractionSource
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice_io import LatticeFolder
+from joulemap.planner.limits import ground_limits
+from joulemap.planner.tiles import Tiling, ground_of
 
 DEFAULT_HEADINGS = 16
 MAX_LATTICE_VALUES = 400_000_000
@@ -82,8 +82,9 @@ def build_lattice(
         raise TooLargeError(
             f"{frame.rows} x {frame.cols} cells at {headings} headings are {tiling.values:,} values, the limit is "
             f"{MAX_LATTICE_VALUES:,} in memory: write to a folder, or choose a larger spacing than {spacing_m:g} m",
-            values=tiling.values, limit=MAX_LATTICE_VALUES,
-        )  # fmt: skip
+            values=tiling.values,
+            limit=MAX_LATTICE_VALUES,
+        )
     traction = np.empty((*frame.shape, headings), dtype=np.float32)
     elevation = np.empty(frame.shape, dtype=np.float32)
     gradient = np.empty((*frame.shape, 2), dtype=np.float32)

@@ -13,12 +13,12 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from model.errors import InputError, JoulemapError
-from model.frames import GridFrame, heading_bins
-from model.robot import Robot
-from model.terrain.writers import write_bands_geotiff
-from planner.lattice import Blocked, CostLattice
-from planner.tiles import TILE_CELLS, Tiling
+from joulemap.model.errors import InputError, JoulemapError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.writers import write_bands_geotiff
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.tiles import TILE_CELLS, Tiling
 
 FORMAT = "joulemap.cost-lattice/1"
 _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
@@ -131,7 +131,8 @@ def load_lattice(path: str | Path) -> CostLattice:
 
 def export_npz(lattice: CostLattice) -> bytes:
     """A compressed npz: energy_per_m, blocked (by heading), headings_rad, elevation_m, std_j where it is known, and the
-    metadata as JSON."""
+    metadata as JSON.
+    """
     out = io.BytesIO()
     known: dict[str, Any] = {} if lattice.std_j is None else {"std_j": lattice.std_j}
     np.savez_compressed(

@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.rows import columns_between, sample_row
-from model.threads import pieces, share_out
-from planner.lattice import Blocked
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.rows import columns_between, sample_row
+from joulemap.model.threads import pieces, share_out
+from joulemap.planner.lattice import Blocked
 
 SQUARE_M = 1.0
 """Side of the square around a cell that is judged: the paper's patch."""
@@ -46,11 +46,20 @@ def ground_limits(
     codes = int(Blocked.OUTSIDE), int(Blocked.UNKNOWN), int(Blocked.STEP)
     share_out(
         lambda rows: _ground_limits(
-            heightmap.heights, row[rows], col, heightmap.resolution_m, samples, int(diameter), robot.wheel_radius_m,
-            codes, elevation[rows], gradient[rows], blocked[rows],
+            heightmap.heights,
+            row[rows],
+            col,
+            heightmap.resolution_m,
+            samples,
+            int(diameter),
+            robot.wheel_radius_m,
+            codes,
+            elevation[rows],
+            gradient[rows],
+            blocked[rows],
         ),
         pieces(frame.rows, _ROWS_AT_ONCE),
-    )  # fmt: skip
+    )
     return elevation, gradient, blocked
 
 
@@ -76,9 +85,11 @@ def _ground_limits(heights, row, col, resolution_m, samples, run, max_step_m, co
         for j in range(cols):
             elevation[i, j] = middle[j]
             if (
-                row[i] - reach < -edge or row[i] + reach > heights.shape[0] - 1 + edge
-                or col[j] - reach < -edge or col[j] + reach > heights.shape[1] - 1 + edge
-            ):  # fmt: skip
+                row[i] - reach < -edge
+                or row[i] + reach > heights.shape[0] - 1 + edge
+                or col[j] - reach < -edge
+                or col[j] + reach > heights.shape[1] - 1 + edge
+            ):
                 blocked[i, j] = outside
                 continue
             mean, rise_east, rise_north = 0.0, 0.0, 0.0

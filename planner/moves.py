@@ -12,12 +12,12 @@ import numpy as np
 from numba import get_num_threads, njit, prange, set_num_threads
 from numpy.typing import NDArray
 
-from model.errors import InputError
-from model.frames import heading_of, heading_vector, wrap_angle
-from planner.edges import interpolation_matrix, price_terms
-from planner.kernels import mean_response
-from planner.lattice import CostLattice
-from planner.potential import ROUNDING_J, even_surface, spare_per_m
+from joulemap.model.errors import InputError
+from joulemap.model.frames import heading_of, heading_vector, wrap_angle
+from joulemap.planner.edges import interpolation_matrix, price_terms
+from joulemap.planner.kernels import mean_response
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.potential import ROUNDING_J, even_surface, spare_per_m
 
 NEIGHBOURS = (8, 16, 32)
 SMALL_MAP = 50_000
@@ -87,12 +87,7 @@ def move_offsets(neighbours: int) -> NDArray[np.int64]:
     if neighbours not in NEIGHBOURS:
         raise InputError(f"neighbours must be 8, 16 or 32, got {neighbours}", neighbours=neighbours)
     reach = {8: 1, 16: 2, 32: 3}[neighbours]
-    steps = [
-        (r, c)
-        for r in range(-reach, reach + 1)
-        for c in range(-reach, reach + 1)
-        if math.gcd(r, c) == 1
-    ]  # fmt: skip
+    steps = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1) if math.gcd(r, c) == 1]
     steps.sort(key=lambda s: float(heading_of(s[1], -s[0])))
     return np.array(steps, dtype=np.int64)
 
@@ -138,17 +133,20 @@ def repriced(table: MoveTable, lattice: CostLattice, window: tuple[int, int, int
 
 
 def _bounds(
-    energy: NDArray[np.float32], offsets: NDArray[np.int64], length_m: NDArray[np.float64],
-    surface: NDArray[np.float64], shares: NDArray[np.float64],
-) -> NDArray[np.float64]:  # fmt: skip
+    energy: NDArray[np.float32],
+    offsets: NDArray[np.int64],
+    length_m: NDArray[np.float64],
+    surface: NDArray[np.float64],
+    shares: NDArray[np.float64],
+) -> NDArray[np.float64]:
     """(B,) `MoveTable.bound_per_m` for some shares of the rise; inf where there are no moves."""
     bounds = np.array([spare_per_m(energy, offsets, length_m, share * surface).min() for share in shares])
     return np.where(np.abs(bounds) * length_m.min() < 2.0 * ROUNDING_J, 0.0, bounds)
 
 
 def _priced(
-    lattice: CostLattice, offsets: NDArray[np.int64], headings: NDArray[np.float64], length_m: NDArray[np.float64],
-) -> NDArray[np.float32]:  # fmt: skip
+    lattice: CostLattice, offsets: NDArray[np.int64], headings: NDArray[np.float64], length_m: NDArray[np.float64]
+) -> NDArray[np.float32]:
     """(rows, cols, N) float32 [J] energies of all moves."""
     matrix = interpolation_matrix(headings, lattice.headings).astype(np.float32)
     at_moves = lattice.traction_per_m.reshape(-1, lattice.headings) @ matrix.T  # (cells, N)
@@ -157,13 +155,23 @@ def _priced(
     piece_share, piece_cell, piece_blend = _stack_pieces(pieces)
     with _threads_for(lattice.blocked.size):
         allowed = _allowed_moves(
-            np.ascontiguousarray(lattice.gradient), np.ascontiguousarray(lattice.blocked), *heading_vector(headings),
+            np.ascontiguousarray(lattice.gradient),
+            np.ascontiguousarray(lattice.blocked),
+            *heading_vector(headings),
             *lattice.max_tangents,
-        )  # fmt: skip
+        )
         return _price_moves(
-            at_moves.reshape(*lattice.frame.shape, -1), allowed, offsets, length_m, price_terms(lattice), cells,
-            share, piece_share, piece_cell, piece_blend,
-        )  # fmt: skip
+            at_moves.reshape(*lattice.frame.shape, -1),
+            allowed,
+            offsets,
+            length_m,
+            price_terms(lattice),
+            cells,
+            share,
+            piece_share,
+            piece_cell,
+            piece_blend,
+        )
 
 
 @contextmanager

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputError, NoRouteError
-from planner.alternatives import alternative_paths, improved_ways
-from planner.edges import Points, path_price
-from planner.landmarks import Landmarks, make_landmarks
-from planner.lattice import CostLattice
-from planner.moves import MoveTable, distance_table, move_table
-from planner.refine import LEVELS, refine_path
-from planner.route import Route, price_route
-from planner.search import PLANNERS as GRID_PLANNERS
-from planner.search import grid_search, standing_point
-from planner.tours import cheapest_tour
+from joulemap.model.errors import InputError, NoRouteError
+from joulemap.planner.alternatives import alternative_paths, improved_ways
+from joulemap.planner.edges import Points, path_price
+from joulemap.planner.landmarks import Landmarks, make_landmarks
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable, distance_table, move_table
+from joulemap.planner.refine import LEVELS, refine_path
+from joulemap.planner.route import Route, price_route
+from joulemap.planner.search import PLANNERS as GRID_PLANNERS
+from joulemap.planner.search import grid_search, standing_point
+from joulemap.planner.tours import cheapest_tour
 
 SAMPLING_PLANNERS = ("rrtstar", "informed_rrtstar", "bitstar")
 PLANNERS = (*GRID_PLANNERS, *SAMPLING_PLANNERS)
@@ -194,19 +194,29 @@ class RoutePlanner:
     ) -> tuple[Points, dict[str, Any]]:
         lattice = self._distances if distance else self.lattice
         found = grid_search(
-            lattice, self._table(neighbours, distance=distance), start, goal, planner=planner,
+            lattice,
+            self._table(neighbours, distance=distance),
+            start,
+            goal,
+            planner=planner,
             landmarks=None if distance or planner != "astar" else self._landmarks.get(neighbours),
-        )  # fmt: skip
+        )
         assert found.points is not None
         levels = LEVELS[:2] if distance else LEVELS  # a taut string needs no small zigzags
         points = refine_path(lattice, found.points, levels=levels) if refine else found.points
         return points, {"expanded": found.expanded, "grid_energy_j": found.energy_j}
 
     def _sampled_route(
-        self, start: Points, goal: Points, planner: str, time_limit_s: float, seed: int, from_grid: int | None,
+        self,
+        start: Points,
+        goal: Points,
+        planner: str,
+        time_limit_s: float,
+        seed: int,
+        from_grid: int | None,
         progress: Callable[[float], None] | None,
-    ) -> tuple[Points, dict[str, Any]]:  # fmt: skip
-        from planner import sampling  # OMPL is loaded only where it is asked for
+    ) -> tuple[Points, dict[str, Any]]:
+        from joulemap.planner import sampling  # OMPL is loaded only where it is asked for
 
         lattice = self.lattice
         options: dict[str, Any] = {"time_limit_s": time_limit_s, "seed": seed, "progress": progress}

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from model.errors import NegativeCycleError
+from joulemap.model.errors import NegativeCycleError
 
 SWEEPS = 3
 """Averages over neighbours: they take out noise, which is all that has to go."""
@@ -48,8 +48,9 @@ def even_surface(
             raise NegativeCycleError(
                 f"regeneration returns more than driving costs: a loop through row {row}, column {col} would fill the "
                 "battery, so the energy to get anywhere has no least; lower the robot's `regeneration`",
-                row=row, col=col,
-            )  # fmt: skip
+                row=row,
+                col=col,
+            )
         if place >= 0:
             return surface
         surface, least = lower, spare_per_m(energy, offsets, length_m, lower)

@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
-from planner.edges import Points, leg_prices_between, path_price, price_arrays
-from planner.kernels import leg_energy, turn_angle
-from planner.lattice import CostLattice
+from joulemap.planner.edges import Points, leg_prices_between, path_price, price_arrays
+from joulemap.planner.kernels import leg_energy, turn_angle
+from joulemap.planner.lattice import CostLattice
 
 PAIR_BUDGET = 300_000
 """Cells that the legs of one shortcut pass may cross in all; longer paths look less far ahead."""

@@ -11,15 +11,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.buckets import SETTLED
-from planner.edges import Points
-from planner.fields import EnergyField, field_towards
-from planner.headings import DROVE, SEED, state_before
-from planner.heuristics import guide_everywhere
-from planner.lattice import CostLattice
-from planner.moves import move_table, repriced
-from planner.search import GridPath, terminals
-from planner.states import run_search
+from joulemap.planner.buckets import SETTLED
+from joulemap.planner.edges import Points
+from joulemap.planner.fields import EnergyField, field_towards
+from joulemap.planner.headings import DROVE, SEED, state_before
+from joulemap.planner.heuristics import guide_everywhere
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import move_table, repriced
+from joulemap.planner.search import GridPath, terminals
+from joulemap.planner.states import run_search
 
 Window = tuple[int, int, int, int]
 

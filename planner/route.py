@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import BlockedError
-from model.frames import wrap_angle
-from model.terrain.heightmap import sample_bilinear
-from planner.edges import leg_prices, path_headings, path_price, world_points
-from planner.lattice import CostLattice
+from joulemap.model.errors import BlockedError
+from joulemap.model.frames import wrap_angle
+from joulemap.model.terrain.heightmap import sample_bilinear
+from joulemap.planner.edges import leg_prices, path_headings, path_price, world_points
+from joulemap.planner.lattice import CostLattice
 
 PROFILE_STEP_M = 1.0
 
@@ -66,8 +66,10 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
         raise BlockedError(
             f"the path may not be driven: leg {bad} from ({x[0]:.2f}, {y[0]:.2f}) to ({x[1]:.2f}, {y[1]:.2f}) crosses "
             "ground that is blocked or too steep in that direction",
-            leg=bad, start=[float(x[0]), float(y[0])], end=[float(x[1]), float(y[1])],
-        )  # fmt: skip
+            leg=bad,
+            start=[float(x[0]), float(y[0])],
+            end=[float(x[1]), float(y[1])],
+        )
     profile = _profile(lattice, points)
     x, y = lattice.frame.xy(points[:, 0], points[:, 1])
     z = elevation_at(lattice, points)
@@ -133,7 +135,8 @@ def _std_at(
     std_j: NDArray[np.float32], points: NDArray[np.float64], heading_rad: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(n,) standard deviation [J] of 1 m segments at (n, 2) (row, col): bilinear between cells, linear between headings
-    (a wave through the bins could become negative)."""
+    (a wave through the bins could become negative).
+    """
     last = np.array(std_j.shape[:2]) - 1
     place = np.clip(points, 0.0, last)
     corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))

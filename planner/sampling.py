@@ -20,14 +20,14 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from model.errors import InputError, NoRouteError
-from model.frames import heading_bins
-from planner.edges import Points, interpolation_matrix, path_price, price_arrays
-from planner.fields import field_from, field_towards
-from planner.kernels import leg_energy
-from planner.lattice import CostLattice
-from planner.moves import MoveTable
-from planner.refine import subdivided
+from joulemap.model.errors import InputError, NoRouteError
+from joulemap.model.frames import heading_bins
+from joulemap.planner.edges import Points, interpolation_matrix, path_price, price_arrays
+from joulemap.planner.fields import field_from, field_towards
+from joulemap.planner.kernels import leg_energy
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.refine import subdivided
 
 MAX_TIME_LIMIT_S = 120.0
 _HEADINGS_PER_BIN = 8
@@ -181,9 +181,13 @@ def corridor(lattice: CostLattice, points: Points, half_width: float) -> NDArray
 
 
 def sample_along(
-    lattice: CostLattice, path: Points, *, time_limit_s: float = 5.0, seed: int = 0,
+    lattice: CostLattice,
+    path: Points,
+    *,
+    time_limit_s: float = 5.0,
+    seed: int = 0,
     progress: Callable[[float], None] | None = None,
-) -> tuple[Points, dict[str, Any]]:  # fmt: skip
+) -> tuple[Points, dict[str, Any]]:
     """BIT* in a corridor round `path` (n, 2) (row, col), then in ever narrower ones round what it found.
 
     The best it found, and a record as `sample_route` gives. Raises NoRouteError when it found nothing at all.
@@ -194,9 +198,14 @@ def sample_along(
     for stage, half_width in enumerate(CORRIDORS_CELLS):
         try:
             centre, found = sample_route(
-                lattice, path[0], path[-1], planner="bitstar", time_limit_s=share, seed=seed + stage,
+                lattice,
+                path[0],
+                path[-1],
+                planner="bitstar",
+                time_limit_s=share,
+                seed=seed + stage,
                 places=corridor(lattice, centre, half_width),
-            )  # fmt: skip
+            )
         except NoRouteError:
             continue
         details["sampling_seconds"] += found["sampling_seconds"]
@@ -214,9 +223,16 @@ def sample_along(
 
 
 def sample_route(
-    lattice: CostLattice, start: Points, goal: Points, *, planner: str, time_limit_s: float = 5.0, seed: int = 0,
-    places: NDArray[np.bool_] | None = None, progress: Callable[[float], None] | None = None,
-) -> tuple[Points, dict[str, Any]]:  # fmt: skip
+    lattice: CostLattice,
+    start: Points,
+    goal: Points,
+    *,
+    planner: str,
+    time_limit_s: float = 5.0,
+    seed: int = 0,
+    places: NDArray[np.bool_] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Points, dict[str, Any]]:
     """A (n, 2) (row, col) polyline from start to goal found within the time limit, and how it was found.
 
     start, goal : (2,) fractional (row, col). planner : rrtstar, informed_rrtstar or bitstar. places : (k rows, k cols)
@@ -278,8 +294,9 @@ def sample_route(
     if points is None:
         raise NoRouteError(
             f"{planner} found no route within {time_limit_s:g} s; allow more time, or use astar, which is complete",
-            planner=planner, time_limit_s=time_limit_s,
-        )  # fmt: skip
+            planner=planner,
+            time_limit_s=time_limit_s,
+        )
     return points, {
         "sampling_seconds": seconds,
         "legs_priced": pricer.legs,

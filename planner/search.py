@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import BlockedError, InputError, NoRouteError
-from planner.edges import Points, leg_prices_between
-from planner.heuristics import dijkstra_bounds, energy_bounds, guide_towards
-from planner.kernels import turn_angle
-from planner.landmarks import Landmarks
-from planner.lattice import Blocked, CostLattice
-from planner.moves import MoveTable
-from planner.states import layer_count, new_search, run_search
+from joulemap.model.errors import BlockedError, InputError, NoRouteError
+from joulemap.planner.edges import Points, leg_prices_between
+from joulemap.planner.heuristics import dijkstra_bounds, energy_bounds, guide_towards
+from joulemap.planner.kernels import turn_angle
+from joulemap.planner.landmarks import Landmarks
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.states import layer_count, new_search, run_search
 
 PLANNERS = ("astar", "dijkstra")
 _NONE = -1
@@ -36,15 +36,19 @@ class GridPath:
 
 def check_standing(lattice: CostLattice, x: float, y: float, *, name: str) -> tuple[int, int]:
     """The cell under a world point. Raises PointError outside the map, BlockedError where every heading
-    is blocked; the reason given is the one that comes first in `Blocked`."""
+    is blocked; the reason given is the one that comes first in `Blocked`.
+    """
     row, col = lattice.frame.cell_of(x, y, name=name)
     codes = lattice.window(row, row + 1, col, col + 1).blocked_by_heading()[0, 0]
     if codes.all():
         reason = Blocked(int(codes.min()))
         raise BlockedError(
             f"{name} ({x:.2f}, {y:.2f}) stands on blocked ground: {reason.label.replace('_', ' ')}",
-            which=name, x=x, y=y, reason=reason.label,
-        )  # fmt: skip
+            which=name,
+            x=x,
+            y=y,
+            reason=reason.label,
+        )
     return row, col
 
 
@@ -76,9 +80,14 @@ def _connections(lattice: CostLattice, point: Points, *, outward: bool) -> tuple
 
 
 def grid_search(
-    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, planner: str = "astar",
+    lattice: CostLattice,
+    table: MoveTable,
+    start: Points,
+    goal: Points,
+    *,
+    planner: str = "astar",
     landmarks: Landmarks | None = None,
-) -> GridPath:  # fmt: skip
+) -> GridPath:
     """Least energy from `start` to `goal` over grid moves, exactly.
 
     start, goal : (2,) fractional (row, col), joined to the cell centres around them by straight legs. With a turn cost

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.buckets import Guide, search_cells, trace_cells
-from planner.headings import SEED, search_headings, trace_headings
-from planner.lattice import CostLattice
-from planner.moves import MoveTable
+from joulemap.planner.buckets import Guide, search_cells, trace_cells
+from joulemap.planner.headings import SEED, search_headings, trace_headings
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
 
 _SLACK = 1e-12
 """Relative gain that is taken for rounding where prices may be negative, so that no loop goes on for ever."""
@@ -62,9 +62,13 @@ def new_search(
 
 
 def run_search(
-    search: Search, table: MoveTable, first: NDArray[np.int64], guide: Guide,
-    targets: NDArray[np.int64] | None = None, rest: NDArray[np.float64] | None = None,
-) -> tuple[int, float, int]:  # fmt: skip
+    search: Search,
+    table: MoveTable,
+    first: NDArray[np.int64],
+    guide: Guide,
+    targets: NDArray[np.int64] | None = None,
+    rest: NDArray[np.float64] | None = None,
+) -> tuple[int, float, int]:
     """Settle what follows from the cells `first`, in place: the last state, the energy to the goal, states settled."""
     layers = search.layers
     cols = table.energy.shape[1]
@@ -74,11 +78,32 @@ def run_search(
     slack = 0.0 if table.never_pays else _SLACK
     if layers == 1:
         return search_cells(
-            search.energy_j, search.pred, price, table.jump, first, targets, np.ascontiguousarray(rest[:, 0]), guide,
-            cols, _CELL_WIDTH * table.typical_j, slack, search.backward,
-        )  # fmt: skip
+            search.energy_j,
+            search.pred,
+            price,
+            table.jump,
+            first,
+            targets,
+            np.ascontiguousarray(rest[:, 0]),
+            guide,
+            cols,
+            _CELL_WIDTH * table.typical_j,
+            slack,
+            search.backward,
+        )
     width = table.typical_j + _TURN_WIDTH * float(table.gap_j.sum())
     return search_headings(
-        search.energy_j, search.pred, price, table.jump, table.gap_j, first, targets, rest, guide, cols, width, slack,
+        search.energy_j,
+        search.pred,
+        price,
+        table.jump,
+        table.gap_j,
+        first,
+        targets,
+        rest,
+        guide,
+        cols,
+        width,
+        slack,
         search.backward,
-    )  # fmt: skip
+    )

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from model.errors import InputError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.windows import Ground
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.windows import Ground
 
 TILE_CELLS = 256
 """Side of a tile [cells] unless its heights would be too many; a lattice on disk has one chunk per tile."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import BusyError, InputError, NoRouteError
-from planner.edges import Points
-from planner.fields import field_towards
-from planner.lattice import CostLattice
-from planner.moves import MoveTable
-from planner.search import GridPath
+from joulemap.model.errors import BusyError, InputError, NoRouteError
+from joulemap.planner.edges import Points
+from joulemap.planner.fields import field_towards
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.search import GridPath
 
 MAX_STOPS = 60
 
@@ -35,9 +35,13 @@ class Tour:
 
 
 def cheapest_tour(
-    lattice: CostLattice, table: MoveTable, stops: Points, *, time_limit_s: float = 10.0,
+    lattice: CostLattice,
+    table: MoveTable,
+    stops: Points,
+    *,
+    time_limit_s: float = 10.0,
     progress: Callable[[float], None] | None = None,
-) -> Tour:  # fmt: skip
+) -> Tour:
     """Visit all stops (n, 2) (row, col) and come home to the first one.
 
     One energy field towards each stop gives the energies between all of them, which on a slope are not the same both

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from service.commands import calibration, distillation, maps, models, reproduction, services, tours
-from service.commands.console import PlainErrors
+from joulemap.service.commands import calibration, distillation, maps, models, reproduction, services, tours
+from joulemap.service.commands.console import PlainErrors
 
 app = typer.Typer(
     name="joulemap",
@@ -41,7 +41,8 @@ def joulemap(
     ] = False,
 ) -> None:
     """Energy planner for ground robots: a heightmap in, a directional cost map, an energy-optimal path and a battery
-    verdict out."""
+    verdict out.
+    """
 
 
 for _panel, _commands in (

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from model.energy.domain import Learned
-from model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
-from model.errors import ModelError
-from model.loop.calibrated import CALIBRATION_FILE, CalibratedPredictor, read_calibrated
-from model.robot import Robot
+from joulemap.model.energy.domain import Learned
+from joulemap.model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
+from joulemap.model.errors import ModelError
+from joulemap.model.loop.calibrated import CALIBRATION_FILE, CalibratedPredictor, read_calibrated
+from joulemap.model.robot import Robot
 
 DEFAULT_MODEL = "default"
 CALIBRATED_FOLDER = "model"

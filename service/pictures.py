@@ -21,12 +21,12 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D, offset_copy
 from numpy.typing import NDArray
 
-from model.errors import InputError
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
-from planner.edges import interpolation_matrix
-from planner.lattice import Blocked, CostLattice
-from planner.route import Route
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.edges import interpolation_matrix
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.route import Route
 
 Image = NDArray[Any]
 Extent = tuple[float, float, float, float]
@@ -83,9 +83,14 @@ def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: floa
     if handles:
         below_axes = offset_copy(axes.transAxes, figure, 0.0, -0.5)
         axes.legend(
-            handles=handles, loc="upper center", ncols=3, frameon=False, fontsize=9,
-            bbox_to_anchor=(0.5, 0.0), bbox_transform=below_axes,
-        )  # fmt: skip
+            handles=handles,
+            loc="upper center",
+            ncols=3,
+            frameon=False,
+            fontsize=9,
+            bbox_to_anchor=(0.5, 0.0),
+            bbox_transform=below_axes,
+        )
     return _png(figure)
 
 
@@ -135,9 +140,13 @@ def route_picture(
         labels.append("unknown ground")
         order.append(len(handles) - 1)
     figure.legend(
-        [handles[k] for k in order], [labels[k] for k in order], loc="outside lower center",
-        ncols=len(order) if width > 6.5 and len(order) < 6 else 2, frameon=False, fontsize=9.5,
-    )  # fmt: skip
+        [handles[k] for k in order],
+        [labels[k] for k in order],
+        loc="outside lower center",
+        ncols=len(order) if width > 6.5 and len(order) < 6 else 2,
+        frameon=False,
+        fontsize=9.5,
+    )
     climb.set_ylabel("elevation [m]")
     spent.set_ylabel("energy [kJ]")
     spent.set_xlabel("distance along the path [m]")

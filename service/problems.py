@@ -15,7 +15,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from model.errors import (
+from joulemap.model.errors import (
     BusyError,
     ConflictError,
     InfeasibleError,
@@ -117,7 +117,7 @@ def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) 
 
 
 def request_id(request: Request) -> str | None:
-    """The id that `service.http.limits` gave the request."""
+    """The id that `joulemap.service.http.limits` gave the request."""
     return request.scope.get("state", {}).get("request_id")
 
 

@@ -8,7 +8,7 @@ from urllib.parse import unquote
 from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from service.models import DEFAULT_MODEL
+from joulemap.service.models import DEFAULT_MODEL
 
 
 class Settings(BaseSettings):

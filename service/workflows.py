@@ -12,24 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.energy.predictor import Predictor
-from model.errors import InputError, NoRouteError, TooLargeError
-from model.frames import GridFrame, heading_bins
-from model.loop.runs import run_of
-from model.loop.segments import cut_segments
-from model.robot import Battery, Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.windows import Ground
-from planner.budget import Verdict, judge_along
-from planner.edges import energy_per_m_at
-from planner.figures import figures_of, joined_figures
-from planner.lattice import Blocked, CostLattice
-from planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
-from planner.plan import PLANNERS, RoutePlanner
-from planner.route import Route, price_route
-from planner.tiles import Tiling
-from service.models import DEFAULT_MODEL, find_predictor, planning_robot
-from service.spreads import std_along
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.errors import InputError, NoRouteError, TooLargeError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Battery, Robot
+from joulemap.model.runs.reader import run_of
+from joulemap.model.runs.segments import cut_segments
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.windows import Ground
+from joulemap.planner.budget import Verdict, judge_along
+from joulemap.planner.edges import energy_per_m_at
+from joulemap.planner.figures import figures_of, joined_figures
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
+from joulemap.planner.plan import PLANNERS, RoutePlanner
+from joulemap.planner.route import Route, price_route
+from joulemap.planner.tiles import Tiling
+from joulemap.service.models import DEFAULT_MODEL, find_predictor, planning_robot
+from joulemap.service.route_uncertainty import std_along
 
 
 def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> Tiling:
@@ -43,8 +43,9 @@ def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_valu
         raise TooLargeError(
             f"{tiling.frame.rows} x {tiling.frame.cols} cells at {headings} headings are {tiling.values:,} values, the "
             f"limit is {max_values:,}: choose a larger spacing than {spacing_m:g} m, or fewer headings",
-            values=tiling.values, limit=max_values,
-        )  # fmt: skip
+            values=tiling.values,
+            limit=max_values,
+        )
     return tiling
 
 
@@ -206,7 +207,8 @@ def assess(
 
 def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:
     """The verdict for routes of one lattice driven one after another, with a probability where its model knows how far
-    off it may be."""
+    off it may be.
+    """
     pieces = np.concatenate([route.profile.energy_j for route in routes])
     return judge_along(pieces, battery, std_j=std_along(lattice, routes))
 

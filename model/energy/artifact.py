@@ -13,14 +13,14 @@ from typing import Any
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
-from model.energy.compact import CompactConfig, CompactNet
-from model.energy.dense import CompactPredictor
-from model.energy.domain import Domain
-from model.energy.resnet import ResNetEnergy, ResNetPredictor
-from model.energy.tensors import Network
-from model.energy.tracks import PIXEL_M, SQUARE
-from model.energy.uncertainty import Spread
-from model.errors import ModelError
+from joulemap.model.energy.compact import CompactConfig, CompactNet
+from joulemap.model.energy.dense import CompactPredictor
+from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.resnet import ResNetEnergy, ResNetPredictor
+from joulemap.model.energy.tensors import Network
+from joulemap.model.energy.tracks import PIXEL_M, SQUARE
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import ModelError
 
 WEIGHTS_FILE = "weights.safetensors"
 CONFIG_FILE = "config.json"
@@ -93,8 +93,9 @@ def read_artifact(folder: str | Path) -> Artifact:
         raise ModelError(
             f"the weights of {folder} (version {digest}) are not those its {CONFIG_FILE} describes "
             f"({config.get('version')}): the folder is damaged or mixed",
-            version=digest, expected=config.get("version"),
-        )  # fmt: skip
+            version=digest,
+            expected=config.get("version"),
+        )
     architecture = config.get("architecture")
     network = dict(config.get("network") or {})
     if architecture == "compact":
@@ -130,9 +131,7 @@ def load_artifact(folder: str | Path, *, name: str | None = None) -> CompactPred
     return predictor_of(artifact, provenance, name=name)
 
 
-def predictor_of(
-    artifact: Artifact, provenance: Mapping[str, Any], *, name: str
-) -> CompactPredictor | ResNetPredictor:  # fmt: skip
+def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str) -> CompactPredictor | ResNetPredictor:
     """The predictor that an artifact's network is."""
     known: dict[str, Any] = {"name": name, "spread": artifact.spread, "turn_j_per_rad": artifact.turn_j_per_rad}
     if isinstance(artifact.net, CompactNet):

@@ -20,10 +20,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from model.energy.tracks import PIXEL_M, TRACKS
-from model.energy.uncertainty import USUAL_SPREAD
-from model.errors import ModelError
-from model.robot import Robot
+from joulemap.model.energy.tracks import PIXEL_M, TRACKS
+from joulemap.model.energy.uncertainty import USUAL_SPREAD
+from joulemap.model.errors import ModelError
+from joulemap.model.robot import Robot
 
 STRIDE = 8
 """Working pixels between neighbouring answers."""
@@ -52,7 +52,8 @@ SPREAD_RANGE = (math.log(0.01), math.log(2.0))
 class CompactConfig:
     """Widths of the network. channels : of the three strided convolutions; hidden : of the layer after them;
     order : highest harmonic of the heading; head : of the head's two layers; robot_hidden : of the layer that reads the
-    robot."""
+    robot.
+    """
 
     channels: tuple[int, int, int] = (16, 32, 64)
     hidden: int = 64
@@ -80,11 +81,17 @@ def robot_features(robot: Robot, resolution_m: float) -> NDArray[np.float32]:
     """
     return np.array(
         [
-            math.log(robot.mass_kg), robot.width_m, robot.length_m, robot.wheel_radius_m, math.log(robot.speed_mps),
-            robot.rolling_resistance, robot.hotel_per_m / robot.weight_n, math.log2(resolution_m),
+            math.log(robot.mass_kg),
+            robot.width_m,
+            robot.length_m,
+            robot.wheel_radius_m,
+            math.log(robot.speed_mps),
+            robot.rolling_resistance,
+            robot.hotel_per_m / robot.weight_n,
+            math.log2(resolution_m),
         ],
         dtype=np.float32,
-    )  # fmt: skip
+    )
 
 
 def heading_basis(heading_rad: ArrayLike, order: int) -> NDArray[np.float32]:
@@ -110,7 +117,8 @@ def slopes_of_squares(squares: Tensor) -> Tensor:
 class RobotCode:
     """What a robot (or each of B robots) makes of the network. ground : scale and shift of the third convolution and of
     the hidden layer, (B, 2 (third + hidden), 1, 1); tracks : scale and shift of the head's first layer, (B, 2 head[0]);
-    gains : a and c, (B, 2)."""
+    gains : a and c, (B, 2).
+    """
 
     ground: Tensor
     tracks: Tensor
@@ -246,7 +254,8 @@ class CompactNet(nn.Module):
     def folded_head(self, robot: RobotCode) -> tuple[NDArray[np.float32], ...]:
         """The head's weights for one robot: tracks (units, 9) and shift (units,), head (last, units) and bias, rest and
         spread (2, last) and their biases (2,), scaled as `ask` answers. What the compiled loop over a lattice takes;
-        units and last are filled up with silent ones to multiples of `HEAD_BLOCK`."""
+        units and last are filled up with silent ones to multiples of `HEAD_BLOCK`.
+        """
         with torch.no_grad():
             scale, shift = robot.tracks[0].chunk(2)
             units, last = (-size % HEAD_BLOCK for size in self.config.head)

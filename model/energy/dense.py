@@ -10,18 +10,25 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.compact import CompactNet, GroundPass, RobotCode, heading_basis, robot_features, slopes_of_squares
-from model.energy.domain import Domain, Learned
-from model.energy.head import Headings, answer_tile
-from model.energy.physics import tan_grade, tan_grade_lattice
-from model.energy.raster import Buffers, read_cells
-from model.energy.tracks import PIXEL_M, REACH_M, SQUARE, track_features
-from model.energy.uncertainty import Spread, segment_std
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.patches import cut_squares
-from model.threads import share_out
+from joulemap.model.energy.compact import (
+    CompactNet,
+    GroundPass,
+    RobotCode,
+    heading_basis,
+    robot_features,
+    slopes_of_squares,
+)
+from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.head import Headings, answer_tile
+from joulemap.model.energy.physics import tan_grade, tan_grade_lattice
+from joulemap.model.energy.raster import Buffers, read_cells
+from joulemap.model.energy.tracks import PIXEL_M, REACH_M, SQUARE, track_features
+from joulemap.model.energy.uncertainty import Spread, segment_std
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.patches import cut_squares
+from joulemap.model.threads import share_out
 
 FloatArray = NDArray[np.float64]
 
@@ -40,9 +47,15 @@ class CompactPredictor(Learned):
     """
 
     def __init__(
-        self, net: CompactNet, domain: Domain, provenance: Mapping[str, Any], *, name: str,
-        spread: Spread | None = None, turn_j_per_rad: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        net: CompactNet,
+        domain: Domain,
+        provenance: Mapping[str, Any],
+        *,
+        name: str,
+        spread: Spread | None = None,
+        turn_j_per_rad: float = 0.0,
+    ) -> None:
         super().__init__(name, domain, provenance, spread=spread, turn_j_per_rad=turn_j_per_rad)
         self.net = net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -76,9 +89,20 @@ class CompactPredictor(Learned):
             cols = x[at[1] : at[1] + wide * step : step]
             heights, slopes = read_cells(heightmap, cols, rows, mine.buffers, joined=joined)
             answer_tile(
-                heights, _series(ground, slopes), headings.basis, headings.stencil, headings.back, headings.own,
-                headings.per_width, weights, known, price, (*at, step, rows.size, cols.size), traction, std,
-            )  # fmt: skip
+                heights,
+                _series(ground, slopes),
+                headings.basis,
+                headings.stencil,
+                headings.back,
+                headings.own,
+                headings.per_width,
+                weights,
+                known,
+                price,
+                (*at, step, rows.size, cols.size),
+                traction,
+                std,
+            )
 
         _each(
             fill,

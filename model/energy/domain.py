@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.uncertainty import Spread
-from model.errors import ModelError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import ModelError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT_KEYS = ("mass_kg", "width_m", "length_m", "wheel_radius_m", "speed_mps", "rolling_resistance")
 """What a network is told of a robot in the robot file's own words; the hotel load over the weight comes on top."""
@@ -52,9 +52,12 @@ class Domain:
             low, high = values["resolution_m"]
             least, most = values.get("payload_kg", (0.0, 0.0))
             return cls(
-                robot, (float(low), float(high)), float(values["max_slope_deg"]), (float(least), float(most)),
+                robot,
+                (float(low), float(high)),
+                float(values["max_slope_deg"]),
+                (float(least), float(most)),
                 float(values.get("turned_rad", 0.0)),
-            )  # fmt: skip
+            )
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise ModelError(f"the model does not say what it learned from: {error!r}") from error
 
@@ -99,12 +102,18 @@ class Domain:
 
 class Learned(ABC):
     """The part that all predictors of a trained network share: a name, its record, where it may be believed, what its
-    held-out runs said of it, and what its runs took for turning [J/rad] beyond straight driving."""
+    held-out runs said of it, and what its runs took for turning [J/rad] beyond straight driving.
+    """
 
     def __init__(
-        self, name: str, domain: Domain, provenance: Mapping[str, Any], *, spread: Spread | None = None,
+        self,
+        name: str,
+        domain: Domain,
+        provenance: Mapping[str, Any],
+        *,
+        spread: Spread | None = None,
         turn_j_per_rad: float = 0.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.name = name
         self.domain = domain
         self.spread = spread or Spread()

@@ -10,15 +10,15 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.compact import FEATURES, robot_features
-from model.energy.domain import Domain
-from model.energy.physics import SEGMENT_M, tan_grade
-from model.energy.tracks import PIXEL_M, REACH_M, SQUARE
-from model.errors import InputError, ModelError
-from model.frames import heading_vector
-from model.robot import GRAVITY_MPS2, Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.patches import cut_patches, cut_squares
+from joulemap.model.energy.compact import FEATURES, robot_features
+from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.physics import SEGMENT_M, tan_grade
+from joulemap.model.energy.tracks import PIXEL_M, REACH_M, SQUARE
+from joulemap.model.errors import InputError, ModelError
+from joulemap.model.frames import heading_vector
+from joulemap.model.robot import GRAVITY_MPS2, Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.patches import cut_patches, cut_squares
 
 FloatArray = NDArray[np.float64]
 
@@ -133,9 +133,16 @@ def cut_examples(
     return Examples(
         inputs[known],
         np.tile(robot_features(robot, heightmap.resolution_m), (n, 1)),
-        kept(heading + turned), kept(grade), kept(weight_n), same(robot.rolling_resistance), same(robot.hotel_per_m),
-        same(robot.regeneration), same(robot.nominal_voltage_v), kept(energy), runs[known],
-    )  # fmt: skip
+        kept(heading + turned),
+        kept(grade),
+        kept(weight_n),
+        same(robot.rolling_resistance),
+        same(robot.hotel_per_m),
+        same(robot.regeneration),
+        same(robot.nominal_voltage_v),
+        kept(energy),
+        runs[known],
+    )
 
 
 def cut_patches_around(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import InputError
+from joulemap.model.errors import InputError
 
 if TYPE_CHECKING:
     from sklearn.gaussian_process import GaussianProcessRegressor
@@ -35,9 +35,15 @@ class FrictionMap:
 
     @classmethod
     def fit(
-        cls, x: ArrayLike, y: ArrayLike, traction_per_m: ArrayLike, tan_grade: ArrayLike, *, weight_n: float,
+        cls,
+        x: ArrayLike,
+        y: ArrayLike,
+        traction_per_m: ArrayLike,
+        tan_grade: ArrayLike,
+        *,
+        weight_n: float,
         seed: int = 0,
-    ) -> FrictionMap:  # fmt: skip
+    ) -> FrictionMap:
         """From segments centred at (x, y) [m] with their traction [J/m] and grade, (n,) each; NaN are left out.
 
         Lengths and variances are those of greatest likelihood on up to 500 of them; up to 2,500 are kept as data.

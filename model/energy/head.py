@@ -12,10 +12,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.energy.compact import HEAD_BLOCK, SPREAD_RANGE
-from model.energy.physics import antipodes
-from model.energy.tracks import LANES, SAMPLES, SQUARE, TRACKS, WIDEST_M, corner, describe, track_stencil
-from model.energy.uncertainty import LEAST_SHARE
+from joulemap.model.energy.compact import HEAD_BLOCK, SPREAD_RANGE
+from joulemap.model.energy.physics import antipodes
+from joulemap.model.energy.tracks import LANES, SAMPLES, SQUARE, TRACKS, WIDEST_M, corner, describe, track_stencil
+from joulemap.model.energy.uncertainty import LEAST_SHARE
 
 _MIDDLE = (SQUARE - 1) // 2
 _FEATURES = len(TRACKS)
@@ -27,7 +27,8 @@ _INVERSE = tuple(np.float32(1.0 / max(n, 1)) for n in range(10))
 class Headings:
     """The headings of a lattice and where their tracks lie. basis : (terms, K) float32. stencil : (2, samples, K, 2).
     back : (K,) the later heading that drives a heading's tracks back, -1 where there is none. own : whether a heading
-    is not such another's. per_width : one over the distance of the tracks [1/m]."""
+    is not such another's. per_width : one over the distance of the tracks [1/m].
+    """
 
     basis: NDArray[np.float32]
     stencil: NDArray[np.float64]
@@ -99,7 +100,7 @@ def answer_tile(ground, series, basis, stencil, back, own, per_width, weights, k
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _sample(ground, i, j, lanes, stencil, k, lines):  # fmt: skip
+def _sample(ground, i, j, lanes, stencil, k, lines):
     """Heights [m] above their middle of the tracks of LANES cells from (i, j) on, driven in heading k."""
     planes = ground.shape[1]
     row = planes * i + _MIDDLE
@@ -118,9 +119,10 @@ def _sample(ground, i, j, lanes, stencil, k, lines):  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _unchanged(coefficients, basis, k, lanes, met, tracks_w, shift, out):  # fmt: skip
+def _unchanged(coefficients, basis, k, lanes, met, tracks_w, shift, out):
     """What the head's first layer says of heading k and of the one back alike, (units, LANES): the series' mean and
-    what the tracks are either way."""
+    what the tracks are either way.
+    """
     for u in range(tracks_w.shape[0]):
         mean, row = coefficients[u * basis.shape[0] * LANES :], out[u * LANES :]
         for b in range(min(lanes, LANES)):
@@ -131,7 +133,7 @@ def _unchanged(coefficients, basis, k, lanes, met, tracks_w, shift, out):  # fmt
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _harmonics(coefficients, basis, k, lanes, first, out):  # fmt: skip
+def _harmonics(coefficients, basis, k, lanes, first, out):
     """Add every second harmonic to `out` (units, LANES), from the `first` on."""
     terms = basis.shape[0]
     for u in range(out.size // LANES):
@@ -144,9 +146,10 @@ def _harmonics(coefficients, basis, k, lanes, first, out):  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _either_way(lanes, met, fall, tracks_w, ahead, back):  # fmt: skip
+def _either_way(lanes, met, fall, tracks_w, ahead, back):
     """From what stays (`ahead`) and what changes its sign (`back`) to the first layer's answer for both headings: the
-    grade changes its sign, the rise becomes the fall."""
+    grade changes its sign, the rise becomes the fall.
+    """
     zero = np.float32(0.0)
     for u in range(tracks_w.shape[0]):
         grade, rise, one, other = tracks_w[u, 0], tracks_w[u, 2], ahead[u * LANES :], back[u * LANES :]
@@ -157,7 +160,7 @@ def _either_way(lanes, met, fall, tracks_w, ahead, back):  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _layer(weight, bias, lanes, below, above):  # fmt: skip
+def _layer(weight, bias, lanes, below, above):
     """weight @ below + bias, (n, LANES) from (blocks of HEAD_BLOCK, LANES)."""
     for v in range(weight.shape[0]):
         row = above[v * LANES :]
@@ -173,7 +176,7 @@ def _layer(weight, bias, lanes, below, above):  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _rest(lanes, first, weights, second, out):  # fmt: skip
+def _rest(lanes, first, weights, second, out):
     """The head's other layers: (units, LANES) -> (2, LANES), the rest over the weight and the spread's logarithm."""
     _layer(weights[2], weights[3], lanes, first, second)
     for n in range(second.size):
@@ -182,7 +185,7 @@ def _rest(lanes, first, weights, second, out):  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _price(lanes, out, known, price, at, demand, spread):  # fmt: skip
+def _price(lanes, out, known, price, at, demand, spread):
     """Traction [J/m] and standard deviation [J] of LANES cells at one heading; `demand` holds their grade before."""
     resistance, climb, weight_n = known
     hotel, regeneration, level, factor = price

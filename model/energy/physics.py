@@ -9,13 +9,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.uncertainty import Spread
-from model.errors import InputError
-from model.frames import GridFrame, heading_vector, wrap_angle
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.rows import columns_between, sample_row
-from model.threads import pieces, share_out
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame, heading_vector, wrap_angle
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.rows import columns_between, sample_row
+from joulemap.model.threads import pieces, share_out
 
 FloatArray = NDArray[np.float64]
 
@@ -132,7 +132,7 @@ def antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
 
 
 @njit(cache=True, nogil=True)
-def _grades(heights, row, col, drow, dcol, own, sign, length_m, out):  # fmt: skip
+def _grades(heights, row, col, drow, dcol, own, sign, length_m, out):
     ahead = [columns_between(col + right, heights.shape[1]) for right in dcol]
     behind = [columns_between(col - right, heights.shape[1]) for right in dcol]
     line, high, low = np.empty(heights.shape[1]), np.empty(col.size), np.empty(col.size)

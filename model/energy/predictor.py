@@ -9,16 +9,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.physics import PhysicsPredictor
-from model.energy.uncertainty import Spread
-from model.errors import ModelError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.traction import TractionSource
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import ModelError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.traction import TractionSource
 
 MODEL_NAMES = ("physics", "default")
 """Models known by name; anything else is a trained model's folder."""
+
+SHIPPED_WEIGHTS = resources.files("joulemap.model") / "weights"
+"""The folder of the shipped network."""
 
 
 class Predictor(TractionSource, Protocol):
@@ -55,15 +58,16 @@ def load_predictor(spec: str | Path) -> Predictor:
     if spec == "physics":
         return PhysicsPredictor()
     # torch is slow to import, and physics must answer without it
-    from model.energy.artifact import load_artifact
+    from joulemap.model.energy.artifact import load_artifact
 
     if spec == "default":
-        with resources.as_file(resources.files("model") / "weights") as folder:
+        with resources.as_file(SHIPPED_WEIGHTS) as folder:
             return load_artifact(folder, name="default")
     folder = Path(spec)
     if not folder.is_dir():
         raise ModelError(
             f"there is no model {str(spec)!r}: known are {', '.join(MODEL_NAMES)}, or the folder of a trained model",
-            model=str(spec), known=list(MODEL_NAMES),
-        )  # fmt: skip
+            model=str(spec),
+            known=list(MODEL_NAMES),
+        )
     return load_artifact(folder)

@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.energy.compact import STRIDE
-from model.energy.tracks import PIXEL_M, SQUARE
-from model.terrain.heightmap import Heightmap
-from model.terrain.rows import columns_between, sample_row
+from joulemap.model.energy.compact import STRIDE
+from joulemap.model.energy.tracks import PIXEL_M, SQUARE
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.rows import columns_between, sample_row
 
 FloatArray = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ def _cover(at: FloatArray, size: int) -> tuple[slice, FloatArray, tuple[int, int
 
 
 @njit(cache=True, nogil=True)
-def _read(known, row, col, high, wide, heights, slopes):  # fmt: skip
+def _read(known, row, col, high, wide, heights, slopes):
     columns, line = columns_between(col, known.shape[1]), np.empty(known.shape[1])
     north, south = np.empty(col.size), np.empty(col.size)
     planes, blocks, length = heights.shape[1], col.size // wide, 3 * (wide - 1)
@@ -102,7 +102,7 @@ def _read(known, row, col, high, wide, heights, slopes):  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _slopes(north, south, out):  # fmt: skip
+def _slopes(north, south, out):
     """Rise to the east and to the north and the twist of every 2 x 2 heights [m] of two rows, one after another."""
     scale = 0.5 / PIXEL_M
     for j in range(out.size // 3):

@@ -18,14 +18,14 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from model.energy.domain import Domain, Learned
-from model.energy.physics import SEGMENT_M
-from model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
-from model.errors import ModelError
-from model.frames import GridFrame, heading_vector
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.patches import cut_patches
+from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.physics import SEGMENT_M
+from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
+from joulemap.model.errors import ModelError
+from joulemap.model.frames import GridFrame, heading_vector
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.patches import cut_patches
 
 FloatArray = NDArray[np.float64]
 
@@ -89,9 +89,7 @@ class ResNetEnergy(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.backbone = ResNet18Backbone()
-        self.head = nn.Sequential(
-            nn.Linear(512, 512), nn.ReLU(), nn.Linear(512, 256), nn.ReLU(), nn.Linear(256, 1)
-        )  # fmt: skip
+        self.head = nn.Sequential(nn.Linear(512, 512), nn.ReLU(), nn.Linear(512, 256), nn.ReLU(), nn.Linear(256, 1))
         self.register_buffer("target_mean", torch.zeros(()))
         self.register_buffer("target_scale", torch.zeros(()))
 
@@ -123,8 +121,15 @@ def load_backbone(path: str | Path) -> ResNet18Backbone:
         backbone = ResNet18Backbone()
         backbone.load_state_dict(kept, strict=True)
     except (
-        RuntimeError, SafetensorError, UnpicklingError, OSError, AttributeError, TypeError, EOFError, ValueError,
-    ) as error:  # fmt: skip
+        RuntimeError,
+        SafetensorError,
+        UnpicklingError,
+        OSError,
+        AttributeError,
+        TypeError,
+        EOFError,
+        ValueError,
+    ) as error:
         raise ModelError(
             f"{path} does not hold a ResNet18 with torchvision's names: {error}", path=str(path)
         ) from error
@@ -139,9 +144,16 @@ class ResNetPredictor(Learned):
     """
 
     def __init__(
-        self, net: ResNetEnergy, domain: Domain, provenance: Mapping[str, Any], *, size: int, name: str,
-        spread: Spread | None = None, turn_j_per_rad: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        net: ResNetEnergy,
+        domain: Domain,
+        provenance: Mapping[str, Any],
+        *,
+        size: int,
+        name: str,
+        spread: Spread | None = None,
+        turn_j_per_rad: float = 0.0,
+    ) -> None:
         super().__init__(name, domain, provenance, spread=spread, turn_j_per_rad=turn_j_per_rad)
         self.device = fastest_device()
         self.net = net.to(self.device).eval()
@@ -151,7 +163,8 @@ class ResNetPredictor(Learned):
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at
-        the cell centres of `frame`; NaN where the map is unknown."""
+        the cell centres of `frame`; NaN where the map is unknown.
+        """
         x, y = frame.centres()
         shape = frame.rows, frame.cols, len(headings_rad)
         places = np.broadcast_arrays(x[None, :, None], y[:, None, None], np.asarray(headings_rad)[None, None, :])
@@ -162,7 +175,8 @@ class ResNetPredictor(Learned):
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, FloatArray]:
         """The same for 1 m segments centred at (x, y). (n,) float64 each. The network knows no spread of its own: the
-        deviation is the share of the energy that held-out runs showed."""
+        deviation is the share of the energy that held-out runs showed.
+        """
         places = np.broadcast_arrays(x, y, heading_rad)
         xs, ys, heading = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in places)
         dx, dy = heading_vector(heading)
@@ -173,7 +187,7 @@ class ResNetPredictor(Learned):
                 part = slice(k, k + _BATCH)
                 patches = cut_patches(
                     heightmap, start_x[part], start_y[part], heading[part], size=self.size, side_m=SEGMENT_M
-                )  # fmt: skip
+                )
                 known = np.isfinite(patches[:, 0, 0])
                 if known.any():
                     scaled = self.net(torch.from_numpy(patches[known]).to(self.device)).cpu().numpy().astype(np.float64)

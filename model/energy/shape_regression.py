@@ -7,18 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.physics import SEGMENT_M, tan_grade
-from model.errors import InputError
-from model.frames import heading_vector
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.physics import SEGMENT_M, tan_grade
+from joulemap.model.errors import InputError
+from joulemap.model.frames import heading_vector
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
 FEATURES = (
-    "grade", "steepness", "cross_grade", "cross_steepness", "roughness", "track_bend", "track_roughness",
-    "track_climb", "curvature", "cross_curvature", "twist",
-)  # fmt: skip
+    "grade",
+    "steepness",
+    "cross_grade",
+    "cross_steepness",
+    "roughness",
+    "track_bend",
+    "track_roughness",
+    "track_climb",
+    "curvature",
+    "cross_curvature",
+    "twist",
+)
 
 _STEP_M = 0.1
 _REACH_M = 0.7  # along the segment from its centre: wheels stand before and behind the body
@@ -147,7 +156,8 @@ def _design(features: FloatArray) -> FloatArray:
 
 def _ridge(design: FloatArray, energy: FloatArray, penalty: float) -> FloatArray:
     """Coefficients of least *relative* squares, the energy being the mean of what was measured and what a first fit
-    expects: relative to the measured energy alone it would pay to predict too little."""
+    expects: relative to the measured energy alone it would pay to predict too little.
+    """
     weight = np.full(energy.size, 1.0 / energy.mean() ** 2)
     least = 0.2 * energy.mean()
     for _ in range(2):

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from model.energy.compact import CompactNet, heading_basis
-from model.energy.examples import Examples
-from model.energy.resnet import ResNetEnergy
-from model.energy.tracks import SQUARE, track_features
-from model.energy.uncertainty import LEAST_SHARE, USUAL_SPREAD, segment_std
+from joulemap.model.energy.compact import CompactNet, heading_basis
+from joulemap.model.energy.examples import Examples
+from joulemap.model.energy.resnet import ResNetEnergy
+from joulemap.model.energy.tracks import SQUARE, track_features
+from joulemap.model.energy.uncertainty import LEAST_SHARE, USUAL_SPREAD, segment_std
 
 Network = CompactNet | ResNetEnergy
 
@@ -24,7 +24,8 @@ CPU = torch.device("cpu")
 @dataclass(frozen=True)
 class Answer:
     """What a network says of B segments. energy [J]. scale [J] : what errors are relative to. spread : logarithm of the
-    standard deviation over the energy, None where the network has none."""
+    standard deviation over the energy, None where the network has none.
+    """
 
     energy: Tensor
     scale: Tensor

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.frames import heading_vector
+from joulemap.model.frames import heading_vector
 
 PIXEL_M = 0.125
 """Side of a working pixel [m]: eight to the metre."""
@@ -64,9 +64,10 @@ def track_features(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _line(z, lanes, found):  # fmt: skip
+def _line(z, lanes, found):
     """Mean, slope, squares about the line, steps up, steps down and the three bends of one track, (8, LANES), from
-    its samples z (SAMPLES, LANES). Offsets are constants and nothing branches, so that it becomes vector code."""
+    its samples z (SAMPLES, LANES). Offsets are constants and nothing branches, so that it becomes vector code.
+    """
     squares = np.float32(_MIDDLE * (_MIDDLE + 1) * SAMPLES / 3.0)  # sum of (s - middle)^2
     two, half = np.float32(2.0), np.float32(0.5)
     for b in range(min(lanes, LANES)):
@@ -97,7 +98,7 @@ def _line(z, lanes, found):  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _both(lines, lanes, left, right, per_width, met, fall):  # fmt: skip
+def _both(lines, lanes, left, right, per_width, met, fall):
     """What the two tracks, each as from `_line`, say together."""
     half, per_pixel, per_sample = np.float32(0.5), np.float32(0.5 / PIXEL_M), np.float32(0.5 / SAMPLES)
     end, middle, other = (SAMPLES - 1) * LANES, _MIDDLE * LANES, SAMPLES * LANES
@@ -117,10 +118,11 @@ def _both(lines, lanes, left, right, per_width, met, fall):  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def describe(lines, lanes, per_width, met, fall):  # fmt: skip
+def describe(lines, lanes, per_width, met, fall):
     """The nine numbers `met` (9, LANES) of as many places from their tracks `lines` (2, SAMPLES, LANES) [m], and what
     becomes of the rise where they are driven back, `fall` (LANES,): then the grade changes its sign, and nothing else
-    changes. per_width : (LANES,). All flat."""
+    changes. per_width : (LANES,). All flat.
+    """
     left, right = np.empty(8 * LANES, dtype=np.float32), np.empty(8 * LANES, dtype=np.float32)
     _line(lines, lanes, left)
     _line(lines[SAMPLES * LANES :], lanes, right)
@@ -128,14 +130,14 @@ def describe(lines, lanes, per_width, met, fall):  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def corner(offset):  # fmt: skip
+def corner(offset):
     """The pixel below a fractional offset, and how far past it."""
     whole = math.floor(offset)
     return whole, offset - whole
 
 
 @njit(cache=True, nogil=True)
-def _of_squares(squares, stencil, per_width, out):  # fmt: skip
+def _of_squares(squares, stencil, per_width, out):
     middle = (SQUARE - 1) // 2
     lines = np.zeros(2 * SAMPLES * LANES, dtype=np.float32)
     widths = np.zeros(LANES, dtype=np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter
 
-from model.errors import InputError, ModelError
+from joulemap.model.errors import InputError, ModelError
 
 FloatArray = NDArray[np.float64]
 
@@ -73,7 +73,8 @@ class Spread:
     def route_std(self, energy_j: ArrayLike, std_j: ArrayLike) -> FloatArray:
         """Standard deviation [J] of the energy up to the end of each of a route's 1 m segments, (n,): the run's own
         factor, and the rest, of which neighbours go together as in a first-order autoregression whose correlations add
-        up to `correlation_m`."""
+        up to `correlation_m`.
+        """
         energy, std = np.asarray(energy_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
         neighbour = (self.correlation_m - 1.0) / (self.correlation_m + 1.0)
         carried = lfilter([1.0], [1.0, -neighbour], std)  # (n,) sum over i <= k of neighbour^(k - i) std_i
@@ -83,7 +84,8 @@ class Spread:
 
 def segment_std(price_j: ArrayLike, relative: ArrayLike, level_j: ArrayLike, *, factor: float) -> FloatArray:
     """Standard deviation [J] of 1 m segments: relative to their price, but at least to a share of `level_j`, the energy
-    of level ground (a braking segment costs nothing and is still uncertain)."""
+    of level ground (a braking segment costs nothing and is still uncertain).
+    """
     return np.asarray(factor * np.asarray(relative) * np.maximum(price_j, LEAST_SHARE * np.asarray(level_j)))
 
 

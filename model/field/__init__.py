@@ -1,1 +1,1 @@
-"""Simulated reality: a robot, its ground and its logger. Shares no formula with `model.energy`."""
+"""Simulated reality: a robot, its ground and its logger. Shares no formula with `joulemap.model.energy`."""

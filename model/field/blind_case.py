@@ -17,19 +17,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import InputError
-from model.field.conditions import Conditions, Day, Halts
-from model.field.drives import Drive
-from model.field.effects import Effect
-from model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
-from model.field.logger import Logger, log_trace
-from model.field.patterns import PATTERNS, drive_of
-from model.field.robots import FieldRobot
-from model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_stands
-from model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
-from model.frames import GridFrame
-from model.terrain.synthesis import TerrainRecipe
-from model.terrain.writers import write_geotiff
+from joulemap.model.errors import InputError
+from joulemap.model.field.conditions import Conditions, Day, Halts
+from joulemap.model.field.drives import Drive
+from joulemap.model.field.effects import Effect
+from joulemap.model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
+from joulemap.model.field.logger import Logger, log_trace
+from joulemap.model.field.patterns import PATTERNS, drive_of
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_stands
+from joulemap.model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.synthesis import TerrainRecipe
+from joulemap.model.terrain.writers import write_geotiff
 
 FloatArray = NDArray[np.float64]
 
@@ -141,8 +141,17 @@ def write_base(site_seed: int, out: str | Path) -> Path:
     (out / "base").mkdir(parents=True, exist_ok=True)
     write_geotiff(out / "dem.tif", home.survey)
     declared = robot.declared.as_dict()
-    keys = ("name", "mass_kg", "width_m", "length_m", "wheel_radius_m", "nominal_voltage_v", "speed_mps", "battery_wh",
-            "idle_power_w")  # fmt: skip
+    keys = (
+        "name",
+        "mass_kg",
+        "width_m",
+        "length_m",
+        "wheel_radius_m",
+        "nominal_voltage_v",
+        "speed_mps",
+        "battery_wh",
+        "idle_power_w",
+    )
     text = "".join(f"{key} = {json.dumps(declared[key])}\n" for key in keys)  # JSON's texts and numbers are TOML's too
     (out / "robot.toml").write_text(text, encoding="utf-8")
     lengths = np.full(BASE_RUNS, _BASE_M / BASE_RUNS)
@@ -236,9 +245,13 @@ def _log(trace: Trace, run: _Driven, robot: FieldRobot, effects: Sequence[Effect
     trace = with_stands(trace, run.conditions.halts)
     words = run.site.words_at(trace.x, trace.y)
     log = log_trace(
-        trace, robot, rng=np.random.default_rng(seed), terrain=words, conditions=run.conditions,
+        trace,
+        robot,
+        rng=np.random.default_rng(seed),
+        terrain=words,
+        conditions=run.conditions,
         current_gain=_gain(effects),
-    )  # fmt: skip
+    )
     log.write_csv(path)
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import InputError
-from model.field.drives import smooth_noise
-from model.frames import TAU
+from joulemap.model.errors import InputError
+from joulemap.model.field.drives import smooth_noise
+from joulemap.model.frames import TAU
 
 FloatArray = NDArray[np.float64]
 
@@ -95,10 +95,16 @@ class Conditions:
         mean_mps = day.wind_mps * math.exp(0.25 * rng.standard_normal())
         wind = Wind.gusty(mean_mps, day.wind_from_rad + 0.35 * rng.standard_normal(), rng)
         return cls(
-            start_s=start_s, driven_m=driven_m, mean_c=day.mean_c, swing_c=day.swing_c, wind=wind,
-            wind_logged=day.wind_logged, payload_kg=float(rng.integers(0, 4)), charge=charge,
+            start_s=start_s,
+            driven_m=driven_m,
+            mean_c=day.mean_c,
+            swing_c=day.swing_c,
+            wind=wind,
+            wind_logged=day.wind_logged,
+            payload_kg=float(rng.integers(0, 4)),
+            charge=charge,
             seed=int(rng.integers(2**31)),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)

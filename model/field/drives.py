@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from model.errors import PointError
-from model.frames import TAU, heading_of, wrap_angle
+from joulemap.model.errors import PointError
+from joulemap.model.frames import TAU, heading_of, wrap_angle
 
 FloatArray = NDArray[np.float64]
 

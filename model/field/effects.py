@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from model.errors import InputError
-from model.field.conditions import Conditions
-from model.field.drives import STEP_M, Drive
-from model.field.robot_dynamics import Motion
-from model.field.robots import FieldRobot
-from model.field.sites import Site
+from joulemap.model.errors import InputError
+from joulemap.model.field.conditions import Conditions
+from joulemap.model.field.drives import STEP_M, Drive
+from joulemap.model.field.robot_dynamics import Motion
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.sites import Site
 
 FloatArray = NDArray[np.float64]
 
@@ -32,7 +32,8 @@ FloatArray = NDArray[np.float64]
 @dataclass(frozen=True)
 class Ride:
     """A drive under way: all that a force or a loss may depend on. t [s], without halts, and path_m : (n,) since the
-    start."""
+    start.
+    """
 
     drive: Drive
     motion: Motion

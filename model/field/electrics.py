@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.errors import InputError
-from model.field.robot_dynamics import Motion
-from model.field.robots import FieldRobot
+from joulemap.model.errors import InputError
+from joulemap.model.field.robot_dynamics import Motion
+from joulemap.model.field.robots import FieldRobot
 
 FloatArray = NDArray[np.float64]
 
@@ -64,16 +64,21 @@ def terminals(power_w: FloatArray, duration_s: FloatArray, pack: Pack) -> tuple[
     """
     warm = pack.resistance_ohm * math.exp(0.02 * (25.0 - pack.temperature_c))
     voltage, current, charge = _terminals(
-        np.ascontiguousarray(power_w), np.ascontiguousarray(duration_s), pack.nominal_v, pack.capacity_ah * 3600.0,
-        warm, pack.charge,
-    )  # fmt: skip
+        np.ascontiguousarray(power_w),
+        np.ascontiguousarray(duration_s),
+        pack.nominal_v,
+        pack.capacity_ah * 3600.0,
+        warm,
+        pack.charge,
+    )
     bad = np.flatnonzero(~np.isfinite(voltage))
     if bad.size:
         k = int(bad[0])
         raise InputError(
             f"the simulated battery cannot deliver {power_w[k]:.0f} W (charge {charge[k]:.2f}, {pack.nominal_v:g} V)",
-            power_w=float(power_w[k]), charge=float(charge[k]),
-        )  # fmt: skip
+            power_w=float(power_w[k]),
+            charge=float(charge[k]),
+        )
     return voltage, current, charge
 
 
@@ -94,7 +99,7 @@ def _open_circuit(nominal: float, charge: float) -> float:
 @njit(cache=True)
 def _terminals(
     power: FloatArray, duration: FloatArray, nominal: float, capacity_as: float, resistance: float, charge: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     n = power.size
     volts = np.full(n, np.nan)
     amps = np.full(n, np.nan)

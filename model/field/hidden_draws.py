@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from model.errors import NotFoundError
-from model.field.conditions import Conditions, Day
-from model.field.effects import Effect, Within
-from model.field.hidden_forces import (
+from joulemap.model.errors import NotFoundError
+from joulemap.model.field.conditions import Conditions, Day
+from joulemap.model.field.effects import Effect, Within
+from joulemap.model.field.hidden_forces import (
     Acceleration,
     AirDrag,
     ColdGrease,
@@ -28,8 +28,8 @@ from model.field.hidden_forces import (
     Turning,
     WetPatch,
 )
-from model.field.hidden_losses import Braking, Connector, HotelLoad, HotMotors, SensorGain
-from model.field.robots import FieldRobot
+from joulemap.model.field.hidden_losses import Braking, Connector, HotelLoad, HotMotors, SensorGain
+from joulemap.model.field.robots import FieldRobot
 
 Draw = Callable[[np.random.Generator, FieldRobot], Effect]
 
@@ -131,8 +131,14 @@ def day_for(effects: Sequence[Effect], rng: np.random.Generator) -> Day:
     return day
 
 
-def conditions_for(effects: Sequence[Effect], conditions: Conditions, robot: FieldRobot, rng: np.random.Generator,
-                   *, payload_logged: bool) -> Conditions:  # fmt: skip
+def conditions_for(
+    effects: Sequence[Effect],
+    conditions: Conditions,
+    robot: FieldRobot,
+    rng: np.random.Generator,
+    *,
+    payload_logged: bool,
+) -> Conditions:
     """The conditions of a run in which a payload is one, if it is among the effects: up to a third of the robot."""
     if not any(isinstance(effect, Payload) for effect in effects):
         return conditions

@@ -9,11 +9,11 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from model.field.conditions import Conditions
-from model.field.drives import STEP_M, Drive, smooth_noise
-from model.field.effects import Effect, Ride
-from model.field.robots import FieldRobot
-from model.field.sites import Site
+from joulemap.model.field.conditions import Conditions
+from joulemap.model.field.drives import STEP_M, Drive, smooth_noise
+from joulemap.model.field.effects import Effect, Ride
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.sites import Site
 
 FloatArray = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from model.field.effects import Effect, Ride
-from model.field.electrics import motor_temperature_c
+from joulemap.model.field.effects import Effect, Ride
+from joulemap.model.field.electrics import motor_temperature_c
 
 FloatArray = NDArray[np.float64]
 

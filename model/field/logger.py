@@ -12,21 +12,36 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from model.field.conditions import Conditions
-from model.field.drives import Drive
-from model.field.effects import Effect
-from model.field.electrics import Pack, motor_temperature_c, terminals
-from model.field.robots import FieldRobot
-from model.field.simulation import Trace, simulate_trace
-from model.field.sites import Site
-from model.frames import TAU
+from joulemap.model.field.conditions import Conditions
+from joulemap.model.field.drives import Drive
+from joulemap.model.field.effects import Effect
+from joulemap.model.field.electrics import Pack, motor_temperature_c, terminals
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.simulation import Trace, simulate_trace
+from joulemap.model.field.sites import Site
+from joulemap.model.frames import TAU
 
 FloatArray = NDArray[np.float64]
 
 COLUMNS = (
-    "t", "x", "y", "z", "voltage", "current", "speed", "heading", "roll", "pitch", "temperature",
-    "wind_speed", "wind_from", "payload", "terrain", "motor_temperature", "gps_error",
-)  # fmt: skip
+    "t",
+    "x",
+    "y",
+    "z",
+    "voltage",
+    "current",
+    "speed",
+    "heading",
+    "roll",
+    "pitch",
+    "temperature",
+    "wind_speed",
+    "wind_from",
+    "payload",
+    "terrain",
+    "motor_temperature",
+    "gps_error",
+)
 _DECIMALS = dict(zip(COLUMNS, (3, 3, 3, 3, 2, 3, 3, 2, 2, 2, 1, 1, 0, 1, 0, 1, 3), strict=True))
 
 
@@ -102,9 +117,16 @@ def simulate_run(
     trace = simulate_trace(site, robot, drive, rng=rng, effects=effects, conditions=conditions)
     gain = math.prod(effect.reading() for effect in effects)
     return log_trace(
-        trace, robot, rng=rng, logger=logger, pack=pack, terrain=site.words_at(trace.x, trace.y), start_s=start_s,
-        conditions=conditions, current_gain=gain,
-    )  # fmt: skip
+        trace,
+        robot,
+        rng=rng,
+        logger=logger,
+        pack=pack,
+        terrain=site.words_at(trace.x, trace.y),
+        start_s=start_s,
+        conditions=conditions,
+        current_gain=gain,
+    )
 
 
 def log_trace(

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model.field.drives import Drive, drive_along, lawnmower, random_waypoints, winding
-from model.field.robots import FieldRobot
-from model.field.sites import Site
-from model.frames import wrap_angle
+from joulemap.model.field.drives import Drive, drive_along, lawnmower, random_waypoints, winding
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.sites import Site
+from joulemap.model.frames import wrap_angle
 
 PATTERNS = ("lawnmower", "waypoints", "winding")
 

@@ -22,10 +22,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.errors import PointError
-from model.field.robots import FieldRobot, Ground
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap, bilinear
+from joulemap.model.errors import PointError
+from joulemap.model.field.robots import FieldRobot, Ground
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap, bilinear
 
 FloatArray = NDArray[np.float64]
 
@@ -63,10 +63,17 @@ def move(
 ) -> Motion:
     """Drive over stations (n,) of a path. Raises PointError where a wheel would leave the terrain."""
     z, pitch, roll, left, right, loads = _move(
-        terrain.heights, *_grid(terrain.frame), mu_factor.heights, *_grid(mu_factor.frame),
-        np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(heading_rad),
-        np.ascontiguousarray(speed_mps), robot.kernel_parameters(), ground.kernel_parameters(),
-    )  # fmt: skip
+        terrain.heights,
+        *_grid(terrain.frame),
+        mu_factor.heights,
+        *_grid(mu_factor.frame),
+        np.ascontiguousarray(x),
+        np.ascontiguousarray(y),
+        np.ascontiguousarray(heading_rad),
+        np.ascontiguousarray(speed_mps),
+        robot.kernel_parameters(),
+        ground.kernel_parameters(),
+    )
     bad = np.flatnonzero(~np.isfinite(left + right))
     if bad.size:
         k = int(bad[0])
@@ -85,9 +92,17 @@ def _height(values: NDArray[np.float32], west: float, north: float, res: float, 
 
 @njit(cache=True)
 def _wheel(
-    values: NDArray[np.float32], west: float, north: float, res: float, x: float, y: float, sx: float, cy: float,
-    radius: float, width: float,
-) -> float:  # fmt: skip
+    values: NDArray[np.float32],
+    west: float,
+    north: float,
+    res: float,
+    x: float,
+    y: float,
+    sx: float,
+    cy: float,
+    radius: float,
+    width: float,
+) -> float:
     """Height of the lowest point of a wheel that stands on the terrain: max over the arc of ground + circle, minus R.
 
     Across its width the tyre bears on the mean of three lines (edges a quarter each, middle a half).
@@ -108,10 +123,21 @@ def _wheel(
 
 @njit(cache=True)
 def _move(
-    terrain: NDArray[np.float32], west: float, north: float, res: float, mu_factor: NDArray[np.float32],
-    mu_west: float, mu_north: float, mu_res: float, x: FloatArray, y: FloatArray, heading: FloatArray,
-    speed: FloatArray, robot: FloatArray, ground: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    terrain: NDArray[np.float32],
+    west: float,
+    north: float,
+    res: float,
+    mu_factor: NDArray[np.float32],
+    mu_west: float,
+    mu_north: float,
+    mu_res: float,
+    x: FloatArray,
+    y: FloatArray,
+    heading: FloatArray,
+    speed: FloatArray,
+    robot: FloatArray,
+    ground: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     weight, mass, base, track, width, radius, com, twist_k, factor, grip, lag, _, _, _, _ = robot
     mu, exponent, bump_loss, bump_speed, scrub, scrub_curvature = ground
     n = x.size
@@ -138,9 +164,17 @@ def _move(
                 ahead = half_base if i < 2 else -half_base
                 aside = -half_track if i % 2 == 0 else half_track
                 wheel[i] = _wheel(
-                    terrain, west, north, res, x[k] + ahead * sx + aside * cy, y[k] + ahead * cy - aside * sx,
-                    sx, cy, radius, width,
-                )  # fmt: skip
+                    terrain,
+                    west,
+                    north,
+                    res,
+                    x[k] + ahead * sx + aside * cy,
+                    y[k] + ahead * cy - aside * sx,
+                    sx,
+                    cy,
+                    radius,
+                    width,
+                )
             mean = 0.25 * (wheel[0] + wheel[1] + wheel[2] + wheel[3])
             pitch = math.atan2(0.5 * (wheel[0] + wheel[1] - wheel[2] - wheel[3]), 2.0 * half_base)
             roll = math.atan2(0.5 * (wheel[0] + wheel[2] - wheel[1] - wheel[3]), 2.0 * half_track)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import RobotError
-from model.robot import GRAVITY_MPS2, Robot
+from joulemap.model.errors import RobotError
+from joulemap.model.robot import GRAVITY_MPS2, Robot
 
 FloatArray = NDArray[np.float64]
 
@@ -118,12 +118,23 @@ class FieldRobot:
         """The numbers the compiled kernels read, in their order. Shape (15,)."""
         return np.array(
             [
-                self.mass_kg * GRAVITY_MPS2, self.mass_kg, self.wheelbase_m, self.track_m, self.wheel_width_m,
-                self.declared.wheel_radius_m, self.com_height_m, self.twist_n_per_m, self.friction_factor,
-                self.lateral_grip, self.lag_m, self.gear_efficiency, self.drag_n, self.copper_w_per_n2,
+                self.mass_kg * GRAVITY_MPS2,
+                self.mass_kg,
+                self.wheelbase_m,
+                self.track_m,
+                self.wheel_width_m,
+                self.declared.wheel_radius_m,
+                self.com_height_m,
+                self.twist_n_per_m,
+                self.friction_factor,
+                self.lateral_grip,
+                self.lag_m,
+                self.gear_efficiency,
+                self.drag_n,
+                self.copper_w_per_n2,
                 self.regeneration,
             ]
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from model.errors import InputError
-from model.field.conditions import Conditions, Halts
-from model.field.drives import Drive
-from model.field.effects import Effect, Ride
-from model.field.electrics import wheel_power_w
-from model.field.robot_dynamics import move
-from model.field.robots import FieldRobot
-from model.field.sites import Site
-from model.frames import heading_of
+from joulemap.model.errors import InputError
+from joulemap.model.field.conditions import Conditions, Halts
+from joulemap.model.field.drives import Drive
+from joulemap.model.field.effects import Effect, Ride
+from joulemap.model.field.electrics import wheel_power_w
+from joulemap.model.field.robot_dynamics import move
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.sites import Site
+from joulemap.model.frames import heading_of
 
 FloatArray = NDArray[np.float64]
 
@@ -98,11 +98,19 @@ def simulate_trace(
     factor = _spread(ride.path_m, site.ground.spread, site.ground.spread_length_m, rng)
     power, wheels = _battery_w(ride, factor * wheels, effects)
     return Trace(
-        t=ride.t, x=ride.drive.x, y=ride.drive.y, z=ride.motion.z, heading_rad=ride.drive.heading_rad,
-        speed_mps=ride.drive.speed_mps, pitch_rad=ride.motion.pitch_rad, roll_rad=ride.motion.roll_rad, power_w=power,
-        explained_w=_battery_w(ride, explained, effects)[0], wheels_w=wheels,
+        t=ride.t,
+        x=ride.drive.x,
+        y=ride.drive.y,
+        z=ride.motion.z,
+        heading_rad=ride.drive.heading_rad,
+        speed_mps=ride.drive.speed_mps,
+        pitch_rad=ride.motion.pitch_rad,
+        roll_rad=ride.motion.roll_rad,
+        power_w=power,
+        explained_w=_battery_w(ride, explained, effects)[0],
+        wheels_w=wheels,
         standing_w=reduce(lambda power, effect: effect.standing_w(power), effects, robot.idle_w),
-    )  # fmt: skip
+    )
 
 
 def take_ride(
@@ -120,9 +128,15 @@ def take_ride(
         robot = effect.on_robot(robot, conditions)
         drive = effect.on_drive(drive, conditions)
     motion = move(
-        site.terrain, site.mu_factor, site.ground, robot,
-        x=drive.x, y=drive.y, heading_rad=drive.heading_rad, speed_mps=drive.speed_mps,
-    )  # fmt: skip
+        site.terrain,
+        site.mu_factor,
+        site.ground,
+        robot,
+        x=drive.x,
+        y=drive.y,
+        heading_rad=drive.heading_rad,
+        speed_mps=drive.speed_mps,
+    )
     surface = np.sqrt(np.diff(drive.x) ** 2 + np.diff(drive.y) ** 2 + np.diff(motion.z) ** 2)
     t = np.concatenate([[0.0], np.cumsum(surface / drive.speed_mps[1:])])
     ride = Ride(drive, motion, robot, conditions, t, np.concatenate([[0.0], np.cumsum(surface)]))
@@ -179,9 +193,14 @@ def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 
     x, y = np.interp(at, station, trace.x), np.interp(at, station, trace.y)
     path = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(trace.x), np.diff(trace.y)))])
     energy, explained, duration, driven, turned = segment_gains(
-        trace, trace.energy_j(), trace.energy_j(trace.explained_w), trace.t, path, np.unwrap(trace.heading_rad),
+        trace,
+        trace.energy_j(),
+        trace.energy_j(trace.explained_w),
+        trace.t,
+        path,
+        np.unwrap(trace.heading_rad),
         length_m=length_m,
-    )  # fmt: skip
+    )
     heading = heading_of(np.diff(x), np.diff(y))
     columns = ((x[:-1] + x[1:]) / 2, (y[:-1] + y[1:]) / 2, heading, energy, explained, duration, driven, turned)
     keep = driven <= max_driven_m * length_m

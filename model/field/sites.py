@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.special import ndtri
 
-from model.errors import NotFoundError
-from model.field.robots import Ground
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
-from model.terrain.landforms import bumps, fractal
-from model.terrain.survey import degrade
-from model.terrain.synthesis import TerrainRecipe, make_terrain
+from joulemap.model.errors import NotFoundError
+from joulemap.model.field.robots import Ground
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.landforms import bumps, fractal
+from joulemap.model.terrain.survey import degrade
+from joulemap.model.terrain.synthesis import TerrainRecipe, make_terrain
 
 TRUE_RESOLUTION_M = 0.05
 """Cell of the true terrain [m]."""
@@ -114,7 +114,8 @@ _PLASTIC = 1.324717957244746  # the plastic ratio, x**3 = x + 1
 
 def named_site(name: str, *, seed: int = 0, width_m: float = 60.0, height_m: float = 40.0) -> Site:
     """grass_a, grass_b or dirt. Each (name, seed) is always the same site; grass_b is another meadow, softer or firmer
-    than grass_a as the seed has it. Raises NotFoundError for another name."""
+    than grass_a as the seed has it. Raises NotFoundError for another name.
+    """
     if name not in _NAMED:
         raise NotFoundError(f"no simulated site {name!r}; known are {', '.join(_NAMED)}", name=name)
     relief, kind = _NAMED[name]
@@ -159,9 +160,15 @@ def random_site(
         survey_m = float(rng.choice([0.05, 0.1, 0.1, 0.2, 0.25, 0.5, 1.0]))
     frame = GridFrame(0.0, size_m, TRUE_RESOLUTION_M, _cells(size_m), _cells(size_m))
     return make_site(
-        "random", relief, ground, frame, rng, survey_m=survey_m,
-        noise_m=float(rng.uniform(0.001, 0.012)), smoothing_m=float(rng.uniform(0.02, 0.15)),
-    )  # fmt: skip
+        "random",
+        relief,
+        ground,
+        frame,
+        rng,
+        survey_m=survey_m,
+        noise_m=float(rng.uniform(0.001, 0.012)),
+        smoothing_m=float(rng.uniform(0.02, 0.15)),
+    )
 
 
 def random_ground(rng: np.random.Generator) -> Ground:

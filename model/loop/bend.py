@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from model.loop.drive import Drive
-from model.loop.residual import Residuals
+from joulemap.model.loop.drive import Drive
+from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +40,8 @@ _PULLED = _pulled(_MEANS)
 class Bend:
     """felt : coefficients of the force's columns, near to the true ones. spread_n : standard deviation of the drives'
     force within a metre [N, as the battery feels it]. share : of the force that was felt in the runs it was fitted to,
-    in least squares: divided by it, a coefficient says what the force cost there on the whole."""
+    in least squares: divided by it, a coefficient says what the force cost there on the whole.
+    """
 
     felt: tuple[float, ...]
     spread_n: float

@@ -1,5 +1,6 @@
 """Where exactly a part of the operating range begins: the threshold that runs left out speak for, and those that do as
-well."""
+well.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from model.loop.effects import Term, inside
-from model.loop.evidence import Evidence
-from model.loop.formulas import quantity
-from model.loop.residual import Residuals
+from joulemap.model.loop.effects import Term, inside
+from joulemap.model.loop.evidence import Evidence
+from joulemap.model.loop.formulas import quantity
+from joulemap.model.loop.residual import Residuals
 
 _STEPS = np.linspace(0.05, 0.95, 37)
 _LEAST_PART = 30  # segments on either side of a threshold
@@ -20,15 +21,15 @@ _LEAST_PART = 30  # segments on either side of a threshold
 def bounded(residuals: Residuals, terms: Sequence[Term], silent: Sequence[Term]) -> tuple[list[Term], list[list[Term]]]:
     """(terms, others): every term that acts above or below a value, with the value at which the held-out squared error
     is least; and all terms again, once for every other value that is worse by no more than one standard error (Breiman
-    et al. 1984, section 3.4.3)."""
+    et al. 1984, section 3.4.3).
+    """
     out = list(terms)
     rivals: list[tuple[int, Term]] = []
     for k, term in enumerate(terms):
         if "over" not in term.where:
             continue
         moved = (replace(term, where=_moved(term, v)).bent(residuals) for v in _values(residuals, term))
-        parts = [part for part in moved
-                 if inside(residuals.drive, part.where)[residuals.moving].sum() >= _LEAST_PART]  # fmt: skip
+        parts = [part for part in moved if inside(residuals.drive, part.where)[residuals.moving].sum() >= _LEAST_PART]
         others = [*silent, *out[:k], *out[k + 1 :]]
         evidence = Evidence(residuals, [*others, term, *parts], level_doubt=0.0)
         fixed = evidence.columns_of(range(len(others)))

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.energy.predictor import Predictor
-from model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
-from model.errors import ConflictError, ModelError
-from model.frames import GridFrame
-from model.loop.drive import Drive, describe_segments, planned_drive
-from model.loop.effects import Term
-from model.loop.formulas import driven_heights
-from model.loop.segments import Segments
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
+from joulemap.model.errors import ConflictError, ModelError
+from joulemap.model.frames import GridFrame
+from joulemap.model.loop.drive import Drive, describe_segments, planned_drive
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.formulas import driven_heights
+from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import Segments
+from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
@@ -61,11 +61,14 @@ class Correction:
 
     def as_dict(self) -> dict[str, Any]:
         return {
-            "terms": [t.as_dict() for t in self.terms], "planner": list(self.planner), "charge": self.charge,
-            "turn_j_per_rad": self.turn_j_per_rad, "conditions": dict(self.conditions),
+            "terms": [t.as_dict() for t in self.terms],
+            "planner": list(self.planner),
+            "charge": self.charge,
+            "turn_j_per_rad": self.turn_j_per_rad,
+            "conditions": dict(self.conditions),
             "evidence": [dict(e) for e in self.evidence],
             "spread": None if self.spread is None else self.spread.as_dict(),
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Correction:
@@ -73,10 +76,14 @@ class Correction:
         try:
             spread = values.get("spread")
             return cls(
-                tuple(Term.from_dict(t) for t in values["terms"]), tuple(bool(p) for p in values["planner"]),
-                bool(values["charge"]), float(values["turn_j_per_rad"]), dict(values["conditions"]),
-                list(values["evidence"]), None if spread is None else Spread.from_dict(spread),
-            )  # fmt: skip
+                tuple(Term.from_dict(t) for t in values["terms"]),
+                tuple(bool(p) for p in values["planner"]),
+                bool(values["charge"]),
+                float(values["turn_j_per_rad"]),
+                dict(values["conditions"]),
+                list(values["evidence"]),
+                None if spread is None else Spread.from_dict(spread),
+            )
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"a calibration is not complete: {error!r}") from error
 
@@ -100,9 +107,13 @@ class CalibratedPredictor:
         """What the model is, JSON-able."""
         effects = [t.as_dict() for t in self.correction.terms]
         return {
-            "name": self.name, "kind": "calibrated", "version": self.version, "base": self.base.provenance(),
-            "effects": effects, "spread": self.spread.as_dict(),
-        }  # fmt: skip
+            "name": self.name,
+            "kind": "calibrated",
+            "version": self.version,
+            "base": self.base.provenance(),
+            "effects": effects,
+            "spread": self.spread.as_dict(),
+        }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """Those of the base, effects that plans cannot contain, and those of heights that this map does not have."""
@@ -127,7 +138,8 @@ class CalibratedPredictor:
     def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
         """(n,) predicted energy of measured segments [J, or A s] from all that is known of them; NaN where the map is
         unknown. The base model speaks of the declared robot: what a logged load costs is for the effects to say. Of a
-        model of charge, joules are ampere seconds times the nominal voltage."""
+        model of charge, joules are ampere seconds times the nominal voltage.
+        """
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)
         traction = self.base.segment_traction(heightmap, robot, segments.x, segments.y, segments.heading_rad)
@@ -152,9 +164,7 @@ class CalibratedPredictor:
         std = self.std_of(std, traction, robot)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction), std
 
-    def std_of(
-        self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot
-    ) -> NDArray[Any] | None:  # fmt: skip
+    def std_of(self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any] | None:
         """Standard deviation of 1 m segments [J]; std_j, traction_per_m : as the base model says."""
         if self.correction.spread is None:
             return std_j
@@ -183,17 +193,28 @@ class CalibratedPredictor:
         return traction, std
 
     def _with_effects(
-        self, heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray,
+        self,
+        heightmap: Heightmap,
+        robot: Robot,
+        x: FloatArray,
+        y: FloatArray,
+        heading_rad: FloatArray,
         traction: NDArray[Any],
-    ) -> FloatArray:  # fmt: skip
+    ) -> FloatArray:
         """Traction whose price is the calibrated one; of a charge, ampere seconds times the nominal voltage.
 
         Where the effects leave less than nothing of the motion, the price says so as far as regeneration does.
         """
         drive = planned_drive(
-            heightmap, robot, x, y, heading_rad, traction, self.correction.conditions,
+            heightmap,
+            robot,
+            x,
+            y,
+            heading_rad,
+            traction,
+            self.correction.conditions,
             with_ground=any(term.reads_ground for term in self.correction.terms),
-        )  # fmt: skip
+        )
         if self.correction.charge:
             drive = replace(drive, unit_j=robot.nominal_voltage_v)
         motion = drive.unit_j * (self.correction.predict(drive, planner_only=True) - drive.hotel_part)
@@ -203,7 +224,8 @@ class CalibratedPredictor:
 
 def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[str, Any]) -> str:
     """Write `calibration.json` into a folder that has none. base : what and where the base model is. Returns the
-    version, the SHA-256 of the content (16 hex digits). Raises ConflictError where a calibration is there already."""
+    version, the SHA-256 of the content (16 hex digits). Raises ConflictError where a calibration is there already.
+    """
     path = Path(folder) / CALIBRATION_FILE
     if path.exists():
         raise ConflictError(f"{path} is there already: a model version is never changed", path=str(path))

@@ -9,16 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.bounds import bounded
-from model.loop.candidates import Candidate, find_candidates
-from model.loop.effects import Term
-from model.loop.evidence import Verdict
-from model.loop.fitting import Fit, fit_terms
-from model.loop.localise import localised
-from model.loop.residual import Residuals
-from model.loop.selection import ALPHA, Floors, Found, interactions_of
-from model.loop.shared import SharedErrors, most_carried, shared_errors
-from model.loop.trace import Trace, trace
+from joulemap.model.loop.bounds import bounded
+from joulemap.model.loop.candidates import Candidate, find_candidates
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.evidence import Verdict
+from joulemap.model.loop.fitting import Fit, fit_terms
+from joulemap.model.loop.localise import localised
+from joulemap.model.loop.residual import Residuals
+from joulemap.model.loop.selection import ALPHA, Floors, Found, interactions_of
+from joulemap.model.loop.shared import SharedErrors, most_carried, shared_errors
+from joulemap.model.loop.trace import Trace, trace
 
 FloatArray = NDArray[np.float64]
 
@@ -33,7 +33,8 @@ class Effect:
     """An effect that was found, fitted. coefficients : what is new in these runs; those of the term hold what the base
     model's own runs show as well. low, high : 95 % intervals. share : of the residual's squared size that goes with it,
     and with the interactions that it is part of. planner : stated in what a planner knows beforehand. shadow : of other
-    effects, whose form it mends, and no cause of its own."""
+    effects, whose form it mends, and no cause of its own.
+    """
 
     term: Term
     coefficients: FloatArray
@@ -53,7 +54,8 @@ class Calibration:
     held-out runs (mean_relative, rmse, bias), of the base model, with those corrections alone, with the effects, and
     with those that a planner knows. residuals : as traced. held_out : (n,) prediction of each row by a fit without its
     run; held_out_planner : the same from what a planner knows. first_terms, planner_terms : what is added to the base
-    prediction before, and with what a planner knows."""
+    prediction before, and with what a planner knows.
+    """
 
     effects: tuple[Effect, ...]
     silent: tuple[Term, ...]
@@ -122,9 +124,15 @@ def calibrate(
     known = shared.gains(terms)
     floors = _WITH_BASE if shared.residuals is not None else Floors()
     traced = trace(
-        residuals, candidates, level_doubt=shared.level_doubt, level_freedom=shared.level_freedom, floors=floors,
-        shared=lambda k: float(known[k]), seed=seed, progress=progress,
-    )  # fmt: skip
+        residuals,
+        candidates,
+        level_doubt=shared.level_doubt,
+        level_freedom=shared.level_freedom,
+        floors=floors,
+        shared=lambda k: float(known[k]),
+        seed=seed,
+        progress=progress,
+    )
     start = measured.without_prediction() if plane else residuals
     fitted = _fitted(traced.causes, start, plane, shared)
     while idle := _idle(traced.causes, fitted, shared):
@@ -181,9 +189,12 @@ def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: Shar
 
     def fitted() -> Fit:
         return fit_terms(
-            start, [*silent, *chosen], level_doubt=0.0 if silent else shared.level_doubt, base=shared.residuals,
+            start,
+            [*silent, *chosen],
+            level_doubt=0.0 if silent else shared.level_doubt,
+            base=shared.residuals,
             others=[[*silent, *terms] for terms in others],
-        )  # fmt: skip
+        )
 
     fit = fitted()
     if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
@@ -196,7 +207,8 @@ def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: Shar
 def _idle(causes: Trace, fitted: _Fitted, shared: SharedErrors) -> Found | None:
     """The least telling cause that is no news, whatever helped to find it: base runs show most of it, or it explains
     little and may be nil in its one or two coefficients (those of a curve share what is there). How far base runs are
-    apart is part of the p-value of what differs between runs. What an interaction is part of stands with it."""
+    apart is part of the p-value of what differs between runs. What an interaction is part of stands with it.
+    """
     skip = len(fitted.silent)
     for k, found in reversed(list(enumerate(causes.found))):
         term, low, high = fitted.fit.terms[skip + k], fitted.fit.low[skip + k], fitted.fit.high[skip + k]
@@ -244,10 +256,17 @@ def _effects(traced: Trace, fit: Fit, skip: int) -> tuple[Effect, ...]:
         term, low, high = fit.terms[skip + k], fit.low[skip + k], fit.high[skip + k]
         out.append(
             Effect(
-                term, np.asarray(term.coefficients) - fit.own[skip + k], low, high, found.verdict.p_value,
-                _share(traced, found), found.candidate.in_plans(term), found.candidate.reveals, found in traced.shadows,
+                term,
+                np.asarray(term.coefficients) - fit.own[skip + k],
+                low,
+                high,
+                found.verdict.p_value,
+                _share(traced, found),
+                found.candidate.in_plans(term),
+                found.candidate.reveals,
+                found in traced.shadows,
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 

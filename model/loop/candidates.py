@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.bend import spread_of
-from model.loop.columns import usable_columns
-from model.loop.effects import Term
-from model.loop.formulas import quantity
-from model.loop.places import field_settings, grid_over
-from model.loop.residual import Residuals
-from model.loop.track import TURN_LIMITS_RADPS
+from joulemap.model.loop.bend import spread_of
+from joulemap.model.loop.columns import usable_columns
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.formulas import quantity
+from joulemap.model.loop.places import field_settings, grid_over
+from joulemap.model.loop.residual import Residuals
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
 
@@ -77,9 +77,12 @@ def find_candidates(
     refused: dict[str, str] = {}
     found = [_turning(residuals, unit), *_of_path(unit, _ripple(residuals, columns.get("ripple")))]
     found.append(
-        Candidate("hotel_load", (Term("hotel_load", "hotel_load", (amount,)),),
-                  "drive the same line at two speeds, and stand for a minute")
-    )  # fmt: skip
+        Candidate(
+            "hotel_load",
+            (Term("hotel_load", "hotel_load", (amount,)),),
+            "drive the same line at two speeds, and stand for a minute",
+        )
+    )
     if not residuals.charge:
         found += _of_level()
     usable = usable_columns(residuals, columns, refused)
@@ -140,10 +143,15 @@ def _turning(residuals: Residuals, unit: str) -> Candidate:
 
 def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     speeds = tuple(
-        Term("speed", "speed", (f"{unit}/m per m/s",) if p == 1 else (f"{unit}/m per (m/s)^{p}",),
-             {"power": p, "absolute": absolute})
-        for p in (1, 2) for absolute in (False, True)
-    )  # fmt: skip
+        Term(
+            "speed",
+            "speed",
+            (f"{unit}/m per m/s",) if p == 1 else (f"{unit}/m per (m/s)^{p}",),
+            {"power": p, "absolute": absolute},
+        )
+        for p in (1, 2)
+        for absolute in (False, True)
+    )
     yield Candidate("speed", speeds, "the same line at several speeds")
     spin = Term("acceleration", "acceleration", ("kg",))
     yield Candidate("acceleration", (spin,), "starts and stops on level ground", planner=False, sign=1)
@@ -157,10 +165,16 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     yield Candidate("reversing", back, "the same line forwards and backwards", planner=False, sign=1)
     yield Candidate("climbing", (Term("climbing", "climbing", ("",)),), "straight up slopes of several grades")
     more = tuple(
-        Term("learned:heading", "heading", ("" if share else f"{unit}/m",) * (2 * n + level),
-             {"harmonics": n, "level": level, "of_motion": share})
-        for share in (False, True) for n in (1, 2, 3) for level in (False, True)
-    )  # fmt: skip
+        Term(
+            "learned:heading",
+            "heading",
+            ("" if share else f"{unit}/m",) * (2 * n + level),
+            {"harmonics": n, "level": level, "of_motion": share},
+        )
+        for share in (False, True)
+        for n in (1, 2, 3)
+        for level in (False, True)
+    )
     yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
     yield Candidate("drift", tuple(_drifts(unit)), "the same loop at the start and at the end of a long day")
     losses = Term("battery", "battery", ("ohm",), {"ripple": ripple})
@@ -187,12 +201,19 @@ def _drifts(unit: str) -> Iterator[Term]:
 
 
 def _of_level() -> Iterator[Candidate]:
-    yield Candidate("sensor_gain", (Term("sensor_gain", "sensor_gain", ("",)),),
-                    "stand for a minute, then drive level ground and climbs")  # fmt: skip
-    yield Candidate("payload", (Term("payload", "payload", ("kg",)),),
-                    "weigh the robot; else climb and descend the same slope")  # fmt: skip
-    yield Candidate("rolling_resistance", (Term("rolling_resistance", "friction", ("",)),),
-                    "one level line at two speeds, and a climb")  # fmt: skip
+    yield Candidate(
+        "sensor_gain",
+        (Term("sensor_gain", "sensor_gain", ("",)),),
+        "stand for a minute, then drive level ground and climbs",
+    )
+    yield Candidate(
+        "payload", (Term("payload", "payload", ("kg",)),), "weigh the robot; else climb and descend the same slope"
+    )
+    yield Candidate(
+        "rolling_resistance",
+        (Term("rolling_resistance", "friction", ("",)),),
+        "one level line at two speeds, and a climb",
+    )
 
 
 def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, float], unit: str) -> Iterator[Candidate]:
@@ -200,10 +221,15 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
     if "temperature" in usable:
         warm = {"reference": usual["temperature"]}
         warmth = [
-            Term("temperature", "temperature", ("" if of else f"{unit}/m",) * begun + ("1/K" if of else f"{unit}/m/K",),
-                 warm | {"of_motion": of, "begun": begun})
-            for of in (True, False) for begun in (False, True)
-        ]  # fmt: skip
+            Term(
+                "temperature",
+                "temperature",
+                ("" if of else f"{unit}/m",) * begun + ("1/K" if of else f"{unit}/m/K",),
+                warm | {"of_motion": of, "begun": begun},
+            )
+            for of in (True, False)
+            for begun in (False, True)
+        ]
         if not residuals.charge:
             heats = warm | {"of_motion": False, "of_time": True}
             warmth += [
@@ -250,16 +276,24 @@ def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -
     others = [str(w) for w in kinds if w != usual]
     name = "terrain_class" if key in ("terrain", "ground", "surface") else f"terrain_class:{key}"
     variants = tuple(
-        Term(name, "words", (("" if of else f"{unit}/m"),) * len(some),
-             {"column": key, "values": some, "of_motion": of})
+        Term(
+            name, "words", (("" if of else f"{unit}/m"),) * len(some), {"column": key, "values": some, "of_motion": of}
+        )
         for of in (False, True)
         for some in (others, *([str(w)] for w in kinds))
-    )  # fmt: skip
+    )
     yield Candidate(name, variants, "the same manoeuvres on each kind of ground", planner=False)
-    turns = [Term(f"turning x {name}", "turning_words", (f"{unit}/rad",) * len(some), {"column": key, "values": some})
-             for some in (others, [str(w) for w in kinds])]  # fmt: skip
-    yield Candidate(turns[0].name, tuple(turns), "curves of several radii on each kind of ground", planner=False,
-                    parts=("turning", name))  # fmt: skip
+    turns = [
+        Term(f"turning x {name}", "turning_words", (f"{unit}/rad",) * len(some), {"column": key, "values": some})
+        for some in (others, [str(w) for w in kinds])
+    ]
+    yield Candidate(
+        turns[0].name,
+        tuple(turns),
+        "curves of several radii on each kind of ground",
+        planner=False,
+        parts=("turning", name),
+    )
 
 
 def _smooth(
@@ -272,14 +306,23 @@ def _smooth(
     straight = sorted({knots[0], knots[-1]})
     sets = [[float(k) for k in some] for some in (straight, knots)]
     variants = tuple(
-        Term(name, "smooth", ((f"{unit}/m" if of == "length" else ""),) * (len(some) - 1 + level),
-             {"over": over, "knots": some, "of": of, "level": level})
+        Term(
+            name,
+            "smooth",
+            ((f"{unit}/m" if of == "length" else ""),) * (len(some) - 1 + level),
+            {"over": over, "knots": some, "of": of, "level": level},
+        )
         for some in (sets if len(sets[1]) > 2 else sets[:1])
         for of in ("length", "all", "motion")
         for level in ((False, True) if over.startswith("column:") and not residuals.charge else (False,))
-    )  # fmt: skip
-    yield Candidate(name, variants, f"the same line while only {name.removeprefix('learned:')} changes",
-                    planner=planner, response=response)  # fmt: skip
+    )
+    yield Candidate(
+        name,
+        variants,
+        f"the same line while only {name.removeprefix('learned:')} changes",
+        planner=planner,
+        response=response,
+    )
 
 
 def _of_place(residuals: Residuals) -> Iterator[Candidate]:

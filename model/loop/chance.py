@@ -24,8 +24,9 @@ _LEAST_RUNS = 3  # for each coefficient that is told between runs
 _LEAST_LEVEL = 3e-3  # of the energy: runs that differ by less in an effect do not vary it
 
 
-def by_shifts(z: FloatArray, run: IntArray, basis: FloatArray, tried: Mapping[int, FloatArray], *, seed: int = 0
-              ) -> dict[int, float]:  # fmt: skip
+def by_shifts(
+    z: FloatArray, run: IntArray, basis: FloatArray, tried: Mapping[int, FloatArray], *, seed: int = 0
+) -> dict[int, float]:
     """p of terms that vary within runs: the share of shiftings in which any of them does as well.
 
     z, run : (n,) residual [scaled] without the span of `basis` (n, k) orthonormal, and number of the run, in driving

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.drive import Drive
-from model.loop.residual import Residuals
+from joulemap.model.loop.drive import Drive
+from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
@@ -21,7 +21,8 @@ _SPIKE = 8.0  # times the median size
 
 def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
     """Logged columns that vary, copy no other column, and are no part of the measurement; why the others are not goes
-    into `refused`."""
+    into `refused`.
+    """
     drive, moving = residuals.drive, residuals.moving
     only = drive.take(moving)
     meters = {key: values[moving] for key, values in electric.items() if key != "ripple"}
@@ -54,7 +55,8 @@ def _alike(values: FloatArray, electric: FloatArray, expected: Sequence[FloatArr
     """Whether a column follows a reading of the battery from segment to segment: what both have of a day's slow course
     (a voltage sinks while the air warms) makes no copy, so that each run's straight line in time is taken out; nor do
     spikes, which were taken out of the reading, make a copy another. What follows something of `expected`, which needs
-    no meter, more closely still is that (a pitch on hills); a copy with noise is nearer to what it copies."""
+    no meter, more closely still is that (a pitch on hills); a copy with noise is nearer to what it copies.
+    """
     both = np.isfinite(values) & np.isfinite(electric)
     for _ in range(3):
         if both.sum() < 10:

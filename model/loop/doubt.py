@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.effects import Term
-from model.loop.residual import Residuals
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
@@ -22,7 +22,8 @@ _FIELDS = frozenset({"by_run", "place", "disk"})
 @dataclass(frozen=True, eq=False)
 class Equations:
     """Weighted least squares with a ridge: columns a (n, K) [scaled], what they are to explain z (n,), and what is left
-    out together."""
+    out together.
+    """
 
     a: FloatArray
     z: FloatArray
@@ -61,7 +62,8 @@ def other_judgements(
 ) -> FloatArray:
     """How far coefficients move when all noise counts as alike, or as a share of the energy without outliers (a right
     formula gives the same whatever counts more: White 1980), when effects that do not ask for the slope may be stronger
-    uphill than downhill, and when the base model's level is taken as right."""
+    uphill than downhill, and when the base model's level is taken as right.
+    """
     scale, moving, grade = residuals.scale, residuals.moving, residuals.drive.grade
     blind = np.repeat([not (t.reads_ground or t.formula in _FIELDS) for t in terms], counts).astype(bool)
     slope = np.where(moving, (grade - grade[moving].mean()) / max(float(grade[moving].std()), 1e-12), 0.0)
@@ -78,7 +80,8 @@ def other_judgements(
 
 def bends(equations: Equations, terms: Sequence[Term], counts: list[int]) -> FloatArray:
     """How far the coefficient of a small amount is from that of a large one: of a law that is no straight line the one
-    number is anywhere between (a rectangular distribution: JCGM 100:2008, 4.3.7), as far as that is more than noise."""
+    number is anywhere between (a rectangular distribution: JCGM 100:2008, 4.3.7), as far as that is more than noise.
+    """
     out = np.zeros(sum(counts))
     for k, (term, count) in enumerate(zip(terms, counts, strict=True)):
         if count > 1 or term.formula == "level":
@@ -98,7 +101,8 @@ def of_others(
     equations: Equations, found: FloatArray, residuals: Residuals, others: Sequence[Sequence[Term]]
 ) -> FloatArray:
     """How far the coefficients of other terms are from those found, in the mean (model uncertainty: Buckland et al.
-    1997)."""
+    1997).
+    """
     squares = np.zeros_like(found)
     for terms in others:
         a = np.concatenate([t.columns(residuals.drive) for t in terms], axis=1) / residuals.scale[:, None]
@@ -118,7 +122,8 @@ def found_in_base(
     base: Residuals | None, terms: Sequence[Term], usual: FloatArray, counts: list[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Coefficients (so many per term) on runs without the effects, shrunk by what may be noise, and their standard
-    errors; 0 where these runs vary a column much less than `usual` (as large as it is where the effects are)."""
+    errors; 0 where these runs vary a column much less than `usual` (as large as it is where the effects are).
+    """
     own, doubt = np.zeros((2, sum(counts)))
     shared = np.repeat([t.formula != "by_run" and "runs" not in t.where for t in terms], counts).astype(bool)
     if base is None or not shared.any():

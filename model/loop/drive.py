@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from model.frames import heading_vector
-from model.loop.segments import Segments
-from model.loop.track import TURN_LIMITS_RADPS
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.frames import heading_vector
+from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import Segments
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
+from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
@@ -186,7 +186,8 @@ def planned_drive(
     with_ground: bool = True,
 ) -> Drive:
     """Straight 1 m segments at cruising speed that nobody has driven yet. conditions : logged columns as expected.
-    with_ground : read slopes, roughness and heights, which takes most of the time; else they are NaN."""
+    with_ground : read slopes, roughness and heights, which takes most of the time; else they are NaN.
+    """
     n = x.size
     zero = np.zeros(n)
     ground = _ground(heightmap, robot, x, y, heading_rad) if with_ground else _unread_ground(n)
@@ -213,7 +214,8 @@ def planned_drive(
 
 def _with_stands(drive: Drive, run: NDArray[np.int64], seconds: FloatArray) -> Drive:
     """Stands after the segments: they take time and have no path and no ground; of what else was logged, their run's
-    mean."""
+    mean.
+    """
     m = run.size
 
     def longer(values: FloatArray) -> FloatArray:
@@ -304,7 +306,8 @@ def _ground(
 
 def _around(heightmap: Heightmap, x: FloatArray, y: FloatArray) -> FloatArray:
     """(n,) mean height of the known ground on a circle and on one of half its radius around each centre (topographic
-    position: Weiss 2001); NaN where none is known."""
+    position: Weiss 2001); NaN where none is known.
+    """
     dx, dy = heading_vector(np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False))
     total, count = np.zeros(x.size), np.zeros(x.size)
     for radius in (0.5 * _AROUND_M, _AROUND_M):

@@ -12,18 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import ModelError
-from model.loop.bend import Bend, bend_of
-from model.loop.drive import Drive
-from model.loop.formulas import FORCES, FORMULAS, GROUND, quantity
-from model.loop.residual import Residuals
+from joulemap.model.errors import ModelError
+from joulemap.model.loop.bend import Bend, bend_of
+from joulemap.model.loop.drive import Drive
+from joulemap.model.loop.formulas import FORCES, FORMULAS, GROUND, quantity
+from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
 
 def inside(drive: Drive, where: Mapping[str, Any]) -> FloatArray:
     """(n,) 0..1, how much of a row lies in a part of the operating range: {"over": quantity, "above" | "below": value},
-    {"word": column, "is": value} or {"runs": names}. A metre over the brow of a hill is partly uphill."""
+    {"word": column, "is": value} or {"runs": names}. A metre over the brow of a hill is partly uphill.
+    """
     if "runs" in where:
         return np.isin(drive.runs or [""], where["runs"])[drive.run].astype(np.float64)
     if "word" in where:
@@ -69,7 +70,8 @@ class Term:
 
     def bent(self, residuals: Residuals, spread_n: float | None = None) -> Term:
         """A force as far as it is felt, being as large as the residuals say; any other effect as it is. spread_n : see
-        `Bend`; that of the bend it has unless given."""
+        `Bend`; that of the bend it has unless given.
+        """
         spread = spread_n if spread_n is not None or self.bend is None else self.bend.spread_n
         if spread is None or not self.is_force:
             return self
@@ -107,10 +109,14 @@ class Term:
 
     def as_dict(self) -> dict[str, Any]:
         return {
-            "name": self.name, "formula": self.formula, "units": list(self.units), "settings": dict(self.settings),
-            "where": dict(self.where), "coefficients": list(self.coefficients),
+            "name": self.name,
+            "formula": self.formula,
+            "units": list(self.units),
+            "settings": dict(self.settings),
+            "where": dict(self.where),
+            "coefficients": list(self.coefficients),
             "bend": None if self.bend is None else self.bend.as_dict(),
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Term:
@@ -119,9 +125,14 @@ class Term:
             coefficients = tuple(float(c) for c in values["coefficients"])
             bend = values.get("bend")
             return cls(
-                str(values["name"]), str(values["formula"]), tuple(values["units"]), dict(values["settings"]),
-                dict(values["where"]), coefficients, None if bend is None else Bend.from_dict(bend),
-            )  # fmt: skip
+                str(values["name"]),
+                str(values["formula"]),
+                tuple(values["units"]),
+                dict(values["settings"]),
+                dict(values["where"]),
+                coefficients,
+                None if bend is None else Bend.from_dict(bend),
+            )
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"an effect of the model is not complete: {error!r}") from error
 
@@ -129,7 +140,8 @@ class Term:
 def turning_per_rad(terms: Sequence[Term], drive: Drive) -> float:
     """What a radian of turning costs in plans [J, or A s]: the slope of the terms' energy of turning over how far each
     segment turned, in least squares. A turn within a metre counts, not the wandering of straight driving, which a plan
-    has none of; of one term that acts everywhere it is the coefficient, also where turning saturates."""
+    has none of; of one term that acts everywhere it is the coefficient, also where turning saturates.
+    """
     turned = drive.turned_abs_rad
     energy = np.sum([t.energy(drive) for t in terms if t.formula.startswith("turning")] or [0.0 * turned], axis=0)
     return float(turned @ energy) / max(float(turned @ turned), 1e-12)

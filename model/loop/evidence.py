@@ -4,7 +4,7 @@ Two questions are asked of each. *Does it help where it was not fitted?* Whole r
 by which the squared error there falls is the gain; all such fits are solved from one cross-product matrix per run.
 In each fit the base model's level may be off by as much as it usually is, and by no more: what moves the level further
 is an effect like any other.
-*Could chance do it?* For what varies within runs `by_shifts` of `model.loop.chance` says it, for what differs between
+*Could chance do it?* For what varies within runs `by_shifts` of `loop.chance` says it, for what differs between
 them alone `between_runs`. An effect on the level of all runs could be the base model's own error: there a t-test over
 left-out runs decides, with the doubt about that level in it, and p is multiplied by the number of such effects.
 """
@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from model.loop.chance import apart, between_runs, by_shifts, orthonormal
-from model.loop.effects import Term
-from model.loop.formulas import FORMULAS, quantity
-from model.loop.residual import Residuals
-from model.loop.steps import step_chance
+from joulemap.model.loop.chance import apart, between_runs, by_shifts, orthonormal
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.formulas import FORMULAS, quantity
+from joulemap.model.loop.residual import Residuals
+from joulemap.model.loop.steps import step_chance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -57,7 +57,8 @@ class Verdict:
 class Evidence:
     """The terms of all candidates on one set of residuals. level_doubt : how far the base model's level may be off on
     any day, a share of the energy: twice the standard deviation of single runs, known with so many degrees of
-    level_freedom. seed : of what is drawn. differs : of each term, whether its quantity differs between runs alone."""
+    level_freedom. seed : of what is drawn. differs : of each term, whether its quantity differs between runs alone.
+    """
 
     def __init__(
         self, residuals: Residuals, terms: Sequence[Term], *, level_doubt: float, level_freedom: int = 0, seed: int = 0
@@ -109,8 +110,9 @@ class Evidence:
             return np.stack([both[r].T @ both[r] for r in rows])  # (F, K + 1, K + 1)
 
         self.by_fold, self.by_block = products(self.residuals.fold), products(self.residuals.block)
-        self.own_of_runs = {int(c) for t, k in zip(self.terms, self.columns, strict=True) if t.formula == "by_run"
-                            for c in k}  # fmt: skip
+        self.own_of_runs = {
+            int(c) for t, k in zip(self.terms, self.columns, strict=True) if t.formula == "by_run" for c in k
+        }
 
     def moves_level(self, chosen: Sequence[int]) -> bool:
         """Whether any of these effects is told from the level by its size alone."""
@@ -125,7 +127,8 @@ class Evidence:
     def held_out(self, active: IntArray, *, blocks: bool = False, free: bool = False) -> FloatArray:
         """(folds,) squared error [scaled] of each fold, fitted to all others, with the level refitted: within the doubt
         about it, or (with `free`, and of a charge) to any value. Where runs have coefficients of their own (or with
-        `blocks`) a fold is a third of every run."""
+        `blocks`) a fold is a third of every run.
+        """
         gram = self.by_block if blocks or self.own(active) else self.by_fold
         every = np.concatenate([self.nuisance, active])
         inner = gram[:, every[:, None], every]
@@ -162,8 +165,10 @@ class Evidence:
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
         """A verdict on each tried term, given the chosen ones."""
         selected = self.columns_of(chosen)
-        before = {blocks: [self.held_out(selected, blocks=blocks, free=free) for free in (False, True)]
-                  for blocks in (False, True)}  # fmt: skip
+        before = {
+            blocks: [self.held_out(selected, blocks=blocks, free=free) for free in (False, True)]
+            for blocks in (False, True)
+        }
         p_values, reasons = self._chances(chosen, tried)
         verdicts = []
         for k in tried:
@@ -227,9 +232,13 @@ class Evidence:
             p_values[k] = min(1.0, self._beyond_doubt(chosen, k) * min(len(level) + len(between), _NEAR_COPIES))
         if between:
             told = between_runs(
-                level_of @ z_free, between, usual=0.5 * self.level_doubt, freedom=self.level_freedom,
-                taken=sum(self.differs[c] for c in chosen), seed=self.seed,
-            )  # fmt: skip
+                level_of @ z_free,
+                between,
+                usual=0.5 * self.level_doubt,
+                freedom=self.level_freedom,
+                taken=sum(self.differs[c] for c in chosen),
+                seed=self.seed,
+            )
             p_values |= told
             reasons |= {k: "there are too few runs that differ in it" for k in between if k not in told}
         if within:

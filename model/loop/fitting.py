@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from model.loop.doubt import Equations, bends, found_in_base, of_others, other_judgements, otherwise_bent
-from model.loop.effects import Term
-from model.loop.residual import Residuals
+from joulemap.model.loop.doubt import Equations, bends, found_in_base, of_others, other_judgements, otherwise_bent
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +24,8 @@ _STEPS = 12
 class Fit:
     """terms : with coefficients. own : of these, what the base model's own runs show as well: its error, not what is
     new. low, high : 95 % intervals of what is new. One array per term each. held_out : (n,) energy that the terms add
-    to each row, fitted without its fold [J, or A s]."""
+    to each row, fitted without its fold [J, or A s].
+    """
 
     terms: tuple[Term, ...]
     own: tuple[FloatArray, ...]
@@ -50,7 +51,7 @@ def fit_terms(
 
     What the same formulas find where they are not at work, on the runs of `base`, is the base model's own error along
     them and no part of an effect (a negative control, and the difference of differences: Lipsitch et al. 2010), as far
-    as it is more than noise there. The doubts of `model.loop.doubt` are added: about that, about the form of an effect,
+    as it is more than noise there. The doubts of `loop.doubt` are added: about that, about the form of an effect,
     about how far forces are felt, about terms that do as well in the place of these (`others`), and about the base
     model's level, which may be off by half of `level_doubt`, a share of the energy.
     """

@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import ModelError
-from model.loop.drive import Drive
-from model.loop.track import TURN_LIMITS_RADPS
+from joulemap.model.errors import ModelError
+from joulemap.model.loop.drive import Drive
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
 Formula = Callable[..., FloatArray]
@@ -126,7 +126,8 @@ def temperature(
     drive: Drive, *, reference: float, of_motion: bool, begun: bool = False, of_time: bool = False
 ) -> FloatArray:
     """1/K, or J/m/K, or (a heater's) W/K. A share of the motion's energy, or energy, or power, per degree above the
-    reference [degC]; before it, with `begun`, what it takes at the reference already."""
+    reference [degC]; before it, with `begun`, what it takes at the reference already.
+    """
     amount = drive.duration_s if of_time else drive.motion_part if of_motion else drive.length_m
     return _from_zero(amount, _known(drive, "temperature", reference), begun)
 
@@ -170,7 +171,8 @@ def reversing(drive: Drive, *, of_motion: bool) -> FloatArray:
 @_formula
 def braking(drive: Drive, *, from_grade: float | None) -> FloatArray:
     """1. Share of the energy released downhill that is drawn on top; all that is steeper than a grade, or (None) what
-    is left once the rolling resistance is paid."""
+    is left once the rolling resistance is paid.
+    """
     if from_grade is None:
         return (drive.length_m * np.maximum(-drive.traction_per_m, 0.0) / drive.unit_j)[:, None]
     below = drive.along(lambda grade: np.maximum(-grade - from_grade, 0.0))
@@ -207,7 +209,8 @@ def wind_constant(drive: Drive) -> FloatArray:
 @_formula
 def heading(drive: Drive, *, harmonics: int, level: bool = False, of_motion: bool = False) -> FloatArray:
     """J/m, or with `of_motion` a share of the motion's energy, as ruts take. sin and cos of the heading and of its
-    multiples; before them, with `level`, what does not depend on it."""
+    multiples; before them, with `level`, what does not depend on it.
+    """
     angles = [order * drive.heading_rad for order in range(1, harmonics + 1)]
     waves = [f(angle) for angle in angles for f in (np.sin, np.cos)]
     constant = [np.ones(len(drive))] if level else []
@@ -217,7 +220,8 @@ def heading(drive: Drive, *, harmonics: int, level: bool = False, of_motion: boo
 @_formula
 def by_run(drive: Drive, *, of: str, runs: list[str]) -> FloatArray:
     """What another formula says, with coefficients of its own in every run; in a run not listed, their mean (of a
-    load), or nothing (of a wind: another day has another)."""
+    load), or nothing (of a wind: another day has another).
+    """
     columns = FORMULAS[of](drive)
     numbers = {name: k for k, name in enumerate(runs)}
     which = np.array([numbers.get(name, -1) for name in drive.runs] or [-1])[drive.run]
@@ -229,14 +233,16 @@ def by_run(drive: Drive, *, of: str, runs: list[str]) -> FloatArray:
 @_formula
 def drift(drive: Drive, *, over: str, unit: float, of_all: bool = True, begun: bool = False) -> FloatArray:
     """A share of everything (or J/m) that grows from 0 at the start, per `unit` of a quantity (an hour, a kilometre);
-    before it, with `begun`, what it takes at the start already."""
+    before it, with `begun`, what it takes at the start already.
+    """
     return _from_zero(drive.predicted if of_all else drive.length_m, quantity(drive, over) / unit, begun)
 
 
 @_formula
 def battery(drive: Drive, *, ripple: float = 1.0) -> FloatArray:
     """Ohm. Losses with the square of the current that the prediction asks for. ripple : mean square of a current over
-    the square of its mean within a segment, where it is not steady."""
+    the square of its mean within a segment, where it is not steady.
+    """
     volts = drive.robot.nominal_voltage_v
     amps = drive.predicted * drive.unit_j / np.maximum(drive.duration_s, 1e-6) / volts
     return (ripple * amps**2 * drive.duration_s / drive.unit_j)[:, None]
@@ -284,8 +290,11 @@ def smooth(drive: Drive, *, over: str, knots: list[float], of: str, level: bool 
     if over == "elevation":
         low, high = driven_heights(knots)
         values = np.where((values >= low) & (values <= high), values, np.nan)
-    amount = {"length": drive.length_m, "all": np.where(drive.standing, 0.0, drive.predicted),
-              "motion": drive.motion_part}[of]  # fmt: skip
+    amount = {
+        "length": drive.length_m,
+        "all": np.where(drive.standing, 0.0, drive.predicted),
+        "motion": drive.motion_part,
+    }[of]
     middle = len(knots) // 2
     filled = np.where(np.isfinite(values), values, knots[middle])
     hats = [np.interp(filled, knots, row) for k, row in enumerate(np.eye(len(knots))) if level or k != middle]
@@ -294,7 +303,8 @@ def smooth(drive: Drive, *, over: str, knots: list[float], of: str, level: bool 
 
 def driven_heights(knots: Sequence[float]) -> tuple[float, float]:
     """(lowest, highest) [m] that a curve over heights speaks of: a quarter of its range beyond its outer knots, which
-    leave out the lowest and the highest of the drives. A height further off is one of another place."""
+    leave out the lowest and the highest of the drives. A height further off is one of another place.
+    """
     margin = 0.25 * (knots[-1] - knots[0])
     return knots[0] - margin, knots[-1] + margin
 
@@ -309,7 +319,22 @@ GROUND = frozenset({"grade", "cross_slope", "roughness", "elevation", "hollow", 
 """Formulas and quantities that read the ground under a drive."""
 
 FORCES = frozenset(
-    {"friction", "cross_slope", "roughness", "wind_measured", "wind_constant", "heading", "speed", "temperature",
-     "drift", "words", "disk", "place", "reversing", "acceleration", "length"}
-)  # fmt: skip
+    {
+        "friction",
+        "cross_slope",
+        "roughness",
+        "wind_measured",
+        "wind_constant",
+        "heading",
+        "speed",
+        "temperature",
+        "drift",
+        "words",
+        "disk",
+        "place",
+        "reversing",
+        "acceleration",
+        "length",
+    }
+)
 """Formulas of what pushes against the motion, and curves of the length."""

@@ -1,5 +1,6 @@
 """Where an effect acts: everywhere, or only in a part of the operating range or of the map; and how fine a map of it
-these runs can draw."""
+these runs can draw.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.effects import Term, inside
-from model.loop.evidence import Evidence
-from model.loop.formulas import quantity
-from model.loop.places import field_settings
-from model.loop.residual import Residuals
+from joulemap.model.loop.effects import Term, inside
+from joulemap.model.loop.evidence import Evidence
+from joulemap.model.loop.formulas import quantity
+from joulemap.model.loop.places import field_settings
+from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 

@@ -1,5 +1,6 @@
 """What is said of effects once they are found: which are causes and which their shadows, and what could stand in for
-them."""
+them.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from model.loop.selection import ALPHA, CURVES, Found, Search, interactions_of
+from joulemap.model.loop.selection import ALPHA, CURVES, Found, Search, interactions_of
 
 _TOLERANCE = 0.1
 
@@ -22,7 +23,8 @@ def shadows_of(search: Search, found: Sequence[Found]) -> list[Found]:
 
 def _shadow(search: Search, found: Sequence[Found], one: Found) -> bool:
     """Whether an effect is but the shadow of others: a curve over the ground or over what answers to the drive on
-    it, of which they explain nine tenths of all it explains alone (a tolerance below 0.1: Marquardt 1970)."""
+    it, of which they explain nine tenths of all it explains alone (a tolerance below 0.1: Marquardt 1970).
+    """
     rest = [f.verdict.term for f in search.beside(found, one)]
     follows = one.candidate.response or search.evidence.terms[one.verdict.term].reads_ground
     if search.named(one) or not follows or not rest:
@@ -48,7 +50,8 @@ def _contains(search: Search, rival: int, term: int) -> bool:
 
 def rivals(search: Search, found: Sequence[Found], one: Found) -> list[str]:
     """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise. A
-    curve over its own quantity is none."""
+    curve over its own quantity is none.
+    """
     rest = [f.verdict.term for f in found if f is not one]
     names = {CURVES.get(one.candidate.name), *(f.candidate.name for f in found)}
     mine = search.evidence.columns_of([*rest, one.verdict.term])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.loop.drive import Drive
+from joulemap.model.loop.drive import Drive
 
 FloatArray = NDArray[np.float64]
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.energy.domain import Learned
-from model.energy.predictor import Predictor
-from model.loop.calibrated import CalibratedPredictor
-from model.loop.payload import payload_factor
-from model.loop.segments import Segments
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.domain import Learned
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.loop.calibrated import CalibratedPredictor
+from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import Segments
+from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
@@ -23,7 +22,8 @@ FloatArray = NDArray[np.float64]
 class Prediction:
     """Per segment, (n,) each; NaN on unknown ground. energy_j [J] : drawn from the battery. std_j : its standard
     deviation, None from a model that does not know it. traction_per_m [J/m] : of the declared robot, before any
-    calibration. turning_j : the part of the energy that goes into turning, apart from a calibration's effects."""
+    calibration. turning_j : the part of the energy that goes into turning, apart from a calibration's effects.
+    """
 
     energy_j: FloatArray
     std_j: FloatArray | None
@@ -65,3 +65,14 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
     if isinstance(base, Learned):
         turning = turning + base.turn_j_per_rad * (turned - base.domain.turned_rad)
     return Prediction(robot.price_per_m(traction * factor) * segments.driven_m + turning, std, traction, turning)
+
+
+def payload_factor(predictor: Predictor, robot: Robot, segments: Segments) -> NDArray[np.float64]:
+    """Weight with the logged payload over the declared weight, as far as the model learned of payloads; 1 where none
+    was logged. (n,)
+    """
+    logged = segments.extras.get("payload")
+    if logged is None or not isinstance(predictor, Learned):
+        return np.ones(len(segments))
+    known = np.clip(np.nan_to_num(logged), *predictor.domain.payload_kg)
+    return np.asarray(1.0 + known / robot.mass_kg)

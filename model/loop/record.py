@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import ModelError
-from model.loop.drive import Drive
-from model.loop.residual import Residuals
-from model.robot import Robot
+from joulemap.model.errors import ModelError
+from joulemap.model.loop.drive import Drive
+from joulemap.model.loop.residual import Residuals
+from joulemap.model.robot import Robot
 
 RECORD_FILE = "base_runs.npz"
 
@@ -50,8 +50,9 @@ def read_record(folder: str | Path) -> Residuals | None:
             raise ModelError(
                 f"{path} lacks {', '.join(lacking)}, which this version keeps of the runs a model was made from: "
                 "train the model again",
-                path=str(path), lacking=lacking,
-            )  # fmt: skip
+                path=str(path),
+                lacking=lacking,
+            )
         drive = Drive(
             robot=robot,
             **arrays,

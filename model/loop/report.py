@@ -10,19 +10,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.frames import heading_vector
-from model.loop.calibration import Calibration, Effect, verdict_words
-from model.loop.effects import Term
-from model.loop.evidence import Verdict
-from model.loop.formulas import driven_heights
+from joulemap.model.frames import heading_vector
+from joulemap.model.loop.calibration import Calibration, Effect, verdict_words
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.evidence import Verdict
+from joulemap.model.loop.formulas import driven_heights
 
 FloatArray = NDArray[np.float64]
 
 _UNITS = {
-    "roughness": "m", "elevation": "m", "hollow": "m", "speed": "m/s", "column:temperature": "degC",
-    "column:motor_temperature": "degC", "column:wind_speed": "m/s", "column:wind_from": "deg", "column:roll": "deg",
-    "column:pitch": "deg", "column:payload": "kg",
-}  # fmt: skip
+    "roughness": "m",
+    "elevation": "m",
+    "hollow": "m",
+    "speed": "m/s",
+    "column:temperature": "degC",
+    "column:motor_temperature": "degC",
+    "column:wind_speed": "m/s",
+    "column:wind_from": "deg",
+    "column:roll": "deg",
+    "column:pitch": "deg",
+    "column:payload": "kg",
+}
 """Of what effects go over; slopes have none, and what other columns are in nobody knows."""
 _SHARES = {"all": "of the predicted energy", "motion": "of the motion's energy"}
 
@@ -30,7 +38,8 @@ _SHARES = {"all": "of the predicted energy", "motion": "of the motion's energy"}
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
     """The report. before : the base model's provenance; after : the calibrated model's version, None where there is
     none. `effects` are causes; `shadows` are in the model too, and mend the form of the effects. `corrected` errors are
-    the base model's with what its own runs show of its errors, before any effect."""
+    the base model's with what its own runs show of its errors, before any effect.
+    """
     moving = found.residuals.moving
     held = (found.residuals.measured - found.held_out)[moving]
     held = held / np.maximum(found.held_out[moving], 0.05 * np.median(found.residuals.measured[moving]))
@@ -89,9 +98,11 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
     out = []
     for candidate, verdict in found.trace.ranking:
         row: dict[str, Any] = {
-            "name": candidate.name, "p_value": _finite(verdict.p_value), "held_out_gain": _finite(verdict.gain),
+            "name": candidate.name,
+            "p_value": _finite(verdict.p_value),
+            "held_out_gain": _finite(verdict.gain),
             "taken": candidate.name in taken,
-        }  # fmt: skip
+        }
         if candidate.name not in taken:
             row["why_not"] = _why_not(verdict, last.get(candidate.name)) if taken else verdict_words(verdict)
         elif taken[candidate.name].shadow:
@@ -103,7 +114,8 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
 
 def _why_not(alone: Verdict, beside: Verdict | None) -> str:
     """Why a candidate was not taken where others were; it may be well above chance alone. beside : beside those, None
-    where it was not tried with them."""
+    where it was not tried with them.
+    """
     if alone.why:
         return alone.why
     if beside is None:

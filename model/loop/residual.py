@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from model.errors import RunsError
-from model.loop.drive import Drive
+from joulemap.model.errors import RunsError
+from joulemap.model.loop.drive import Drive
 
 FloatArray = NDArray[np.float64]
 
@@ -108,7 +108,8 @@ def residuals_of(
     drive: Drive, measured: FloatArray, runs: tuple[str, ...], *, charge: bool, least: int = LEAST_SEGMENTS
 ) -> Residuals:
     """Residuals of the rows whose ground the heightmap knows and whose reading is not broken. Raises RunsError where
-    fewer than `least` segments are left."""
+    fewer than `least` segments are left.
+    """
     known = drive.standing | (np.isfinite(drive.traction_per_m) & np.isfinite(drive.grade))
     predicted = drive.predicted
     if not charge:  # of a charge the scale is not known yet
@@ -120,6 +121,7 @@ def residuals_of(
         raise RunsError(
             f"only {kept} of {driven} segments of 1 m lie on ground that the heightmap knows and have a usable energy; "
             f"at least {least} are needed. Do the runs and the heightmap belong together?",
-            segments=kept, limit=least,
-        )  # fmt: skip
+            segments=kept,
+            limit=least,
+        )
     return Residuals(drive.take(known), measured[known], predicted[known], runs, charge)

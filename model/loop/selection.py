@@ -8,16 +8,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model.loop.candidates import Candidate
-from model.loop.evidence import Evidence, Verdict
+from joulemap.model.loop.candidates import Candidate
+from joulemap.model.loop.evidence import Evidence, Verdict
 
 ALPHA = 0.05
 SENSELESS = "its sign or its size makes no sense"
 CURVES = {
-    "braking": "learned:grade", "climbing": "learned:grade", "cross_slope": "learned:cross_slope",
-    "speed": "learned:speed", "temperature": "learned:temperature", "payload": "learned:payload",
+    "braking": "learned:grade",
+    "climbing": "learned:grade",
+    "cross_slope": "learned:cross_slope",
+    "speed": "learned:speed",
+    "temperature": "learned:temperature",
+    "payload": "learned:payload",
     "local_friction": "learned:place",
-}  # fmt: skip
+}
 """The curve over the very quantity of a named effect: it could only mend the form of that."""
 
 _STEADY = 0.6  # of the folds must gain
@@ -31,7 +35,8 @@ _LEFT = 0.75  # of the work, as far as anybody knows, after each judging of all 
 @dataclass(frozen=True)
 class Floors:
     """Least held-out gain that counts: of a physical form, a learned curve, a field over the map. Less may be the base
-    model's own error, which goes with ground and place too; between runs it is known, and part of the p-value."""
+    model's own error, which goes with ground and place too; between runs it is known, and part of the p-value.
+    """
 
     physical: float = 0.06
     learned: float = 0.10
@@ -56,9 +61,13 @@ class Search:
     """The moves of the selection on one body of evidence. owner : candidate of each term."""
 
     def __init__(
-        self, evidence: Evidence, owner: list[Candidate], floors: Floors, shared: Callable[[int], float],
+        self,
+        evidence: Evidence,
+        owner: list[Candidate],
+        floors: Floors,
+        shared: Callable[[int], float],
         progress: Callable[[float], None] | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.evidence, self.owner, self.floors, self.shared = evidence, owner, floors, shared
         self.progress = progress
         self._refused: frozenset[str] = frozenset()
@@ -96,7 +105,8 @@ class Search:
 
     def best_of_each(self, found: Sequence[Found]) -> list[tuple[Candidate, Verdict]]:
         """Each candidate's best variant given what was found, best first. A curve over the very quantity of a named
-        effect that was found is not tried: it would only mend that effect's form."""
+        effect that was found is not tried: it would only mend that effect's form.
+        """
         taken = sorted(f.verdict.term for f in found)
         key = tuple(taken), self._refused
         if key in self._best:
@@ -124,13 +134,17 @@ class Search:
 
     def turned(self, found: Sequence[Found]) -> set[str]:
         """Effects that make no sense once all others speak for themselves."""
-        return {f.candidate.name for f in found
-                if f.candidate.name not in self._refused
-                and self.senseless([g.verdict.term for g in found if g is not f], f.verdict.term)}  # fmt: skip
+        return {
+            f.candidate.name
+            for f in found
+            if f.candidate.name not in self._refused
+            and self.senseless([g.verdict.term for g in found if g is not f], f.verdict.term)
+        }
 
     def _best_form(self, forms: Sequence[Verdict]) -> Verdict:
         """Of the ways in which an effect may act; once one of them is more than chance the effect is, and how it acts
-        is a matter of what helps."""
+        is a matter of what helps.
+        """
         helps = [v for v in forms if self.clears_floor(v) and not v.why]
         chance = min((v.p_value for v in helps), default=1.0)
         if chance > ALPHA:
@@ -141,15 +155,19 @@ class Search:
         """The effect to take next, None when there is none: of those that do as well as the best, a named one that no
         column tells more than. Hour, temperature and metres driven are near copies between runs: once one of them is
         more than chance, another that does as well may be the one. A curve that says the opposite of what its physical
-        form may say gives way to anything else."""
+        form may say gives way to anything else.
+        """
         good = [Found(c, v) for c, v in verdicts if v.p_value <= ALPHA and self.clears_floor(v)]
         first = [f for f in good if not f.candidate.response] or good
         if not first:
             return None
         taken = [f.verdict.term for f in found]
         best = max(first, key=lambda f: self.score(f.verdict))
-        copies = [Found(c, replace(v, p_value=best.verdict.p_value)) for c, v in verdicts
-                  if v.p_value > ALPHA and self.may_copy(v)]  # fmt: skip
+        copies = [
+            Found(c, replace(v, p_value=best.verdict.p_value))
+            for c, v in verdicts
+            if v.p_value > ALPHA and self.may_copy(v)
+        ]
         alike = [f for f in first + copies if f is best or self.as_good(taken, f, best)]
         opposed = {CURVES.get(c.name) for c, v in verdicts if v.why == SENSELESS}
         alike.sort(key=lambda f: (self.named(f), f.candidate.name not in opposed, self.score(f.verdict)), reverse=True)
@@ -163,7 +181,8 @@ class Search:
 
     def named(self, one: Found) -> bool:
         """Whether a physical form speaks for an effect: a curve, a drift, a field over the map and coefficients for
-        every run say only that something changes."""
+        every run say only that something changes.
+        """
         curve = self.evidence.terms[one.verdict.term].formula in ("smooth", "heading", "place")
         return not (curve or one.candidate.name == "drift" or self.by_run(one))
 
@@ -172,7 +191,8 @@ class Search:
 
     def as_good(self, taken: Sequence[int], one: Found, best: Found) -> bool:
         """Whether an effect does as well as the best on held-out data: within one standard error (Breiman et al. 1984,
-        section 3.4.3) and no small part of the gain, or nearly."""
+        section 3.4.3) and no small part of the gain, or nearly.
+        """
         mine, its = (self.evidence.columns_of([*taken, f.verdict.term]) for f in (one, best))
         blocks = self.evidence.own(mine) or self.evidence.own(its)
         before = self.evidence.held_out(self.evidence.columns_of(taken), blocks=blocks).sum()
@@ -184,7 +204,8 @@ class Search:
 
     def tells_more(self, taken: Sequence[int], column: Found, other: Found) -> bool:
         """Whether a logged column explains what another effect leaves, and that one nothing of what the column leaves
-        (encompassing: Mizon & Richard 1986)."""
+        (encompassing: Mizon & Richard 1986).
+        """
         name = column.candidate.name
         over = str(self.evidence.terms[column.verdict.term].settings.get("over", ""))
         if not over.startswith("column:") or over.removeprefix("column:") == other.candidate.name:
@@ -200,7 +221,8 @@ class Search:
     def with_parts(self, found: list[Found]) -> list[Found]:
         """With the main effects of every interaction, or it would speak for them too (marginality: Nelder 1977): the
         one that it modifies where that shows itself without it, the other where it shows itself beside it as well. The
-        interaction is then what comes on top, if anything does."""
+        interaction is then what comes on top, if anything does.
+        """
         for one in [f for f in found if f.candidate.parts]:
             modified, other = one.candidate.parts
             rest = [f for f in found if f is not one]
@@ -212,7 +234,8 @@ class Search:
 
     def shown(self, name: str, *beside: Sequence[Found]) -> list[Found]:
         """The best variant of an effect that shows itself beside each of some choices, best by the first; none if it is
-        among them. It is asked alone, and known to matter: a little gain is enough."""
+        among them. It is asked alone, and known to matter: a little gain is enough.
+        """
         tried = [k for k, c in enumerate(self.owner) if c.name == name]
         kept: dict[int, Verdict] = {}
         for found in reversed(beside):
@@ -227,7 +250,8 @@ class Search:
 
     def settle(self, found: list[Found]) -> list[Found]:
         """Each effect as it would be taken given the others, which may put another in its place; without those that the
-        others make needless (sequential replacement: Miller 2002, section 3.7)."""
+        others make needless (sequential replacement: Miller 2002, section 3.7).
+        """
         for _ in range(_ROUNDS):
             before = list(found)
             for k, one in enumerate(before):
@@ -247,14 +271,19 @@ class Search:
 
     def two_named(self, found: list[Found]) -> list[Found]:
         """Instead of two effects of which one is a mere curve, two with a physical form that do as well together, if
-        there are such, or that do better than a curve alone: taken one by one, the first may have stood for both."""
+        there are such, or that do better than a curve alone: taken one by one, the first may have stood for both.
+        """
         if len(found) not in (1, 2) or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
             return found
         most = 1.0 + _LITTLE if len(found) == 2 else 1.0 - self.floors.learned
         single = [k for k, c in enumerate(self.owner) if self.evidence.columns[k].size == 1 and not c.learned]
         single = [k for k in single if self.evidence.terms[k].formula not in ("disk", "turning")]
-        pairs = [(self.error([j, k]), j, k) for j in single for k in single
-                 if j < k and self.owner[j].name != self.owner[k].name]  # fmt: skip
+        pairs = [
+            (self.error([j, k]), j, k)
+            for j in single
+            for k in single
+            if j < k and self.owner[j].name != self.owner[k].name
+        ]
         error, *best = min(pairs, default=(np.inf, 0, 0))
         if error > most * self.error([f.verdict.term for f in found]):
             return found
@@ -286,7 +315,8 @@ class Search:
     def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
         """The effects that an effect must hold its own against: not an interaction that it is part of; and what answers
         to the drive makes nothing needless that explains it, for a measured tilt may say the same as a slope, and say
-        it better."""
+        it better.
+        """
         others = [f for f in found if f is not one and one.candidate.name not in f.candidate.parts]
         return [f for f in others if one.candidate.response or not f.candidate.response]
 

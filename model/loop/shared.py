@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from model.loop.effects import Term
-from model.loop.evidence import Evidence
-from model.loop.residual import Residuals
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.evidence import Evidence
+from joulemap.model.loop.residual import Residuals
 
 _LEAST_GAIN = 0.01
 _FURTHER = 1.5
@@ -25,7 +25,8 @@ _LEAST_RUNS = 3
 @dataclass(frozen=True)
 class SharedErrors:
     """terms : corrections of the base prediction, fitted. level_doubt : how far the model's level may be off on another
-    day, a share of the energy. residuals : of the base runs, corrected (None where there are none)."""
+    day, a share of the energy. residuals : of the base runs, corrected (None where there are none).
+    """
 
     terms: tuple[Term, ...] = ()
     level_doubt: float = _USUAL_DOUBT
@@ -48,7 +49,8 @@ class SharedErrors:
 
     def shows(self, term: Term) -> float:
         """Of a fitted effect, the least share that the base runs show as well: one standard error less than the least
-        squares scale of its shape there; 0 without runs, or where they were not."""
+        squares scale of its shape there; 0 without runs, or where they were not.
+        """
         if self.residuals is None:
             return 0.0
         z = self.residuals.residual / self.residuals.scale

@@ -44,7 +44,8 @@ def step_chance(z: FloatArray, state: FloatArray, run: IntArray) -> float:
 
 def _jumps(z: FloatArray, at: IntArray, borders: IntArray) -> FloatArray:
     """Mean after a place less the mean before it, as far as the next borders, in standard errors of white noise of size
-    one; NaN where a border is near."""
+    one; NaN where a border is near.
+    """
     total = np.concatenate([[0.0], np.cumsum(z)])
     before = np.minimum(at - borders[np.searchsorted(borders, at, side="left") - 1], WINDOW)
     after = np.minimum(borders[np.searchsorted(borders, at, side="right")] - at, WINDOW)

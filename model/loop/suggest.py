@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import InfeasibleError
-from model.frames import heading_of, wrap_angle
-from model.loop.drive import Drive, planned_drive
-from model.loop.effects import Term
-from model.loop.residual import Residuals
-from model.loop.track import TURN_LIMITS_RADPS
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import InfeasibleError
+from joulemap.model.frames import heading_of, wrap_angle
+from joulemap.model.loop.drive import Drive, planned_drive
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.residual import Residuals
+from joulemap.model.robot import Robot
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
+from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 Traction = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -36,7 +36,8 @@ _ROOM = 1.25  # times the length that there is time for: more than that a round 
 class Suggestion:
     """points : (n, 2) corners of the route [m]. kind : in words. effect : whose coefficient it is for. speeds : to
     drive it at, over and over [m/s]. shrinkage : expected width of its interval over the width now (0..1).
-    length_m : of one round."""
+    length_m : of one round.
+    """
 
     points: FloatArray
     kind: str
@@ -155,6 +156,9 @@ def _over_and_over(once: Drive, speeds: tuple[float, ...], length_m: float) -> D
     again = once.take(np.tile(np.arange(count), rounds))
     gentle = np.stack([np.minimum(again.turned_abs_rad, rate * pace) for rate in TURN_LIMITS_RADPS], axis=1)
     return replace(
-        again, duration_s=pace, gentle_turn_rad=gentle, since_s=np.cumsum(pace),
+        again,
+        duration_s=pace,
+        gentle_turn_rad=gentle,
+        since_s=np.cumsum(pace),
         driven_m=np.arange(1.0, pace.size + 1.0),
-    )  # fmt: skip
+    )

@@ -13,11 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from model.loop.candidates import Candidate
-from model.loop.evidence import Evidence, Verdict
-from model.loop.naming import by_worth, rivals, shadows_of
-from model.loop.residual import Residuals
-from model.loop.selection import Floors, Found, Search
+from joulemap.model.loop.candidates import Candidate
+from joulemap.model.loop.evidence import Evidence, Verdict
+from joulemap.model.loop.naming import by_worth, rivals, shadows_of
+from joulemap.model.loop.residual import Residuals
+from joulemap.model.loop.selection import Floors, Found, Search
 
 MAX_EFFECTS = 6
 
@@ -26,7 +26,8 @@ MAX_EFFECTS = 6
 class Trace:
     """What was found. ranking : every candidate's best verdict before anything was taken, best first. confounded :
     names that these runs cannot tell from an effect found. remaining_p : of the best candidate left, over all.
-    shadows : those found that are no causes of their own."""
+    shadows : those found that are no causes of their own.
+    """
 
     found: list[Found]
     ranking: list[tuple[Candidate, Verdict]]
@@ -52,8 +53,13 @@ class Trace:
             found = []
         names = {f.candidate.name for f in found}
         remaining = sorted([*self.remaining, (one.candidate, one.verdict)], key=lambda pair: -pair[1].gain)
-        return replace(self, found=found, remaining=remaining, shadows=[f for f in self.shadows if f in found],
-                       confounded={k: v for k, v in self.confounded.items() if k in names})  # fmt: skip
+        return replace(
+            self,
+            found=found,
+            remaining=remaining,
+            shadows=[f for f in self.shadows if f in found],
+            confounded={k: v for k, v in self.confounded.items() if k in names},
+        )
 
 
 def trace(

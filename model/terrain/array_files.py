@@ -16,8 +16,8 @@ import numpy as np
 from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
-from model.errors import HeightmapError
-from model.terrain.decoded import Decoded, Scaling, check_cells
+from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
 
 _MAX_NPY_HEADER = 10_000  # bytes; numpy writes 128 for a plain array
 _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
@@ -53,9 +53,17 @@ def decode_npz(stream: IO[bytes], scaling: Scaling, max_cells: int) -> Decoded:
                     with archive.open(members[key]) as member:
                         scalars[key] = _read_scalar(member, key)
     except (
-        zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, EOFError, OSError, NotImplementedError,
-        RuntimeError, KeyError, ValueError,
-    ) as error:  # fmt: skip
+        zipfile.BadZipFile,
+        zlib.error,
+        lzma.LZMAError,
+        struct.error,
+        EOFError,
+        OSError,
+        NotImplementedError,
+        RuntimeError,
+        KeyError,
+        ValueError,
+    ) as error:
         raise HeightmapError(f"the .npz file is truncated or corrupt: {error}") from error
     return Decoded(
         scaling.to_metres(values),
@@ -128,8 +136,17 @@ def _read_scalar(stream: IO[bytes], key: str) -> object:
 
 
 _ASC_KEYS = {
-    "ncols", "nrows", "xllcorner", "yllcorner", "xllcenter", "yllcenter", "cellsize", "dx", "dy", "nodata_value",
-}  # fmt: skip
+    "ncols",
+    "nrows",
+    "xllcorner",
+    "yllcorner",
+    "xllcenter",
+    "yllcenter",
+    "cellsize",
+    "dx",
+    "dy",
+    "nodata_value",
+}
 _ASC_LINE = re.compile(rb"\s*([A-Za-z_]+)[ \t]+([^\s]+)[ \t]*(?:\r\n|\r|\n|$)")
 
 
@@ -166,8 +183,9 @@ def decode_ascii(text: bytes, scaling: Scaling, max_cells: int) -> Decoded:
         kind = "truncated or corrupt" if values.size < rows * cols else "corrupt"
         raise HeightmapError(
             f"the ASCII grid is {kind}: {rows} x {cols} = {rows * cols} heights declared, {values.size} there",
-            declared=rows * cols, found=int(values.size),
-        )  # fmt: skip
+            declared=rows * cols,
+            found=int(values.size),
+        )
     nodata = header.get("nodata_value", -9999.0)  # the format's own default
     heights = scaling.to_metres(values, known=values != nodata).reshape(rows, cols)
     west, south = _asc_edge(header, "x", dx), _asc_edge(header, "y", dy)

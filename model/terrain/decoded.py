@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from model.errors import HeightmapError, TooLargeError
+from joulemap.model.errors import HeightmapError, TooLargeError
 
 UNDECLARED = (-9999.0, -32767.0, -32768.0)
 """Values that surveys write for "no data". Met undeclared they are refused, never taken for ground."""
@@ -87,8 +87,9 @@ class Scaling:
             raise HeightmapError(
                 f"the file holds a height of {worst:g} m, beyond {HEIGHT_LIMIT_M:g} m: an undeclared no-data value "
                 "(give nodata=VALUE) or a wrong scale",
-                value=str(worst), limit=HEIGHT_LIMIT_M,
-            )  # fmt: skip
+                value=str(worst),
+                limit=HEIGHT_LIMIT_M,
+            )
         return metres.astype(np.float32, copy=False)
 
 
@@ -99,5 +100,6 @@ def check_cells(rows: int, cols: int, max_cells: int, *, what: str = "the file")
     if rows * cols > max_cells:
         raise TooLargeError(
             f"{what} declares {rows} x {cols} = {rows * cols} cells, more than the limit of {max_cells}",
-            cells=rows * cols, limit=max_cells,
-        )  # fmt: skip
+            cells=rows * cols,
+            limit=max_cells,
+        )

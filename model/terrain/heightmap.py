@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import HeightmapError
-from model.frames import GridFrame
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy import fft
 
-from model.errors import InputError
-from model.frames import GridFrame, heading_vector
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame, heading_vector
 
 FloatArray = NDArray[np.float64]
 HeightArray = NDArray[np.float32]

@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from model.errors import InputError
-from model.frames import heading_vector
-from model.terrain.heightmap import FloatArray, Heightmap, bilinear
+from joulemap.model.errors import InputError
+from joulemap.model.frames import heading_vector
+from joulemap.model.terrain.heightmap import FloatArray, Heightmap, bilinear
 
 PAPER_SIZE = 256
 """Rows and columns of the paper's patch matrix."""
@@ -35,9 +35,15 @@ def cut_patches(
 
 
 def cut_squares(
-    heightmap: Heightmap, x: ArrayLike, y: ArrayLike, *, size: int, pixel_m: float, pad_m: float = 0.0,
+    heightmap: Heightmap,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    size: int,
+    pixel_m: float,
+    pad_m: float = 0.0,
     turned_rad: ArrayLike = 0.0,
-) -> NDArray[np.float32]:  # fmt: skip
+) -> NDArray[np.float32]:
     """North-up squares centred at (x, y). x, y [m] : (n,), or broadcast to it.
 
     Returns (n, size, size) float32 [m]: row 0 is north, column 0 west, pixel centres (i - (size - 1) / 2) pixel_m from
@@ -137,9 +143,15 @@ def _continued(heights: NDArray[np.float32], row: float, col: float, pad: float)
 
 @njit(cache=True, parallel=True)
 def _cut_squares(
-    heights: NDArray[np.float32], row: FloatArray, col: FloatArray, sine: FloatArray, cosine: FloatArray, pixel: float,
-    size: int, pad: float,
-) -> NDArray[np.float32]:  # fmt: skip
+    heights: NDArray[np.float32],
+    row: FloatArray,
+    col: FloatArray,
+    sine: FloatArray,
+    cosine: FloatArray,
+    pixel: float,
+    size: int,
+    pad: float,
+) -> NDArray[np.float32]:
     """row, col : centres in cells. sine, cosine : of the turn. pixel, pad : in cells. Returns (n, size, size)."""
     out = np.empty((row.size, size, size), np.float32)
     middle = 0.5 * (size - 1)

@@ -20,8 +20,8 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader, MemoryFile
 from rasterio.windows import Window
 
-from model.errors import HeightmapError
-from model.terrain.decoded import Decoded, Scaling, check_cells
+from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
 
 SQUARE_TOLERANCE = 1e-3
 """Relative difference of two lengths that still count as the same."""
@@ -89,7 +89,8 @@ def decode_png(source: Path | bytes, head: bytes, scaling: Scaling, max_cells: i
 @dataclass(frozen=True)
 class GeoTiffHeader:
     """What a GeoTIFF says of one band without its heights. west_m, north_m, resolution_m : None where it has no
-    transform; flip : its first row is the southern one."""
+    transform; flip : its first row is the southern one.
+    """
 
     band: int
     shape: tuple[int, int]
@@ -102,7 +103,8 @@ class GeoTiffHeader:
 
 def geotiff_header(source: Path | bytes, max_cells: int, *, band: int | None = None) -> GeoTiffHeader:
     """band : 1-based; needed where there is more than one. Raises as `decode_geotiff`, but for what only its heights
-    tell."""
+    tell.
+    """
     with _opened(source, "GTiff") as dataset:
         return _header(dataset, max_cells, band)
 
@@ -151,8 +153,9 @@ def _header(dataset: DatasetReader, max_cells: int, band: int | None) -> GeoTiff
             raise HeightmapError(
                 f"cells must be square, but the GeoTIFF's are {resolution:g} x {height:g} m: resample it, "
                 f"e.g. `gdalwarp -tr {resolution:g} {resolution:g}`",
-                width_m=resolution, height_m=height,
-            )  # fmt: skip
+                width_m=resolution,
+                height_m=height,
+            )
         flip = transform.e > 0
         west = transform.c
         north = transform.f + (dataset.height * transform.e if flip else 0.0)
@@ -198,8 +201,9 @@ def crs_name(crs: CRS | str) -> str:
             raise HeightmapError(
                 f"the map is in {unit} ({metres:g} m), not in metres ({name[:80]}): project it first, e.g. "
                 "`gdalwarp -t_srs EPSG:326xx IN.tif OUT.tif`",
-                crs=name[:80], unit=unit,
-            )  # fmt: skip
+                crs=name[:80],
+                unit=unit,
+            )
     elif not wkt.upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")) or "FOOT" in wkt.upper():
         raise HeightmapError(f"the map's coordinate reference system is no plane in metres: {name[:80]}", crs=name[:80])
     return name

@@ -11,13 +11,13 @@ from typing import BinaryIO
 
 import numpy as np
 
-from model.errors import HeightmapError
-from model.frames import GridFrame
-from model.terrain.array_files import decode_ascii, decode_npy, decode_npz
-from model.terrain.decoded import Decoded, Scaling
-from model.terrain.heightmap import Heightmap
-from model.terrain.raster_files import SQUARE_TOLERANCE, crs_name, decode_geotiff, decode_png, geotiff_header
-from model.terrain.windows import Ground, HeightmapFile
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.array_files import decode_ascii, decode_npy, decode_npz
+from joulemap.model.terrain.decoded import Decoded, Scaling
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.raster_files import SQUARE_TOLERANCE, crs_name, decode_geotiff, decode_png, geotiff_header
+from joulemap.model.terrain.windows import Ground, HeightmapFile
 
 FORMATS = "GeoTIFF, ESRI ASCII grid, NumPy .npy or .npz, greyscale PNG"
 MAX_CELLS = 400_000_000
@@ -124,9 +124,17 @@ def open_ground(
             head = stream.read(512)
     if not head.startswith(dict(_MAGIC)["geotiff"]):
         return read_heightmap(
-            path, filename=filename, resolution_m=resolution_m, west_m=west_m, north_m=north_m, crs=crs,
-            scale_m=scale_m, offset_m=offset_m, nodata=nodata, band=band,
-        )  # fmt: skip
+            path,
+            filename=filename,
+            resolution_m=resolution_m,
+            west_m=west_m,
+            north_m=north_m,
+            crs=crs,
+            scale_m=scale_m,
+            offset_m=offset_m,
+            nodata=nodata,
+            band=band,
+        )
     header = geotiff_header(place, sys.maxsize, band=band)
     unread = np.broadcast_to(np.float32(np.nan), header.shape)
     said = Decoded(unread, header.west_m, header.north_m, header.resolution_m, header.crs)
@@ -168,8 +176,9 @@ def _frame(
         raise HeightmapError(
             f"resolution_m = {resolution_m:g} m was given, but the file's cells are {own:g} m: leave it out, or "
             "resample the file",
-            resolution_m=resolution_m, file_resolution_m=own,
-        )  # fmt: skip
+            resolution_m=resolution_m,
+            file_resolution_m=own,
+        )
     resolution = own if own is not None else resolution_m
     assert resolution is not None
     given_crs = crs_name(crs) if crs is not None else None
@@ -177,8 +186,9 @@ def _frame(
     if own_crs is not None and given_crs is not None and own_crs != given_crs:
         raise HeightmapError(
             f"crs = {given_crs[:80]} was given, but the file says {own_crs[:80]}: leave it out, or reproject the file",
-            crs=given_crs[:80], file_crs=own_crs[:80],
-        )  # fmt: skip
+            crs=given_crs[:80],
+            file_crs=own_crs[:80],
+        )
     north = decoded.north_m if decoded.north_m is not None else north_m
     return GridFrame(
         west_m=decoded.west_m if decoded.west_m is not None else west_m,

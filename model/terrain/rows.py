@@ -31,7 +31,8 @@ def between(at, size):
 @njit(cache=True, nogil=True)
 def columns_between(at, size):
     """`between` of fractional columns (n,): lower and upper (n,) uint32 (they index without a check of the sign), and
-    share (n,) float64."""
+    share (n,) float64.
+    """
     left, right = np.empty(at.size, dtype=np.uint32), np.empty(at.size, dtype=np.uint32)
     share = np.empty(at.size)
     for j in range(at.size):
@@ -43,7 +44,8 @@ def columns_between(at, size):
 def sample_row(values, row, columns, line, out):
     """Bilinear values (n,) of one fractional row at columns as from `columns_between`, the first the least and the last
     the greatest; NaN beyond the map and wherever a value with non-zero weight is. line : scratch, a float64 per column
-    of `values`."""
+    of `values`.
+    """
     left, right, share = columns
     up, down, low = between(row, values.shape[0])
     upper, lower = values[up], values[down]

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import linalg as sparse_linalg
 
-from model.errors import HeightmapError, TooLargeError
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import HeightmapError, TooLargeError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
@@ -92,8 +92,9 @@ def _frame_around(
         raise TooLargeError(
             f"the points spread over {np.ptp(x):.0f} x {np.ptp(y):.0f} m: {rows * cols} cells of {resolution_m:g} m, "
             f"more than the limit of {max_cells}; drop far-off positions or take a coarser resolution",
-            cells=rows * cols, limit=max_cells,
-        )  # fmt: skip
+            cells=rows * cols,
+            limit=max_cells,
+        )
     # Rounded to the micrometre: 4999993 x 0.1 is not 499999.3 in binary.
     return GridFrame(round(west * resolution_m, 6), round(north * resolution_m, 6), resolution_m, rows, cols, crs)
 

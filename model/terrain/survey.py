@@ -8,8 +8,8 @@ import numpy as np
 from numpy.random import Generator
 from scipy import ndimage, sparse
 
-from model.errors import HeightmapError
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.heightmap import Heightmap
 
 
 def degrade(
@@ -25,8 +25,9 @@ def degrade(
     if not resolution_m >= frame.resolution_m * (1.0 - 1e-9):
         raise HeightmapError(
             f"a survey at {resolution_m:g} m cannot be made of a coarser terrain, at {frame.resolution_m:g} m",
-            resolution_m=str(resolution_m), limit=frame.resolution_m,
-        )  # fmt: skip
+            resolution_m=str(resolution_m),
+            limit=frame.resolution_m,
+        )
     if not (math.isfinite(noise_m) and noise_m >= 0 and math.isfinite(smoothing_m) and smoothing_m >= 0):
         raise HeightmapError(f"noise_m and smoothing_m must be metres, not negative, got {noise_m} and {smoothing_m}")
     coarse = frame.respaced(resolution_m)

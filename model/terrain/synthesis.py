@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.random import Generator
 
-from model.errors import InputError
-from model.frames import GridFrame, heading_vector
-from model.terrain.heightmap import Heightmap
-from model.terrain.landforms import HeightArray, bumps, fractal, furrows, hill, tilted_plane, tracks
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame, heading_vector
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.landforms import HeightArray, bumps, fractal, furrows, hill, tilted_plane, tracks
 
 
 @dataclass(frozen=True)
@@ -95,9 +95,13 @@ RECIPES = {"park": PARK, "hillside": HILLSIDE, "field": FIELD}
 def make_terrain(recipe: TerrainRecipe, frame: GridFrame, rng: Generator) -> Heightmap:
     """The terrain of a recipe on a frame; the same generator state gives the same terrain. Mean height is 0."""
     relief = fractal(
-        frame, rng, exponent=recipe.relief_exponent, rms_m=1.0,
-        longest_m=recipe.relief_longest_m, shortest_m=recipe.relief_shortest_m,
-    )  # fmt: skip
+        frame,
+        rng,
+        exponent=recipe.relief_exponent,
+        rms_m=1.0,
+        longest_m=recipe.relief_longest_m,
+        shortest_m=recipe.relief_shortest_m,
+    )
     tilt_rad, tilt_heading = math.radians(recipe.tilt_deg), math.radians(recipe.tilt_heading_deg)
     limit = math.tan(math.radians(recipe.max_slope_deg))
     heights = relief * np.float32(_relief_scale(relief, frame, math.tan(tilt_rad), tilt_heading, limit))
@@ -106,23 +110,34 @@ def make_terrain(recipe: TerrainRecipe, frame: GridFrame, rng: Generator) -> Hei
         heights += tilted_plane(frame, slope_rad=tilt_rad, heading_rad=tilt_heading)
     if recipe.roughness_rms_m:
         heights += fractal(
-            frame, rng, exponent=recipe.roughness_exponent, rms_m=recipe.roughness_rms_m,
-            longest_m=recipe.roughness_longest_m, shortest_m=0.0,
-        )  # fmt: skip
+            frame,
+            rng,
+            exponent=recipe.roughness_exponent,
+            rms_m=recipe.roughness_rms_m,
+            longest_m=recipe.roughness_longest_m,
+            shortest_m=0.0,
+        )
     if recipe.furrow_depth_m:
         heights += furrows(
-            frame, rng, depth_m=recipe.furrow_depth_m, spacing_m=recipe.furrow_spacing_m,
+            frame,
+            rng,
+            depth_m=recipe.furrow_depth_m,
+            spacing_m=recipe.furrow_spacing_m,
             heading_rad=math.radians(recipe.furrow_heading_deg),
-        )  # fmt: skip
+        )
     if recipe.bumps_per_m2 and recipe.bump_height_m:
         heights += bumps(
             frame, rng, per_m2=recipe.bumps_per_m2, height_m=recipe.bump_height_m, radius_m=recipe.bump_radius_m
         )
     if recipe.track_count and recipe.track_depth_m:
         heights += tracks(
-            frame, rng, count=recipe.track_count, depth_m=recipe.track_depth_m,
-            gauge_m=recipe.track_gauge_m, width_m=recipe.track_width_m,
-        )  # fmt: skip
+            frame,
+            rng,
+            count=recipe.track_count,
+            depth_m=recipe.track_depth_m,
+            gauge_m=recipe.track_gauge_m,
+            width_m=recipe.track_width_m,
+        )
     heights -= np.float32(heights.mean(dtype=np.float64))
     return Heightmap(heights, frame, source="synthesis")
 

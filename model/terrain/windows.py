@@ -12,11 +12,11 @@ from typing import Protocol
 
 import numpy as np
 
-from model.errors import HeightmapError
-from model.frames import GridFrame
-from model.terrain.decoded import Scaling
-from model.terrain.heightmap import Heightmap
-from model.terrain.raster_files import GeoTiffHeader, geotiff_window
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.decoded import Scaling
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.raster_files import GeoTiffHeader, geotiff_window
 
 _STRIP_CELLS = 16_000_000  # of a file that are held at a time while it is read through once
 _SAMPLE_CELLS = 16_000_000  # a larger map is judged by windows spread over it

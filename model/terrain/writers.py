@@ -14,9 +14,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
-from model.errors import HeightmapError
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
 
 
 def write_bands_geotiff(

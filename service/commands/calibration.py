@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from service.commands.options import (
+from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from joulemap.service.commands.options import (
     BaseRuns,
     MaybeHeightmap,
     ModelName,
@@ -20,12 +20,12 @@ from service.commands.options import (
     find_runs,
     robot_of,
 )
-from service.commands.words import energy_words, runs_words
+from joulemap.service.commands.words import energy_words, runs_words
 
 if TYPE_CHECKING:
-    from model.robot import Robot
-    from model.terrain.heightmap import Heightmap
-    from service.loop.runs import CalibrationRuns
+    from joulemap.model.robot import Robot
+    from joulemap.model.runs.files import CalibrationRuns
+    from joulemap.model.terrain.heightmap import Heightmap
 
 _CORNERS = 8  # of a route
 
@@ -74,8 +74,8 @@ def calibrate(
 
     Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv' --out found`
     """
-    from service.loop.calibrating import calibrate_on_runs
-    from service.loop.page import report_page
+    from joulemap.service.loop.calibrating import calibrate_on_runs
+    from joulemap.service.loop.page import report_page
 
     if (start is None) != (goal is None):
         raise typer.BadParameter("--start and --goal go together")
@@ -83,27 +83,41 @@ def calibrate(
     read, ground = _read(runs, base_runs, heightmap, driven_by, odometry, terrain_from_name, keep_aside=keep_aside)
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
-            model, ground, driven_by, read, out=out, task=None if start is None else (start, goal), seed=seed,
+            model,
+            ground,
+            driven_by,
+            read,
+            out=out,
+            task=None if start is None else (start, goal),
+            seed=seed,
             progress=report,
-        )  # fmt: skip
+        )
     write_file(out / "report.json", (json.dumps(made.document, indent=2, allow_nan=False) + "\n").encode())
     write_file(out / "report.html", report_page(made, ground).encode())
     _say(answer, made.document, out)
     count = len(read.segments.runs) + (0 if read.aside is None else len(read.aside.runs))
-    answer.say(f"{runs_words(count)}, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
-               f"{time.perf_counter() - began:.0f} s")  # fmt: skip
+    answer.say(
+        f"{runs_words(count)}, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
+        f"{time.perf_counter() - began:.0f} s"
+    )
     answer.warn(made.document["warnings"])
     answer.document(made.document)
 
 
 def _read(
-    runs: list[str], base_runs: list[str] | None, heightmap: Path | None, robot: Robot, odometry: float | None,
-    terrain_from_name: bool, *, keep_aside: list[str] | None = None,
-) -> tuple[CalibrationRuns, Heightmap]:  # fmt: skip
+    runs: list[str],
+    base_runs: list[str] | None,
+    heightmap: Path | None,
+    robot: Robot,
+    odometry: float | None,
+    terrain_from_name: bool,
+    *,
+    keep_aside: list[str] | None = None,
+) -> tuple[CalibrationRuns, Heightmap]:
     """The runs that the options name, and the map or level ground that they were driven on."""
-    from model.loop.odometry import Odometry
-    from model.terrain.readers import read_heightmap
-    from service.loop.runs import read_calibration_runs, read_odometry_runs
+    from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
+    from joulemap.model.runs.odometry import Odometry
+    from joulemap.model.terrain.readers import read_heightmap
 
     if (heightmap is None) == (odometry is None):
         raise typer.BadParameter("give either --heightmap, or --odometry for runs without positions")
@@ -121,7 +135,7 @@ def _read(
 
 
 def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
-    from service.loop.page import coefficient_words, shadow_words
+    from joulemap.service.loop.page import coefficient_words, shadow_words
 
     unit = "A s" if document["target"] == "charge_as" else "J"
     names = ", ".join(effect["name"] for effect in document["effects"])
@@ -146,15 +160,16 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
 
 
 def _error_words(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
-    from service.loop.page import error_states
+    from joulemap.service.loop.page import error_states
 
     states = error_states(error)
     return {
         f"{name} error{where}": ", ".join(f"{scale * error[k][key]:.3g}{suffix} {words}" for k, words in states.items())
         for key, name, scale, suffix in (
-            ("mean_relative", "mean relative", 100.0, " %"), ("rmse", "root mean square", 1.0, f" {unit}"),
+            ("mean_relative", "mean relative", 100.0, " %"),
+            ("rmse", "root mean square", 1.0, f" {unit}"),
         )
-    }  # fmt: skip
+    }
 
 
 def _route_words(route: Mapping[str, Any]) -> str:
@@ -206,7 +221,7 @@ def suggest_drive(
 
     Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv'`
     """
-    from service.loop.next_drive import suggest_next_drive
+    from joulemap.service.loop.next_drive import suggest_next_drive
 
     answer, driven_by = Answer(json_file), robot_of(robot)
     read, ground = _read(runs, base_runs, heightmap, driven_by, odometry, terrain_from_name)

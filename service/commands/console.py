@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from typer.core import TyperGroup
 
-from model.errors import JoulemapError
+from joulemap.model.errors import JoulemapError
 
 Report = Callable[[float], None]
 JsonFile = Annotated[
@@ -32,7 +32,7 @@ class PlainErrors(TyperGroup):
         try:
             return super().invoke(ctx)
         except JoulemapError as error:
-            from service.problems import exit_code
+            from joulemap.service.problems import exit_code
 
             fail(error.message)
             raise typer.Exit(exit_code(error)) from error

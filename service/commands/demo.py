@@ -23,18 +23,18 @@ from rich.console import Console
 from rich.markup import escape
 from scipy import ndimage
 
-from model.errors import HeightmapError, InputError, JoulemapError
-from model.terrain.heightmap import Heightmap
-from model.terrain.readers import read_heightmap
-from model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START, sample_terrain
-from model.terrain.writers import write_geotiff
-from planner.lattice import Blocked, CostLattice
-from planner.lattice_io import load_lattice
-from planner.plan import Plan
-from planner.route import price_route
-from service.commands.console import Answer, write_file
-from service.commands.words import energy_words, route_words, saving_words
-from service.pictures import route_picture
+from joulemap.model.errors import HeightmapError, InputError, JoulemapError
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START, sample_terrain
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.plan import Plan
+from joulemap.planner.route import price_route
+from joulemap.service.commands.console import Answer, write_file
+from joulemap.service.commands.words import energy_words, route_words, saving_words
+from joulemap.service.pictures import route_picture
 
 READY_WITHIN_S = 180.0
 COSTMAP_WITHIN_S = 300
@@ -191,7 +191,7 @@ def _service(port: int, out: Path) -> Iterator[tuple[subprocess.Popen[bytes], st
     command = [
         sys.executable,
         "-m",
-        "service.cli",
+        "joulemap.service.cli",
         "serve",
         "--port",
         str(port),

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from service.commands.console import Answer, JsonFile, progress_bar
-from service.commands.options import (
+from joulemap.service.commands.console import Answer, JsonFile, progress_bar
+from joulemap.service.commands.options import (
     HeightmapFile,
     Overwrite,
     RobotFile,
@@ -32,7 +32,10 @@ def distill(
     start_from: Annotated[
         str,
         typer.Option(
-            "--from", "--start-from", metavar="M", callback=known_model,
+            "--from",
+            "--start-from",
+            metavar="M",
+            callback=known_model,
             help="Compact model that the student starts from: `default` or a folder.",
         ),
     ] = "default",
@@ -42,7 +45,7 @@ def distill(
     seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
-) -> None:  # fmt: skip
+) -> None:
     """Distil a slow **ResNet18 into the fast network**: taught by its answers everywhere on the map, fitted to the
     measured segments at the same time. Tells how far the two differ, and how both predict the runs that neither saw.
 
@@ -50,10 +53,10 @@ def distill(
     """
     from dataclasses import asdict
 
-    from model.energy.artifact import CONFIG_FILE
-    from model.terrain.readers import read_heightmap
-    from service.commands.models import folder_of
-    from service.learning.distilling import distil_on_runs
+    from joulemap.model.energy.artifact import CONFIG_FILE
+    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.model.training.distillation import distil_on_runs
+    from joulemap.service.commands.models import folder_of
 
     answer = Answer(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
@@ -62,9 +65,18 @@ def distill(
         raise typer.BadParameter("a student starts from a compact model, not from none")
     with progress_bar("Distilling") as report:
         model = distil_on_runs(
-            read_heightmap(heightmap), robot_of(robot), find_runs(runs), teacher=teacher, start_from=start, out=out,
-            answers=answers, epochs=epochs, charge=charge, seed=seed, progress=report,
-        )  # fmt: skip
+            read_heightmap(heightmap),
+            robot_of(robot),
+            find_runs(runs),
+            teacher=teacher,
+            start_from=start,
+            out=out,
+            answers=answers,
+            epochs=epochs,
+            charge=charge,
+            seed=seed,
+            progress=report,
+        )
     student, taught = (e["mean_relative_error"] for e in (model.student_held_out, model.teacher_held_out))
     answer.say(f"[bold]Distilled[/] {teacher} into {out}, version {model.version}")
     answer.table(

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from service.commands.options import ModelName, Overwrite, RobotFile, refuse_to_replace, robot_of, there
-from service.commands.words import route_words, saving_words
+from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from joulemap.service.commands.options import ModelName, Overwrite, RobotFile, refuse_to_replace, robot_of, there
+from joulemap.service.commands.words import route_words, saving_words
 
 MapFolder = Annotated[
     Path, typer.Argument(metavar="MAP.zarr", callback=there, help="A cost map made by `joulemap costmap`.")
@@ -59,15 +59,22 @@ def costmap(
 
     `joulemap costmap heights.png --resolution 0.5 --scale 0.01 --model physics --out heights.zarr`
     """
-    from model.terrain.readers import open_ground
-    from service.workflows import write_cost_lattice
+    from joulemap.model.terrain.readers import open_ground
+    from joulemap.service.workflows import write_cost_lattice
 
     answer = Answer(json_file)
     refuse_to_replace(out, overwrite=overwrite)
     ground = open_ground(
-        heightmap, resolution_m=resolution, west_m=west, north_m=north, crs=crs,
-        scale_m=scale, offset_m=offset, nodata=nodata, band=band,
-    )  # fmt: skip
+        heightmap,
+        resolution_m=resolution,
+        west_m=west,
+        north_m=north,
+        crs=crs,
+        scale_m=scale,
+        offset_m=offset,
+        nodata=nodata,
+        band=band,
+    )
     rover = robot_of(robot)
     with progress_bar("Cost map") as report:
         made = write_cost_lattice(
@@ -109,8 +116,8 @@ def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path
     """Other files of a cost map; it is only read, as a whole, when one is wanted."""
     if geotiff is None and npz is None and picture is None:
         return
-    from planner.lattice_io import export_geotiff, export_npz, load_lattice
-    from service.pictures import lattice_image
+    from joulemap.planner.lattice_io import export_geotiff, export_npz, load_lattice
+    from joulemap.service.pictures import lattice_image
 
     lattice = load_lattice(folder)
     for place, make in ((geotiff, export_geotiff), (npz, export_npz), (picture, lattice_image)):
@@ -145,17 +152,23 @@ def path(
 
     `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --planner bitstar --time-limit 10 --json -`
     """
-    from model.terrain.heightmap import Heightmap
-    from planner.lattice_io import load_lattice
-    from planner.plan import RoutePlanner
-    from service.schemas.answers import path_geojson, path_out
+    from joulemap.model.terrain.heightmap import Heightmap
+    from joulemap.planner.lattice_io import load_lattice
+    from joulemap.planner.plan import RoutePlanner
+    from joulemap.service.schemas.answers import path_geojson, path_out
 
     answer = Answer(json_file)
     lattice = load_lattice(costmap)
     plan = RoutePlanner(lattice).plan(
-        start, goal, planner=planner, neighbours=neighbours, refine=refine, time_limit_s=time_limit, seed=seed,
+        start,
+        goal,
+        planner=planner,
+        neighbours=neighbours,
+        refine=refine,
+        time_limit_s=time_limit,
+        seed=seed,
         alternatives=alternatives,
-    )  # fmt: skip
+    )
     known = lattice.provenance.get("warnings", [])
     found = path_out(plan, None, known).model_dump(mode="json")
     answer.say(f"[bold]Path[/] for {lattice.robot.name}, planner {plan.planner}")
@@ -171,7 +184,7 @@ def path(
     if geojson is not None:
         write_file(geojson, json.dumps(path_geojson(plan, None, known)).encode())
     if picture is not None:
-        from service.pictures import route_picture
+        from joulemap.service.pictures import route_picture
 
         ground = Heightmap(lattice.elevation_m, lattice.frame, source=str(costmap))
         title = f"{lattice.robot.name} on {costmap.stem}"
@@ -209,11 +222,11 @@ def feasibility(
 
     `joulemap feasibility dem.zarr --path survey.geojson --charge 0.8`
     """
-    from model.robot import Battery
-    from planner.lattice_io import load_lattice
-    from service.commands.path_files import read_path
-    from service.schemas.answers import feasibility_out
-    from service.workflows import assess
+    from joulemap.model.robot import Battery
+    from joulemap.planner.lattice_io import load_lattice
+    from joulemap.service.commands.path_files import read_path
+    from joulemap.service.schemas.answers import feasibility_out
+    from joulemap.service.workflows import assess
 
     answer = Answer(json_file)
     lattice = load_lattice(costmap)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.console import Answer, JsonFile, progress_bar, write_file
-from service.commands.options import (
+from joulemap.service.commands.console import Answer, JsonFile, progress_bar, write_file
+from joulemap.service.commands.options import (
     HeightmapFile,
     MaybeHeightmap,
     MaybeRuns,
@@ -24,10 +24,10 @@ from service.commands.options import (
     robot_of,
     there,
 )
-from service.commands.words import runs_words
+from joulemap.service.commands.words import runs_words
 
 if TYPE_CHECKING:
-    from model.robot import Robot
+    from joulemap.model.robot import Robot
 
 
 class SiteName(StrEnum):
@@ -70,12 +70,12 @@ def simulate(
 
     import numpy as np
 
-    from model.field.drives import drive_along, lawnmower, random_waypoints
-    from model.field.logger import simulate_run
-    from model.field.robot_dynamics import FieldRobot
-    from model.field.sites import named_site, random_site
-    from model.terrain.writers import write_geotiff
-    from service.learning.pretraining import level_ground, rolling_resistance_on
+    from joulemap.model.field.drives import drive_along, lawnmower, random_waypoints
+    from joulemap.model.field.logger import simulate_run
+    from joulemap.model.field.robot_dynamics import FieldRobot
+    from joulemap.model.field.sites import named_site, random_site
+    from joulemap.model.terrain.writers import write_geotiff
+    from joulemap.model.training.pretraining import level_ground, rolling_resistance_on
 
     answer = Answer(json_file)
     rng = np.random.default_rng([seed, 1])
@@ -193,18 +193,24 @@ def train(
 
     `joulemap train --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --out mine`
     """
-    from model.energy.artifact import CONFIG_FILE
+    from joulemap.model.energy.artifact import CONFIG_FILE
 
     answer = Answer(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
     if heightmap is None and not runs:
         told = {
-            "--robot": robot, "--from": start_from, "--weights": weights, "--patch-size": patch_size,
-            "--epochs": epochs, "--charge": charge, "--resume": resume, "--arch": architecture is Architecture.RESNET18,
-        }  # fmt: skip
+            "--robot": robot,
+            "--from": start_from,
+            "--weights": weights,
+            "--patch-size": patch_size,
+            "--epochs": epochs,
+            "--charge": charge,
+            "--resume": resume,
+            "--arch": architecture is Architecture.RESNET18,
+        }
         if idle := [name for name, value in told.items() if value]:
             raise typer.BadParameter(f"{', '.join(idle)}: only with --heightmap and --runs")
-        from service.learning.pretraining import DEFAULT_SEED, train_default
+        from joulemap.model.training.pretraining import DEFAULT_SEED, train_default
 
         with progress_bar("Training the shipped network") as report:
             trained = train_default(out, seed=DEFAULT_SEED if seed is None else seed, progress=report)
@@ -215,8 +221,8 @@ def train(
         raise typer.BadParameter("--heightmap and --runs go together")
     from dataclasses import asdict
 
-    from model.terrain.readers import read_heightmap
-    from service.learning.training import train_on_runs
+    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.model.training.measured_runs import train_on_runs
 
     with progress_bar("Training") as report:
         model = train_on_runs(
@@ -261,9 +267,9 @@ def evaluate(
 
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv'`
     """
-    from model.terrain.readers import read_heightmap
-    from service.learning.evaluation import evaluate_on_runs
-    from service.models import find_predictor
+    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.model.training.evaluation import evaluate_on_runs
+    from joulemap.service.models import find_predictor
 
     answer = Answer(json_file)
     rover = robot_of(robot)
@@ -286,11 +292,11 @@ def evaluate(
 
 def folder_of(name: str) -> Path | None:
     """A model's folder; the shipped one's for "default", None for "none"."""
-    import model
+    from joulemap.model.energy.predictor import SHIPPED_WEIGHTS
 
     if name == "none":
         return None
-    return Path(model.__path__[0]) / "weights" if name == "default" else Path(name)
+    return Path(str(SHIPPED_WEIGHTS)) if name == "default" else Path(name)
 
 
 def _coverage_words(covered: dict[str, float] | None) -> str:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from model.errors import ConflictError, NotFoundError
+from joulemap.model.errors import ConflictError, NotFoundError
 
 if TYPE_CHECKING:
-    from model.robot import Robot
+    from joulemap.model.robot import Robot
 
 
 def there(path: Path | None) -> Path | None:
@@ -22,7 +22,7 @@ def there(path: Path | None) -> Path | None:
 
 def known_model(name: str | None) -> str | None:
     """A callback for models: a name, or a folder that is there. Raises NotFoundError."""
-    from model.energy.predictor import MODEL_NAMES
+    from joulemap.model.energy.predictor import MODEL_NAMES
 
     if name is not None and name not in (*MODEL_NAMES, "none") and not Path(name).is_dir():
         known = ", ".join(MODEL_NAMES)
@@ -70,7 +70,8 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is at
 
 def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
     """Asked before anything is computed. mark : the file without which a folder holds nothing whole. Raises
-    ConflictError."""
+    ConflictError.
+    """
     if not overwrite and (out / mark).exists():
         raise ConflictError(
             f"{out} is there already: choose another folder, or replace it with --overwrite", path=str(out)
@@ -79,7 +80,7 @@ def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
 
 def robot_of(file: Path | None) -> Robot:
     """The robot of a file, or the built-in one. Raises RobotError."""
-    from model.robot import Robot
+    from joulemap.model.robot import Robot
 
     return Robot.from_toml(file) if file is not None else Robot()
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import PointError
+from joulemap.model.errors import PointError
 
 
 def read_path(file: Path) -> list[list[float]]:

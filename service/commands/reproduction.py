@@ -10,10 +10,10 @@ from typing import Annotated
 
 import typer
 
-from model.errors import InputError
-from service.commands.console import Answer, JsonFile, progress_bar
-from service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, robot_of, there
-from service.commands.words import runs_words
+from joulemap.model.errors import InputError
+from joulemap.service.commands.console import Answer, JsonFile, progress_bar
+from joulemap.service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, robot_of, there
+from joulemap.service.commands.words import runs_words
 
 
 class ProfileName(StrEnum):
@@ -68,10 +68,10 @@ def reproduce(
     Example: `joulemap reproduce --out reproduction`
     """
     _need_scikit_learn()
-    from service.reproduction.experiments import Setting
-    from service.reproduction.profiles import PROFILES
-    from service.reproduction.publication import publish
-    from service.reproduction.runner import run_all
+    from joulemap.model.reproduction.experiments import Setting
+    from joulemap.model.reproduction.profiles import PROFILES
+    from joulemap.model.reproduction.report import publish
+    from joulemap.model.reproduction.runner import run_all
 
     answer = Answer(json_file)
     extent = PROFILES["full" if full else profile.value]
@@ -82,8 +82,10 @@ def reproduce(
         run_all(setting, only=only or (), workers=workers, progress=report, said=answer.say)
     document = publish(setting, command=_command(out, extent.name, seeds, backbone, heightmap_from, only))
     missed = [check["wanted"] for check in document["checks"] if not check["holds"]]
-    answer.say(f"[bold]Written[/] {out / 'REPRODUCTION.md'}: {len(document['checks']) - len(missed)} of "
-               f"{len(document['checks'])} wanted results hold")  # fmt: skip
+    answer.say(
+        f"[bold]Written[/] {out / 'REPRODUCTION.md'}: {len(document['checks']) - len(missed)} of "
+        f"{len(document['checks'])} wanted results hold"
+    )
     answer.document(document)
 
 
@@ -108,9 +110,9 @@ def baselines(
     Example: `joulemap baselines --heightmap dem.tif --runs 'logs/*.csv' --test logs/run_06.csv --model mine`
     """
     _need_scikit_learn()
-    from model.terrain.readers import read_heightmap
-    from service.models import find_predictor
-    from service.reproduction.comparison import compare
+    from joulemap.model.reproduction.comparison import compare
+    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.service.models import find_predictor
 
     answer = Answer(json_file)
     rover = robot_of(robot)
@@ -118,9 +120,13 @@ def baselines(
     learned = [file for file in find_runs(runs) if file not in tested]
     elsewhere = read_heightmap(test_heightmap) if test_heightmap is not None else None
     found = compare(
-        read_heightmap(heightmap), rover, learned, tested, tested_heightmap=elsewhere,
+        read_heightmap(heightmap),
+        rover,
+        learned,
+        tested,
+        tested_heightmap=elsewhere,
         models=[find_predictor(name) for name in model or ()],
-    )  # fmt: skip
+    )
     answer.say(f"[bold]Fitted[/] to {runs_words(len(learned))}, judged on {len(tested)}: mean error per 1 m segment")
     answer.table(
         {
@@ -138,9 +144,13 @@ def _need_scikit_learn() -> None:
 
 
 def _command(
-    out: Path, profile: str, seeds: int | None, backbone: Path | None, heightmap_from: HeightmapFrom,
+    out: Path,
+    profile: str,
+    seeds: int | None,
+    backbone: Path | None,
+    heightmap_from: HeightmapFrom,
     only: list[str] | None,
-) -> str:  # fmt: skip
+) -> str:
     """The command line again, for the document."""
     words = ["joulemap reproduce --out", str(out)]
     words += ["--profile", profile] if profile != ProfileName.DEFAULT else []

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from service.commands.options import there
+from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from joulemap.service.commands.options import there
 
 if TYPE_CHECKING:
-    from service.settings import Settings
+    from joulemap.service.settings import Settings
 
 
 def serve(
@@ -33,7 +33,7 @@ def serve(
     """
     import uvicorn
 
-    from service.http.app import create_app
+    from joulemap.service.http.app import create_app
 
     settings = _settings(host=host, port=port, data_dir=data_dir)
     uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
@@ -53,10 +53,10 @@ def worker(
     """
     import signal
 
-    from service.jobs.makers import make_makers
-    from service.jobs.worker import Worker
-    from service.storage.store import Store
-    from service.workflows import warm_up
+    from joulemap.service.jobs.makers import make_makers
+    from joulemap.service.jobs.worker import Worker
+    from joulemap.service.storage.store import Store
+    from joulemap.service.workflows import warm_up
 
     settings = _settings(data_dir=data_dir)
     store = Store(settings.data_dir, settings.resolved_database_url)
@@ -73,11 +73,12 @@ def worker(
 
 def _settings(**given: Any) -> Settings:
     """Of the options that are given, and of the environment. A wrong one is wrong usage; raises OSError where the data
-    folder cannot be written."""
+    folder cannot be written.
+    """
     from pydantic import ValidationError
     from pydantic_settings import SettingsError
 
-    from service.settings import Settings
+    from joulemap.service.settings import Settings
 
     try:
         settings = Settings(**{key: value for key, value in given.items() if value is not None})
@@ -117,7 +118,7 @@ def demo(
 
     Examples: `joulemap demo --exit`, `joulemap demo --heightmap dem.tif --start 12,40 --goal 180,95`
     """
-    from service.commands.demo import run_demo
+    from joulemap.service.commands.demo import run_demo
 
     answer = Answer(json_file)
     run_demo(answer, heightmap=heightmap, start=start, goal=goal, model=model, port=port, out=out, keep=not exit_after)
@@ -125,7 +126,7 @@ def demo(
 
 def warmup(json_file: JsonFile = None) -> None:
     """Compile every kernel **once and keep it**, so that no request waits for a compiler (part of the installation)."""
-    from service.workflows import warm_up
+    from joulemap.service.workflows import warm_up
 
     answer = Answer(json_file)
     with progress_bar("Compiling") as _:
@@ -142,7 +143,7 @@ def openapi(
     """Write the service's **OpenAPI document**."""
     import json
 
-    from service.http.app import openapi_document
+    from joulemap.service.http.app import openapi_document
 
     text = json.dumps(openapi_document(), indent=2, ensure_ascii=False) + "\n"
     if str(out) == "-":

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from service.commands.maps import MapFolder
-from service.commands.words import route_words
+from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from joulemap.service.commands.maps import MapFolder
+from joulemap.service.commands.words import route_words
 
 
 def tour(
@@ -35,11 +35,11 @@ def tour(
 
     `joulemap tour dem.zarr --stop 12,40 --stop 180,95 --stop 90,20 --charge 0.8 --geojson tour.geojson`
     """
-    from model.robot import Battery
-    from planner.lattice_io import load_lattice
-    from planner.plan import RoutePlanner
-    from service.schemas.tours import tour_geojson, tour_out
-    from service.workflows import judge_routes
+    from joulemap.model.robot import Battery
+    from joulemap.planner.lattice_io import load_lattice
+    from joulemap.planner.plan import RoutePlanner
+    from joulemap.service.schemas.tours import tour_geojson, tour_out
+    from joulemap.service.workflows import judge_routes
 
     answer = Answer(json_file)
     lattice = load_lattice(costmap)

@@ -12,12 +12,12 @@ from typing import Any
 import anyio
 from fastapi import FastAPI
 
-from service import problems
-from service.http import documents
-from service.http.limits import RequestLimits
-from service.http.routes import calibrations, contents, costmaps, heightmaps, meta, questions, runs
-from service.http.state import Service
-from service.settings import Settings
+from joulemap.service import problems
+from joulemap.service.http import documents
+from joulemap.service.http.limits import RequestLimits
+from joulemap.service.http.routes import calibrations, contents, costmaps, heightmaps, meta, questions, runs
+from joulemap.service.http.state import Service
+from joulemap.service.settings import Settings
 
 DESCRIPTION = """Energy planner for ground robots: a heightmap in, a directional cost map, an energy-optimal path and a
 battery verdict out; measured runs in, what the model lacked and a model that has it out. World coordinates are metres

@@ -8,9 +8,9 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service.problems import MEDIA_TYPE
-from service.schemas.base import Problem
-from service.schemas.maps import CostmapOptions, CostmapRequest, UploadOptions
+from joulemap.service.problems import MEDIA_TYPE
+from joulemap.service.schemas.base import Problem
+from joulemap.service.schemas.maps import CostmapOptions, CostmapRequest, UploadOptions
 
 _REF = "#/components/schemas/{model}"
 _FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from model.errors import InputError, RunsError, TooLargeError
-from model.loop.odometry import Odometry, cut_travel, read_odometry
-from model.loop.runs import parse_run
-from model.loop.segments import cut_segments
-from model.loop.table import PARQUET_MAGIC
-from service.storage.store import safe_name
+from joulemap.model.errors import InputError, RunsError, TooLargeError
+from joulemap.model.runs.odometry import Odometry, cut_travel, read_odometry
+from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.segments import cut_segments
+from joulemap.model.runs.table import PARQUET_MAGIC
+from joulemap.service.storage.store import safe_name
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ def read_sent_runs(
     odometry: Odometry | None = None,
 ) -> list[dict[str, Any]]:
     """What every run holds, (name, file) each, as `read_sent_run`. ground : `crs` and `bounds` of the heightmap that
-    they were driven on, where it is known. Raises TooLargeError, RunsError, and InputError for two of one name."""
+    they were driven on, where it is known. Raises TooLargeError, RunsError, and InputError for two of one name.
+    """
     names = [safe_name(name) for name, _ in files]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -48,8 +49,10 @@ def read_sent_runs(
             raise RunsError(
                 f"run {name} was driven at {_box(run['bounds'])}, the heightmap is {_box(ground['bounds'])}: "
                 "they do not belong together",
-                run=name, bounds=run["bounds"], heightmap_bounds=ground["bounds"],
-            )  # fmt: skip
+                run=name,
+                bounds=run["bounds"],
+                heightmap_bounds=ground["bounds"],
+            )
         told.append(run)
     return told
 
@@ -77,14 +80,18 @@ def read_sent_run(
     if size > limits.mb * 1e6:
         raise TooLargeError(
             f"run {name} has {size / 1e6:.1f} MB, the limit is {limits.mb:g} MB: split it",
-            run=name, bytes=size, limit_mb=limits.mb,
-        )  # fmt: skip
+            run=name,
+            bytes=size,
+            limit_mb=limits.mb,
+        )
     cells = _cells(path)
     if cells > limits.cells:
         raise TooLargeError(
             f"run {name} has {cells:,} cells, the limit is {limits.cells:,}: split it, or leave columns out",
-            run=name, cells=cells, limit=limits.cells,
-        )  # fmt: skip
+            run=name,
+            cells=cells,
+            limit=limits.cells,
+        )
     if odometry is not None:
         run = read_odometry(path, odometry, name=name)
     else:
@@ -95,15 +102,19 @@ def read_sent_run(
     if km > limits.km:
         raise TooLargeError(
             f"run {name} is {km:.4g} km long, the limit is {limits.km:g} km: are its positions in metres?",
-            run=name, km=km, limit_km=limits.km,
-        )  # fmt: skip
+            run=name,
+            km=km,
+            limit_km=limits.km,
+        )
     cut = cut_segments if odometry is None else cut_travel
     segments = cut(run, charge=run.voltage_v is None)
     if len(segments) == 0:
         raise RunsError(
             f"run {name} holds no segment of 1 m: did the robot move, and is its position recorded?",
-            run=name, repairs=run.repairs, left_out=segments.left_out,
-        )  # fmt: skip
+            run=name,
+            repairs=run.repairs,
+            left_out=segments.left_out,
+        )
     return {
         "name": name,
         "rows": len(run),

@@ -8,8 +8,8 @@ import secrets
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from model.errors import TooLargeError
-from service.problems import MEDIA_TYPE, problem_of
+from joulemap.model.errors import TooLargeError
+from joulemap.service.problems import MEDIA_TYPE, problem_of
 
 _ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 

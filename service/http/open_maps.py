@@ -7,8 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from planner.lattice import CostLattice
-from planner.plan import RoutePlanner
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.plan import RoutePlanner
 
 
 class _Entry:

@@ -7,22 +7,22 @@ import threading
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import anyio
-from fastapi import Request
+from fastapi import Depends, Query, Request
 
-from model.errors import BusyError, ConflictError, JoulemapError
-from model.loop.odometry import Odometry
-from model.terrain.readers import read_heightmap
-from service.http.intake import RunLimits, read_sent_runs
-from service.http.open_maps import OpenMaps
-from service.jobs.makers import make_makers
-from service.jobs.worker import SERVICE, Jobs, Worker
-from service.settings import Settings
-from service.storage.store import Store
-from service.storage.tables import CALIBRATION, DONE, FAILED, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
-from service.workflows import warm_up
+from joulemap.model.errors import BusyError, ConflictError, JoulemapError
+from joulemap.model.runs.odometry import Odometry
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.http.intake import RunLimits, read_sent_runs
+from joulemap.service.http.open_maps import OpenMaps
+from joulemap.service.jobs.makers import make_makers
+from joulemap.service.jobs.worker import SERVICE, Jobs, Worker
+from joulemap.service.settings import Settings
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import CALIBRATION, DONE, FAILED, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
+from joulemap.service.workflows import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
 _WARM_WAIT_S = 120.0
@@ -97,7 +97,8 @@ class Service:
     ) -> RunsRow:
         """Read uploaded runs, (name, file) each, check them, keep them. heightmap_id : that they were driven on, where
         it is known; odometry : of runs without positions. Raises RunsError, TooLargeError, InputError,
-        NotFoundError."""
+        NotFoundError.
+        """
         settings = self.settings
         heightmap = self.store.heightmap(heightmap_id) if heightmap_id is not None else None
         limits = RunLimits(settings.max_run_mb, settings.max_run_cells, settings.max_run_km)
@@ -107,7 +108,8 @@ class Service:
 
     def delete_calibration(self, calibration_id: str) -> None:
         """Its report and its model too; one that is being made is stopped. Raises NotFoundError, and ConflictError
-        while cost maps use the model."""
+        while cost maps use the model.
+        """
         self.store.delete_calibration(calibration_id)
         self.makers[CALIBRATION].discard(calibration_id)
 
@@ -126,8 +128,10 @@ class Service:
         if row.status != DONE:
             raise ConflictError(
                 f"{what} {row.id} is {row.status} ({row.progress:.0%}): ask again when it is done",
-                status=row.status, progress=row.progress, retry_after_s=2,
-            )  # fmt: skip
+                status=row.status,
+                progress=row.progress,
+                retry_after_s=2,
+            )
         return row
 
     def _warm_up(self) -> None:
@@ -153,3 +157,9 @@ def with_kernels(request: Request) -> Service:
     service = get_service(request)
     service.await_kernels()
     return service
+
+
+ServiceDep = Annotated[Service, Depends(get_service)]
+KernelsDep = Annotated[Service, Depends(with_kernels)]
+Limit = Annotated[int, Query(ge=1, le=1000, description="most items to answer")]
+Offset = Annotated[int, Query(ge=0, le=10**9, description="items to skip")]

@@ -14,10 +14,10 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData, UploadFile
 
-from model.errors import InputError
-from service.http.state import Service
-from service.schemas.maps import UploadOptions
-from service.storage.tables import HeightmapRow, RunsRow
+from joulemap.model.errors import InputError
+from joulemap.service.http.state import Service
+from joulemap.service.schemas.maps import UploadOptions
+from joulemap.service.storage.tables import HeightmapRow, RunsRow
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -16,19 +16,19 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from model.energy.predictor import MODEL_NAMES
-from model.errors import JoulemapError
-from model.loop.odometry import Odometry
-from model.robot import Robot
-from model.terrain.readers import read_heightmap
-from service.jobs.steps import Step, Steps
-from service.loop.calibrating import calibrate_on_runs
-from service.loop.page import report_page
-from service.loop.rerouting import Task
-from service.loop.runs import read_calibration_runs, read_odometry_runs
-from service.models import CALIBRATED_FOLDER
-from service.storage.store import Store
-from service.storage.tables import CalibrationRow
+from joulemap.model.energy.predictor import MODEL_NAMES
+from joulemap.model.errors import JoulemapError
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
+from joulemap.model.runs.odometry import Odometry
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.jobs.steps import Step, Steps
+from joulemap.service.loop.calibrating import calibrate_on_runs
+from joulemap.service.loop.page import report_page
+from joulemap.service.loop.rerouting import Task
+from joulemap.service.models import CALIBRATED_FOLDER
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import CalibrationRow
 
 REPORT, PAGE = "report.json", "report.html"
 _LOOK_S = 0.5  # between looks whether the job is still wanted

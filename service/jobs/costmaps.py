@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from model.errors import NegativeCycleError
-from model.robot import Robot
-from model.terrain.windows import Ground
-from model.traction import TractionSource
-from planner.figures import figures_of, joined_figures
-from planner.lattice_build import build_tile, knows_spread, provenance_of
-from planner.lattice_io import LatticeFolder
-from planner.plan import RoutePlanner
-from planner.tiles import Tiling
-from service.jobs.steps import Step, Steps
-from service.jobs.stored_base import with_stored_base
-from service.storage.store import Store
-from service.storage.tables import LAY_OUT
-from service.workflows import prepare_build
+from joulemap.model.errors import NegativeCycleError
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.windows import Ground
+from joulemap.model.traction import TractionSource
+from joulemap.planner.figures import figures_of, joined_figures
+from joulemap.planner.lattice_build import build_tile, knows_spread, provenance_of
+from joulemap.planner.lattice_io import LatticeFolder
+from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.tiles import Tiling
+from joulemap.service.jobs.steps import Step, Steps
+from joulemap.service.jobs.stored_base import with_stored_base
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import LAY_OUT
+from joulemap.service.workflows import prepare_build
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from planner.plan import RoutePlanner
-from service.jobs.calibrations import Calibrator
-from service.jobs.costmaps import Builder
-from service.jobs.worker import Maker
-from service.settings import Settings
-from service.storage.store import Store
-from service.storage.tables import CALIBRATION, COSTMAP
+from joulemap.planner.plan import RoutePlanner
+from joulemap.service.jobs.calibrations import Calibrator
+from joulemap.service.jobs.costmaps import Builder
+from joulemap.service.jobs.worker import Maker
+from joulemap.service.settings import Settings
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import CALIBRATION, COSTMAP
 
 
 def make_makers(

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import and_, func, insert, or_, select, text, update
 from sqlalchemy.orm import Session, aliased, sessionmaker
 
-from service.storage.tables import COSTMAP, FAILED, JOBS, QUEUED, RUNNING, StepRow, kind_of
+from joulemap.service.storage.tables import COSTMAP, FAILED, JOBS, QUEUED, RUNNING, StepRow, kind_of
 
 LEASE_S = 15.0
 """A step whose worker has not been heard of for so long goes to another."""
@@ -89,7 +89,8 @@ class Steps:
 
     def complete(self, step: Step, result: Any, *, tiles: int = 0) -> bool:
         """The step is done, with what it found; with `tiles`, add as many steps and the last one. False when the job
-        was deleted or failed meanwhile."""
+        was deleted or failed meanwhile.
+        """
         with self._sessions.begin() as session:
             job = session.get(JOBS[kind_of(step.job_id)], step.job_id, with_for_update=True)
             if job is None or job.status == FAILED:

@@ -10,14 +10,14 @@ import zarr
 from numpy.typing import NDArray
 from sqlalchemy import select
 
-from model.energy.predictor import Predictor
-from model.frames import GridFrame
-from model.loop.calibrated import CalibratedPredictor
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from planner.tiles import Tiling
-from service.storage.store import Store
-from service.storage.tables import DONE, CostmapRow
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrated import CalibratedPredictor
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.tiles import Tiling
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import DONE, CostmapRow
 
 
 class StoredBase:

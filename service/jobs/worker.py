@@ -12,11 +12,11 @@ from typing import Protocol
 
 from sqlalchemy.exc import OperationalError
 
-from model.errors import BusyError
-from service.jobs.steps import LEASE_S, Step, Steps
-from service.problems import problem_of
-from service.storage.store import Store
-from service.storage.tables import COSTMAP, FAILED, JOBS, QUEUED, RUNNING, WORDS, kind_of
+from joulemap.model.errors import BusyError
+from joulemap.service.jobs.steps import LEASE_S, Step, Steps
+from joulemap.service.problems import problem_of
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import COSTMAP, FAILED, JOBS, QUEUED, RUNNING, WORDS, kind_of
 
 SERVICE = "service:"
 """How the names of workers inside a service begin; a data directory has one service, so they die with it."""
@@ -31,7 +31,8 @@ class Maker(Protocol):
 
     def do(self, step: Step, steps: Steps, report: Callable[[float], None]) -> None:
         """Do one step and say that it is done. report : is told now and then how far a long one is, 0..1; it raises
-        Interrupted where nobody wants the step any more."""
+        Interrupted where nobody wants the step any more.
+        """
 
     def rest(self) -> None:
         """Nothing is to be done."""
@@ -51,9 +52,7 @@ class Worker:
     where that takes too long.
     """
 
-    def __init__(
-        self, store: Store, makers: Mapping[str, Maker], *, name: str, ready: Callable[[], object]
-    ) -> None:  # fmt: skip
+    def __init__(self, store: Store, makers: Mapping[str, Maker], *, name: str, ready: Callable[[], object]) -> None:
         self._store = store
         self._makers = dict(makers)
         self._ready = ready
@@ -180,8 +179,10 @@ class Jobs:
         if waiting >= self._queue_size:
             raise BusyError(
                 f"{waiting} {WORDS[kind]}s wait already, the limit is {self._queue_size}: try again in a while",
-                waiting=waiting, limit=self._queue_size, retry_after_s=10,
-            )  # fmt: skip
+                waiting=waiting,
+                limit=self._queue_size,
+                retry_after_s=10,
+            )
 
     def submit(self) -> None:
         """A job was added."""

@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.energy.predictor import MODEL_NAMES, Predictor
-from model.energy.uncertainty import fit_spread
-from model.errors import ConflictError, InfeasibleError, InputError
-from model.loop.calibrated import (
+from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
+from joulemap.model.energy.uncertainty import fit_spread
+from joulemap.model.errors import ConflictError, InfeasibleError, InputError
+from joulemap.model.loop.calibrated import (
     CalibratedPredictor,
     Correction,
     save_calibrated,
 )
-from model.loop.calibration import Calibration, calibrate
-from model.loop.effects import turning_per_rad
-from model.loop.report import report_document
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from service.loop.next_drive import next_drive
-from service.loop.rerouting import Comparison, Task, compare_routes
-from service.loop.residuals import base_residuals, residuals_on
-from service.loop.runs import CalibrationRuns
-from service.models import CALIBRATED_FOLDER, load_model, model_name, planning_robot
+from joulemap.model.loop.calibration import Calibration, calibrate
+from joulemap.model.loop.effects import turning_per_rad
+from joulemap.model.loop.report import report_document
+from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import CalibrationRuns
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.loop.next_drive import next_drive
+from joulemap.service.loop.rerouting import Comparison, Task, compare_routes
+from joulemap.service.models import CALIBRATED_FOLDER, load_model, model_name, planning_robot
 
 FloatArray = NDArray[np.float64]
 
@@ -39,7 +39,8 @@ BASE_FOLDER = "base"
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibrated:
     """What a calibration leaves. document : the report, JSON-able; routes : a task before and after, None where the
-    report's `route` says why there is none."""
+    report's `route` says why there is none.
+    """
 
     document: dict[str, Any]
     found: Calibration
@@ -59,7 +60,7 @@ def calibrate_on_runs(
 ) -> Calibrated:
     """Trace what a model lacks on measured runs and write `out/model`: the base and its effects.
 
-    runs : as `service.loop.runs` reads them; those of the model's folder stand for `base` where it has none. task :
+    runs : as `runs.files` reads them; those of the model's folder stand for `base` where it has none. task :
     start and goal whose routes before and after are compared, as `compare_routes`. Raises InputError, RunsError,
     ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
     """
@@ -91,9 +92,15 @@ def calibrate_on_runs(
         if runs.placed:
             try:
                 routes = compare_routes(
-                    heightmap, robot, predictor, after, places, task=task, seed=seed,
+                    heightmap,
+                    robot,
+                    predictor,
+                    after,
+                    places,
+                    task=task,
+                    seed=seed,
                     progress=_part(progress, _TRACED, 1.0),
-                )  # fmt: skip
+                )
             except InfeasibleError as error:  # a report all the same
                 why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
@@ -105,8 +112,11 @@ def calibrate_on_runs(
     if aside is not None:
         report["kept_aside"] = {"segments": int(aside.moving.sum()), "error": found.errors_on(aside)}
     report["runs"] = {
-        "names": list(segments.runs), "rows": runs.rows, "repairs": runs.repairs, "left_out": segments.left_out,
-    }  # fmt: skip
+        "names": list(segments.runs),
+        "rows": runs.rows,
+        "repairs": runs.repairs,
+        "left_out": segments.left_out,
+    }
     report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)
     if found.terms:
@@ -132,9 +142,7 @@ def _tell(progress: Callable[[float], None] | None, share: float) -> None:
         progress(share)
 
 
-def _part(
-    progress: Callable[[float], None] | None, start: float, end: float
-) -> Callable[[float], None] | None:  # fmt: skip
+def _part(progress: Callable[[float], None] | None, start: float, end: float) -> Callable[[float], None] | None:
     return None if progress is None else lambda share: progress(start + (end - start) * share)
 
 
@@ -146,7 +154,8 @@ def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
 
 def correction_of(found: Calibration, std_j: FloatArray, *, base_turn: float) -> Correction:
     """What a calibration adds to its base model. std_j : (n,) of the base model for each of the calibration's rows;
-    base_turn : what turning costs in plans with it [J/rad]."""
+    base_turn : what turning costs in plans with it [J/rad].
+    """
     drive, moving = found.residuals.drive, found.residuals.moving
     planner = [True] * (len(found.shared.terms) + len(found.silent)) + [e.planner for e in found.effects]
     conditions = {k: float(np.nanmean(v)) for k, v in drive.columns.items() if np.isfinite(v).any()}
@@ -168,7 +177,8 @@ def correction_of(found: Calibration, std_j: FloatArray, *, base_turn: float) ->
 def _turn_j_per_rad(found: Calibration, base_turn: float) -> float:
     """What turning costs in plans after a calibration: what it does with the base model, where nothing of turning was
     found; what was found, where that is told from no base runs. What is new beside base runs comes on top of what these
-    took, by the base model (with the slowing down, which no plan has) or by its corrections, whichever is more."""
+    took, by the base model (with the slowing down, which no plan has) or by its corrections, whichever is more.
+    """
     drive = found.residuals.drive
     turning = [e for e in found.effects if e.term.formula.startswith("turning")]
     every = drive.unit_j * turning_per_rad(found.terms, drive)

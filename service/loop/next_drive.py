@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from model.energy.predictor import Predictor
-from model.errors import InputError
-from model.loop.calibration import Calibration, calibrate
-from model.loop.suggest import Suggestion, suggest_drive
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from service.loop.residuals import base_residuals, residuals_on
-from service.loop.runs import CalibrationRuns
-from service.models import load_model
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.errors import InputError
+from joulemap.model.loop.calibration import Calibration, calibrate
+from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
+from joulemap.model.loop.suggest import Suggestion, suggest_drive
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import CalibrationRuns
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.models import load_model
 
 USUAL_LENGTH_M = 200.0
 
@@ -25,7 +25,8 @@ USUAL_LENGTH_M = 200.0
 @dataclass(frozen=True)
 class NextDrive:
     """rivals : what these runs confuse the effect with. length_m : about as far as it is driven in all. placed :
-    whether its corners are places of a map, and not only its shape."""
+    whether its corners are places of a map, and not only its shape.
+    """
 
     suggestion: Suggestion
     rivals: list[str]
@@ -86,9 +87,15 @@ def next_drive(
         return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
 
     suggestion = suggest_drive(
-        found.residuals, best[name], [*(best[r] for r in rivals), *others], heightmap, robot, traction,
-        length_m=length_m, seed=seed,
-    )  # fmt: skip
+        found.residuals,
+        best[name],
+        [*(best[r] for r in rivals), *others],
+        heightmap,
+        robot,
+        traction,
+        length_m=length_m,
+        seed=seed,
+    )
     return NextDrive(suggestion, rivals, length_m, placed)
 
 

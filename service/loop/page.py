@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from model.terrain.heightmap import Heightmap
-from service.loop.calibrating import Calibrated
-from service.loop.plots import (
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.loop.calibrating import Calibrated
+from joulemap.service.loop.plots import (
     against_figures,
     change_figure,
     error_figure,
     prediction_figures,
     residual_maps,
 )
-from service.pictures import route_picture
+from joulemap.service.pictures import route_picture
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2424; background: #fbfaf7; max-width: 62rem; margin: 2rem auto;
@@ -86,7 +86,8 @@ def _figures(figures: Sequence[str], kind: str = "figures") -> str:
 
 def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
     """Each coefficient of an effect with its 95 % interval; of many the least and the greatest. Those of a field mean
-    something together only: its place is told in `where`."""
+    something together only: its place is told in `where`.
+    """
     found = effect["coefficients"]
     if effect["form"] == "place":
         return [f"{len(found)} values"]
@@ -104,10 +105,16 @@ def _effects(document: Mapping[str, Any]) -> str:
     rows = []
     for e in document["effects"]:
         values = "<br>".join(escape(words) for words in coefficient_words(e))
-        rows.append([
-            escape(e["name"]), escape(e["where"]), values, f"{e['p_value']:.2g}",
-            f"{e['share_of_residual_variance']:.0%}", "yes" if e["in_plans"] else "no: needs a log",
-        ])  # fmt: skip
+        rows.append(
+            [
+                escape(e["name"]),
+                escape(e["where"]),
+                values,
+                f"{e['p_value']:.2g}",
+                f"{e['share_of_residual_variance']:.0%}",
+                "yes" if e["in_plans"] else "no: needs a log",
+            ]
+        )
     note = (
         '<p class="note">Coefficients have a 95 % interval. p: how often chance does as well, all that was tried '
         "allowed for. Share: of the residual's variance that the effect explains. In plans: whether a planner knows "
@@ -138,8 +145,12 @@ def _confounded(document: Mapping[str, Any]) -> str:
 
 def error_states(error: Mapping[str, Any]) -> dict[str, str]:
     """Words for each state that errors are stated of; what the base model's own runs correct where that is anything."""
-    states = {"before": "before", "corrected": "corrected by what the base model's own runs show", "after": "after",
-              "after_planner": "after, as a planner knows it"}  # fmt: skip
+    states = {
+        "before": "before",
+        "corrected": "corrected by what the base model's own runs show",
+        "after": "after",
+        "after_planner": "after, as a planner knows it",
+    }
     return {key: words for key, words in states.items() if key != "corrected" or error[key] != error["before"]}
 
 
@@ -149,11 +160,15 @@ def _errors(document: Mapping[str, Any], unit: str) -> str:
         aside = document["kept_aside"]
         judged.append(("runs kept aside, in which nothing was sought", aside["segments"], aside["error"]))
     rows = [
-        [f"{where}, {segments:,} segments: {state}", f"{error[key]['mean_relative']:.1%}",
-         f"{error[key]['rmse']:.3g} {unit}", f"{error[key]['bias']:+.3g} {unit}"]
+        [
+            f"{where}, {segments:,} segments: {state}",
+            f"{error[key]['mean_relative']:.1%}",
+            f"{error[key]['rmse']:.3g} {unit}",
+            f"{error[key]['bias']:+.3g} {unit}",
+        ]
         for where, segments, error in judged
         for key, state in error_states(error).items()
-    ]  # fmt: skip
+    ]
     return _table(["judged by", "mean relative", "root mean square", "bias"], rows)
 
 
@@ -190,10 +205,14 @@ def _route(made: Calibrated, heightmap: Heightmap) -> str:
         savings = ", ".join(f"{task['saving_percent']:.1f} %" for task in route["tried"])
         lead += f" Savings of all tasks tried: {savings}."
     rows = [
-        [name, f"{route[key]['length_m']:.1f} m", f"{route[key]['energy_at_old_prices_j'] / 1000.0:.2f} kJ",
-         _energy(route[key])]
+        [
+            name,
+            f"{route[key]['length_m']:.1f} m",
+            f"{route[key]['energy_at_old_prices_j'] / 1000.0:.2f} kJ",
+            _energy(route[key]),
+        ]
         for key, name in (("before", "old route"), ("after", "new route"))
-    ]  # fmt: skip
+    ]
     picture = route_picture(heightmap, shown.after, shown.repriced, title="", names=("new route", "old route"))
     data = base64.b64encode(picture).decode("ascii")
     return (
@@ -210,14 +229,18 @@ def _energy(route: Mapping[str, Any]) -> str:
 def _next_drive(drive: Mapping[str, Any]) -> str:
     if "why_not" in drive:
         return f"<p>No suggestion: {escape(drive['why_not'])}.</p>"
-    aim = f"tells {drive['effect']} from {', '.join(drive['tells_from'])}" if drive["tells_from"] else (
-        f"pins the coefficient of {drive['effect']}"
-    )  # fmt: skip
+    aim = (
+        f"tells {drive['effect']} from {', '.join(drive['tells_from'])}"
+        if drive["tells_from"]
+        else (f"pins the coefficient of {drive['effect']}")
+    )
     points = np.array(drive["points"])
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
-    where = f"within x {west:.1f} to {east:.1f} and y {south:.1f} to {north:.1f}" if drive["placed"] else (
-        f"on {east - west:.1f} x {north - south:.1f} m of level ground"
-    )  # fmt: skip
+    where = (
+        f"within x {west:.1f} to {east:.1f} and y {south:.1f} to {north:.1f}"
+        if drive["placed"]
+        else (f"on {east - west:.1f} x {north - south:.1f} m of level ground")
+    )
     pace = " and ".join(f"{speed:.2f} m/s" for speed in drive["speeds_mps"])
     return (
         f"<p>{escape(drive['kind'].capitalize())}, {where}, "

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from model.loop.calibration import Calibration
-from model.loop.formulas import quantity
-from service.loop.rerouting import Comparison
+from joulemap.model.loop.calibration import Calibration
+from joulemap.model.loop.formulas import quantity
+from joulemap.service.loop.rerouting import Comparison
 
 matplotlib.use("Agg")
 
@@ -75,8 +75,9 @@ def error_figure(found: Calibration) -> str:
     def draw(ax: Axes) -> None:
         rng = np.random.default_rng(0)
         for shift, predicted, colour, label in (
-            (-0.15, found.first, _BEFORE, "before"), (0.15, found.held_out, _AFTER, "after, run held out"),
-        ):  # fmt: skip
+            (-0.15, found.first, _BEFORE, "before"),
+            (0.15, found.held_out, _AFTER, "after, run held out"),
+        ):
             relative = np.abs(residuals.measured - predicted) / np.maximum(np.abs(residuals.measured), 1e-9)
             for k, run in enumerate(runs):
                 mine = relative[moving & (residuals.drive.run == run)]
@@ -84,9 +85,14 @@ def error_figure(found: Calibration) -> str:
                 low, high = np.quantile(draws, [0.025, 0.975])
                 middle = float(mine.mean())
                 ax.errorbar(
-                    100 * middle, k + shift, xerr=[[100 * (middle - low)], [100 * (high - middle)]], fmt="o", ms=5,
-                    color=colour, label=label if k == 0 else None,
-                )  # fmt: skip
+                    100 * middle,
+                    k + shift,
+                    xerr=[[100 * (middle - low)], [100 * (high - middle)]],
+                    fmt="o",
+                    ms=5,
+                    color=colour,
+                    label=label if k == 0 else None,
+                )
         ax.set_yticks(range(runs.size), [residuals.runs[r] for r in runs], fontsize=8)
         ax.invert_yaxis()
         ax.grid(axis="y", lw=0.4)
@@ -145,10 +151,13 @@ def against_figures(found: Calibration, unit: str) -> list[str]:
     panels = [(label.format(unit=unit), _values(found, key)) for label, key in _QUANTITIES.items()]
     panels += [
         (f"logged: {name}", quantity(drive, f"column:{name}"))
-        for name in drive.columns if f"learned:{name}" not in found.refused
-    ]  # fmt: skip
-    away = (("before", found.residuals.measured - found.first, _BEFORE),
-            ("after", found.residuals.measured - found.held_out, _AFTER))  # fmt: skip
+        for name in drive.columns
+        if f"learned:{name}" not in found.refused
+    ]
+    away = (
+        ("before", found.residuals.measured - found.first, _BEFORE),
+        ("after", found.residuals.measured - found.held_out, _AFTER),
+    )
 
     def panel(name: str, values: FloatArray) -> str:
         known = np.isfinite(values)
@@ -160,10 +169,15 @@ def against_figures(found: Calibration, unit: str) -> list[str]:
             for label, residuals, colour in away:
                 residual = residuals[moving][known]
                 ax.errorbar(
-                    [values[known][b].mean() for b in kept], [residual[b].mean() for b in kept],
+                    [values[known][b].mean() for b in kept],
+                    [residual[b].mean() for b in kept],
                     yerr=[2.0 * residual[b].std() / np.sqrt(b.sum()) for b in kept],
-                    fmt=".-", ms=4, lw=0.9, color=colour, label=label,
-                )  # fmt: skip
+                    fmt=".-",
+                    ms=4,
+                    lw=0.9,
+                    color=colour,
+                    label=label,
+                )
             ax.axhline(0, color="k", lw=0.6)
             ax.set_xlabel(name, fontsize=8)
             ax.tick_params(labelsize=7)

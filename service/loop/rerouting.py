@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.energy.predictor import Predictor
-from model.errors import InfeasibleError, NoRouteError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from planner.lattice_build import build_lattice
-from planner.plan import RoutePlanner
-from planner.route import Route, price_route
-from service.models import planning_robot
-from service.spreads import std_along
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.errors import InfeasibleError, NoRouteError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.route import Route, price_route
+from joulemap.service.models import planning_robot
+from joulemap.service.route_uncertainty import std_along
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float]
@@ -35,7 +35,8 @@ _CELLS = 250_000  # about as many has the lattice that routes are compared on
 class Rerouted:
     """One task. before : the old prices' way at the old prices; repriced : the same way at the new ones; after : the
     new prices' way at the new ones; old_j : its energy at the old ones. std_j : standard deviations of `repriced` and
-    `after`, None where they are not known."""
+    `after`, None where they are not known.
+    """
 
     task: Task
     before: Route
@@ -58,7 +59,8 @@ class Rerouted:
 class Comparison:
     """shown : the task that is told of. tried : all of them. given : whether somebody asked for it. turn_j_per_rad :
     what turning costs in plans, before and after. price_per_m : of the map's cells, (rows, cols) [J/m], mean over the
-    headings that may be driven, before and after; NaN where there are none. frame : of both."""
+    headings that may be driven, before and after; NaN where there are none. frame : of both.
+    """
 
     shown: Rerouted
     tried: tuple[Rerouted, ...]

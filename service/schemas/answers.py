@@ -9,17 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from model.robot import Battery, Robot
-from planner.budget import Verdict
-from planner.plan import Plan
-from planner.route import Route, geojson
-from service.problems import jsonable
-from service.schemas.base import RobotOut
-from service.schemas.loop import CalibrationOut, RunOut, RunsOut
-from service.schemas.maps import CostmapOut, HeightmapOut
-from service.schemas.planning import BatteryIn, FeasibilityOut, PathOut, PieceOut, RouteOut, ShortestOut, VerdictOut
-from service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, JobRow, RunsRow
-from service.workflows import Assessment
+from joulemap.model.robot import Battery, Robot
+from joulemap.planner.budget import Verdict
+from joulemap.planner.plan import Plan
+from joulemap.planner.route import Route, geojson
+from joulemap.service.problems import jsonable
+from joulemap.service.schemas.base import RobotOut
+from joulemap.service.schemas.loop import CalibrationOut, RunOut, RunsOut
+from joulemap.service.schemas.maps import CostmapOut, HeightmapOut
+from joulemap.service.schemas.planning import (
+    BatteryIn,
+    FeasibilityOut,
+    PathOut,
+    PieceOut,
+    RouteOut,
+    ShortestOut,
+    VerdictOut,
+)
+from joulemap.service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, JobRow, RunsRow
+from joulemap.service.workflows import Assessment
 
 
 def heightmap_out(row: HeightmapRow) -> HeightmapOut:

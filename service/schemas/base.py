@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from model.robot import Robot
+from joulemap.model.robot import Robot
 
 
 class Request(BaseModel):

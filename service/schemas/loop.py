@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from service.models import DEFAULT_MODEL
-from service.schemas.base import Answer, JobOut, Point, Problem, Request, RobotIn, RobotOut
+from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.schemas.base import Answer, JobOut, Point, Problem, Request, RobotIn, RobotOut
 
 
 class OdometryOut(Answer):
@@ -50,25 +50,31 @@ class CalibrationRequest(Request):
     """Which runs to hold against which model."""
 
     heightmap_id: str | None = Field(
-        default=None, max_length=100, description="that the runs were driven on; runs without positions lie on none",
+        default=None,
+        max_length=100,
+        description="that the runs were driven on; runs without positions lie on none",
         examples=["hm-5f0c2a9d41be"],
-    )  # fmt: skip
+    )
     runs: list[Annotated[str, Field(max_length=100)]] = Field(
         min_length=1, max_length=100, description="ids of runs", examples=[["runs-3b9d0c1e77aa"]]
     )
     base_runs: list[Annotated[str, Field(max_length=100)]] = Field(
-        default=[], max_length=100,
+        default=[],
+        max_length=100,
         description="ids of runs in which nothing new is at work; default: those the model keeps of its training",
-    )  # fmt: skip
+    )
     aside_runs: list[Annotated[str, Field(max_length=100)]] = Field(
-        default=[], max_length=100,
+        default=[],
+        max_length=100,
         description="ids of runs (also of `runs`) that nothing is sought or fitted in; the report has the error on "
         "them before and after",
-    )  # fmt: skip
+    )
     model: str = Field(
-        default=DEFAULT_MODEL, max_length=100, description="`physics`, `default`, or the id of a trained model",
+        default=DEFAULT_MODEL,
+        max_length=100,
+        description="`physics`, `default`, or the id of a trained model",
         examples=["physics"],
-    )  # fmt: skip
+    )
     robot: RobotIn | None = Field(default=None, description="that drove; default: the paper's 4WD robot")
     start: Point | None = Field(
         default=None, description="of the task whose route is compared; default: a few are tried"

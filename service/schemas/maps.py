@@ -7,10 +7,10 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from planner.lattice_build import DEFAULT_HEADINGS
-from planner.tiles import HEADING_LIMITS
-from service.models import DEFAULT_MODEL
-from service.schemas.base import Answer, JobOut, Problem, Request, RobotIn, RobotOut
+from joulemap.planner.lattice_build import DEFAULT_HEADINGS
+from joulemap.planner.tiles import HEADING_LIMITS
+from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.schemas.base import Answer, JobOut, Problem, Request, RobotIn, RobotOut
 
 
 class UploadOptions(BaseModel):
@@ -68,9 +68,11 @@ class CostmapOptions(Request):
 
     robot: RobotIn | None = Field(default=None, description="default: the paper's 4WD robot")
     model: str = Field(
-        default=DEFAULT_MODEL, max_length=100, description="`physics`, `default`, or the id of a trained model",
+        default=DEFAULT_MODEL,
+        max_length=100,
+        description="`physics`, `default`, or the id of a trained model",
         examples=["physics"],
-    )  # fmt: skip
+    )
     spacing_m: float = Field(default=1.0, ge=0.01, le=10_000.0, description="side of a cell [m]", examples=[1.0])
     headings: int = Field(
         default=DEFAULT_HEADINGS,

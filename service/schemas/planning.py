@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from planner.plan import PLANNERS
-from service.schemas.base import Answer, PathPoint, Point, Point3, Request, RobotIn
+from joulemap.planner.plan import PLANNERS
+from joulemap.service.schemas.base import Answer, PathPoint, Point, Point3, Request, RobotIn
 
 
 class BatteryIn(Request):

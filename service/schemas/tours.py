@@ -6,13 +6,13 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from planner.budget import Verdict
-from planner.plan import RoundTrip
-from planner.route import geojson
-from planner.tours import MAX_STOPS
-from service.schemas.answers import route_values, verdict_out
-from service.schemas.base import Point, Request, RobotIn
-from service.schemas.planning import BatteryIn, RouteOut, VerdictOut
+from joulemap.planner.budget import Verdict
+from joulemap.planner.plan import RoundTrip
+from joulemap.planner.route import geojson
+from joulemap.planner.tours import MAX_STOPS
+from joulemap.service.schemas.answers import route_values, verdict_out
+from joulemap.service.schemas.base import Point, Request, RobotIn
+from joulemap.service.schemas.planning import BatteryIn, RouteOut, VerdictOut
 
 
 class TourRequest(Request):

@@ -18,14 +18,14 @@ from sqlalchemy.engine import Engine
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
-from model.errors import ConflictError, NotFoundError
-from model.terrain.heightmap import Heightmap
-from model.terrain.readers import open_ground
-from model.terrain.windows import Ground
-from model.terrain.writers import write_geotiff
-from planner.lattice import CostLattice
-from planner.lattice_io import LatticeFolder, load_lattice
-from service.storage.tables import (
+from joulemap.model.errors import ConflictError, NotFoundError
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import open_ground
+from joulemap.model.terrain.windows import Ground
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.service.storage.tables import (
     CALIBRATION,
     COSTMAP,
     DONE,
@@ -151,8 +151,9 @@ class Store:
             words = " and ".join(f"{len(found)} {WORDS[kind]}(s)" for kind, found in users.items() if found)
             raise ConflictError(
                 f"heightmap {heightmap_id} is used by {words}, {', '.join(ids[:5])}: delete them first",
-                costmap_ids=users[COSTMAP], calibration_ids=users[CALIBRATION],
-            ) from error  # fmt: skip
+                costmap_ids=users[COSTMAP],
+                calibration_ids=users[CALIBRATION],
+            ) from error
         self.heightmap_path(heightmap_id).unlink(missing_ok=True)
 
     # runs
@@ -323,9 +324,13 @@ def safe_name(name: str) -> str:
 
 def _asked(kind: str, heightmap_id: str | None, request: dict[str, Any]) -> dict[str, Any]:
     return {
-        "id": f"{kind}-{secrets.token_hex(6)}", "created_at": _now(), "heightmap_id": heightmap_id, "request": request,
-        "status": QUEUED, "progress": 0.0,
-    }  # fmt: skip
+        "id": f"{kind}-{secrets.token_hex(6)}",
+        "created_at": _now(),
+        "heightmap_id": heightmap_id,
+        "request": request,
+        "status": QUEUED,
+        "progress": 0.0,
+    }
 
 
 def _now() -> dt.datetime:

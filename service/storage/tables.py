@@ -69,7 +69,8 @@ class CostmapRow(JobRow):
 
 class CalibrationRow(JobRow):
     """A calibration that was asked for; its report lies in calibrations/{id}/ once `status` is done. Runs without
-    positions lie on no heightmap."""
+    positions lie on no heightmap.
+    """
 
     __tablename__ = "calibrations"
 
@@ -88,9 +89,10 @@ def kind_of(job_id: str) -> str:
 
 
 class StepRow(Base):
-    """One step of a job, see `service.jobs.steps`. created_at : of the job; number : LAY_OUT, a tile's + 1, or that of
+    """One step of a job, see `jobs.steps`. created_at : of the job; number : LAY_OUT, a tile's + 1, or that of
     the last; last : waits for all others; worker, lease_until : who is at it, until when [s since 1970, the workers'
-    common clock]; result : what it found, once done."""
+    common clock]; result : what it found, once done.
+    """
 
     __tablename__ = "job_steps"
 

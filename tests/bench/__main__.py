@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from model.terrain.readers import read_heightmap
+from joulemap.model.terrain.readers import read_heightmap
 from tests.bench.calibration import bench_calibration
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.quality import compare_peers, compare_planners

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from model.energy.dense import CompactPredictor
-from model.energy.predictor import load_predictor
-from model.frames import heading_bins
-from model.robot import Robot
-from model.terrain.writers import write_geotiff
-from planner.edges import interpolation_matrix
-from planner.lattice_build import build_lattice, write_lattice
-from planner.tiles import Tiling
+from joulemap.model.energy.dense import CompactPredictor
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.frames import heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.edges import interpolation_matrix
+from joulemap.planner.lattice_build import build_lattice, write_lattice
+from joulemap.planner.tiles import Tiling
 from tests.bench.maps import ROBOT, terrain
 from tests.bench.stages import resnet_seconds_per_patch
 from tests.bench.timing import Row, once, seconds
@@ -50,14 +50,29 @@ def bench_lattice(cells: int, resolution_m: float) -> list[Row]:
     theirs = per_patch * cells * cells * HEADINGS
     product, triad = flops / matrix_rate(), moved / triad_rate()
     return [
-        (size, f"default network, {HEADINGS} headings, deviation, blocked mask: {theirs / took:,.0f} x ResNet18", took,
-         f"a 256 x 256 patch per value, {1e3 * per_patch:.0f} ms each", took / theirs),
-        (size, f"{flops / 1e9:.0f} GFLOP of network in it, {100 * product / took:.0f} % of the machine's rate", took,
-         "torch's matrix product", took / product),
-        (size, f"{moved / 1e9:.2f} GB read and written, {100 * triad / took:.1f} % of the machine's bandwidth", took,
-         "a triad", took / triad),
+        (
+            size,
+            f"default network, {HEADINGS} headings, deviation, blocked mask: {theirs / took:,.0f} x ResNet18",
+            took,
+            f"a 256 x 256 patch per value, {1e3 * per_patch:.0f} ms each",
+            took / theirs,
+        ),
+        (
+            size,
+            f"{flops / 1e9:.0f} GFLOP of network in it, {100 * product / took:.0f} % of the machine's rate",
+            took,
+            "torch's matrix product",
+            took / product,
+        ),
+        (
+            size,
+            f"{moved / 1e9:.2f} GB read and written, {100 * triad / took:.1f} % of the machine's bandwidth",
+            took,
+            "a triad",
+            took / triad,
+        ),
         (size, f"`joulemap costmap` in a process of its own, {peak}", np.nan, "", None),
-    ]  # fmt: skip
+    ]
 
 
 def operations_per_cell(predictor: CompactPredictor) -> float:
@@ -96,10 +111,15 @@ def bench_tiles() -> list[Row]:
     each = {side: times[side] / side**2 for side in TILED_SIDES}
     small = TILED_SIDES[0]
     return [
-        (f"{side} x {side}", f"written tile by tile from a map of 1 m, {1e6 * each[side]:.2f} us a cell", times[side],
-         f"a cell of {small} x {small}", each[side] / each[small])
+        (
+            f"{side} x {side}",
+            f"written tile by tile from a map of 1 m, {1e6 * each[side]:.2f} us a cell",
+            times[side],
+            f"a cell of {small} x {small}",
+            each[side] / each[small],
+        )
         for side in TILED_SIDES
-    ]  # fmt: skip
+    ]
 
 
 def bench_bins(resolution_m: float) -> list[Row]:

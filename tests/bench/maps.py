@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.energy.predictor import load_predictor
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.synthesis import TerrainRecipe, make_terrain
-from planner.lattice import CostLattice
-from planner.lattice_build import build_lattice
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.synthesis import TerrainRecipe, make_terrain
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice_build import build_lattice
 
 ROBOT = Robot()
 CORNERS = ((0.9, 0.1), (0.1, 0.9))

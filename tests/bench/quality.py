@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from rich.table import Table
 
-from model.errors import NoRouteError
-from model.terrain.heightmap import Heightmap
-from planner.edges import path_price
-from planner.landmarks import make_landmarks
-from planner.moves import move_table
-from planner.plan import SAMPLING_PLANNERS, RoutePlanner
-from planner.refine import refine_path
-from planner.search import grid_search
+from joulemap.model.errors import NoRouteError
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.edges import path_price
+from joulemap.planner.landmarks import make_landmarks
+from joulemap.planner.moves import move_table
+from joulemap.planner.plan import SAMPLING_PLANNERS, RoutePlanner
+from joulemap.planner.refine import refine_path
+from joulemap.planner.search import grid_search
 from tests.bench.maps import CORNERS, free_corner, physics_lattice, terrain
 from tests.bench.peers import PeerRow, Question, ask_peers
 from tests.bench.searches import scipy_graph
@@ -60,9 +60,14 @@ def compare_planners(heightmap: Heightmap) -> Table:
 
 
 def sampled(
-    planner: RoutePlanner, start: tuple[float, float], goal: tuple[float, float], name: str, limit_s: float, *,
+    planner: RoutePlanner,
+    start: tuple[float, float],
+    goal: tuple[float, float],
+    name: str,
+    limit_s: float,
+    *,
     from_grid: bool,
-) -> list[tuple[float, float]]:  # fmt: skip
+) -> list[tuple[float, float]]:
     """(seconds, energy [J]) of a sampling planner's best way as it fell; empty where it found none."""
     try:
         found = planner.plan(start, goal, planner=name, time_limit_s=limit_s, refine=False, from_grid=from_grid)

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from planner.fields import field_from, field_towards
-from planner.landmarks import make_landmarks
-from planner.lattice import Blocked, CostLattice
-from planner.moves import MoveTable, move_table
-from planner.replan import Replanner
-from planner.search import grid_search
+from joulemap.planner.fields import field_from, field_towards
+from joulemap.planner.landmarks import make_landmarks
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.moves import MoveTable, move_table
+from joulemap.planner.replan import Replanner
+from joulemap.planner.search import grid_search
 from tests.bench.maps import CORNERS, free_corner, physics_lattice, terrain
 from tests.bench.timing import Row, once, raced, seconds
 
@@ -102,6 +102,12 @@ def search_rows(
         window = (middle[0].start, middle[0].stop, middle[1].start, middle[1].stop)
         replanner.change(other, window=window)
         took = min(once(lambda k=k: replanner.change((lattice, other)[k % 2], window=window)) for k in range(4))
-        rows.append((f"a changed square of 10 x 10 cells, field repaired, {name}", took, "priced and searched anew",
-                     took / (build + mine[0][1][0])))  # fmt: skip
+        rows.append(
+            (
+                f"a changed square of 10 x 10 cells, field repaired, {name}",
+                took,
+                "priced and searched anew",
+                took / (build + mine[0][1][0]),
+            )
+        )
     return rows

@@ -10,18 +10,18 @@ import numpy as np
 import torch
 from fastapi.testclient import TestClient
 
-from model.energy.predictor import load_predictor
-from model.energy.resnet import ResNetEnergy
-from model.terrain.heightmap import Heightmap
-from model.terrain.patches import cut_patches
-from model.terrain.writers import write_geotiff
-from planner.lattice_build import build_lattice
-from planner.moves import move_table
-from planner.plan import RoutePlanner
-from planner.refine import refine_path
-from planner.search import grid_search
-from service.http.app import create_app
-from service.settings import Settings
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.resnet import ResNetEnergy
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.patches import cut_patches
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.moves import move_table
+from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.refine import refine_path
+from joulemap.planner.search import grid_search
+from joulemap.service.http.app import create_app
+from joulemap.service.settings import Settings
 from tests.bench.maps import CORNERS, ROBOT, free_corner, physics_lattice, terrain
 from tests.bench.searches import search_rows
 from tests.bench.timing import Row, seconds
@@ -41,8 +41,15 @@ def bench(cells: int, resolution_m: float) -> list[Row]:
     default = load_predictor("default")
     network = seconds(lambda: build_lattice(heightmap, ROBOT, default), repeats=1)
     per_patch = resnet_seconds_per_patch(heightmap)
-    rows.append((size, "lattice, default network, 16 headings", network, "ResNet18, a 256 x 256 patch per value",
-                 network / (per_patch * cells * cells * 16)))  # fmt: skip
+    rows.append(
+        (
+            size,
+            "lattice, default network, 16 headings",
+            network,
+            "ResNet18, a 256 x 256 patch per value",
+            network / (per_patch * cells * cells * 16),
+        )
+    )
     n = 10_000
     rng = np.random.default_rng(0)
     x, y = rng.uniform(2, cells - 2, (2, n))

@@ -10,7 +10,7 @@ import time
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 
-from service.storage.store import Store
+from joulemap.service.storage.store import Store
 from tests.bench.maps import ROBOT, terrain
 from tests.bench.timing import Row
 from tests.service.test_restart import free_port
@@ -48,7 +48,7 @@ def _seconds(store: Store, folder: Path, url: str | None, heightmap_id: str, cou
         for _ in range(count):
             process = subprocess.Popen(
                 command, env={**os.environ, **one_thread, **place}, stdout=subprocess.PIPE, text=True
-            )  # fmt: skip
+            )
             workers.append(stack.enter_context(process))
             stack.callback(process.kill)
         for process in workers:

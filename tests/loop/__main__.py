@@ -14,7 +14,7 @@ import platform
 import sys
 from pathlib import Path
 
-from model.field.hidden_draws import EFFECT_NAMES
+from joulemap.model.field.hidden_draws import EFFECT_NAMES
 from tests.loop.cases import append_outcome, read_outcomes
 from tests.loop.many import outcomes
 from tests.loop.table import LEGEND, summary_of, table_of
@@ -50,9 +50,11 @@ def main() -> None:
         for number, outcome in enumerate(outcomes(todo, options.calibrator, options.work, options.jobs), start=1):
             append_outcome(kept, outcome)
             done[outcome.case, outcome.seed] = outcome
-            print(f"{number}/{len(todo)} {outcome.case} {outcome.seed}: {', '.join(outcome.found) or 'nothing'}"
-                  f" {outcome.new_before:.3f} -> {outcome.new_after:.3f} ({outcome.tried_s:.0f} s)",
-                  file=sys.stderr)  # fmt: skip
+            print(
+                f"{number}/{len(todo)} {outcome.case} {outcome.seed}: {', '.join(outcome.found) or 'nothing'}"
+                f" {outcome.new_before:.3f} -> {outcome.new_after:.3f} ({outcome.tried_s:.0f} s)",
+                file=sys.stderr,
+            )
     there = [done[key] for key in wanted if key in done]
     text = f"{summary_of(there)}\n\n{table_of(there)}"
     print(text)

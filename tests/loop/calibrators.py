@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from model.energy.predictor import load_predictor
-from model.field.blind_case import BlindTruth
-from model.loop.calibrated import CalibratedPredictor
-from model.loop.segments import Segments
-from model.robot import Robot
-from model.terrain.readers import read_heightmap
-from service.learning.runs import read_segments
-from service.loop.calibrating import calibrate_on_runs
-from service.loop.runs import read_calibration_runs
-from service.models import load_model
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.field.blind_case import BlindTruth
+from joulemap.model.loop.calibrated import CalibratedPredictor
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import read_calibration_runs, read_segments
+from joulemap.model.runs.segments import Segments
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.loop.calibrating import calibrate_on_runs
+from joulemap.service.models import load_model
 from tests.loop.cases import extra_energy
 
 FloatArray = NDArray[np.float64]

@@ -15,14 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from model.energy.predictor import load_predictor
-from model.field.blind_case import BlindTruth, RunTruth, make_blind_case, write_base
-from model.loop.segments import Segments
-from model.robot import Robot
-from model.terrain.readers import read_heightmap
-from service.learning import training
-from service.learning.runs import read_segments
-from service.learning.training import train_on_runs
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.field.blind_case import BlindTruth, RunTruth, make_blind_case, write_base
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import read_segments
+from joulemap.model.runs.segments import Segments
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.training import measured_runs as training
+from joulemap.model.training.measured_runs import train_on_runs
 
 FloatArray = NDArray[np.float64]
 
@@ -202,7 +202,7 @@ def base_model(site_seed: int, work: Path, *, anew: bool = False) -> Path:
     if anew or not (folder / "base").is_dir():
         write_base(site_seed, folder)
     files = sorted(folder.glob("base/*.csv"))
-    with resources.as_file(resources.files("model") / "weights") as shipped:
+    with resources.as_file(resources.files("joulemap.model") / "weights") as shipped:
         digest = hashlib.sha256((shipped / "config.json").read_bytes())
         for file in [Path(training.__file__), folder / "dem.tif", folder / "robot.toml", *files]:
             digest.update(file.read_bytes())

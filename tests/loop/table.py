@@ -51,15 +51,21 @@ def summary_of(outcomes: Sequence[Outcome]) -> str:
     lines = [
         _share("the one hidden effect is named first (95 % asked)", sum(o.first_right for o in single), len(single)),
         _share("of two, both are named (85 % asked)", sum(o.all_right for o in several), len(several)),
-        _share("without an effect, something is reported (at most 5 %)", sum(not o.first_right for o in quiet),
-               len(quiet)),
+        _share(
+            "without an effect, something is reported (at most 5 %)", sum(not o.first_right for o in quiet), len(quiet)
+        ),
         _share("error after within 1.10 of the error without effects", near, len(hidden)),
-        _share("true coefficients within the 95 % interval (90 to 98 %)", sum(f.low <= f.true <= f.high for f in fits),
-               len(fits)),
+        _share(
+            "true coefficients within the 95 % interval (90 to 98 %)",
+            sum(f.low <= f.true <= f.high for f in fits),
+            len(fits),
+        ),
         f"- on the second site, of the error that knowing the truth saves, all cases together (80 % asked): "
-        f"{gained / told:.0%}" if told > 0 else "",
+        f"{gained / told:.0%}"
+        if told > 0
+        else "",
         f"- a calibration takes at most {max((o.tried_s for o in outcomes), default=0.0):.0f} s of a 6-run case",
-    ]  # fmt: skip
+    ]
     return "\n".join(line for line in lines if line)
 
 

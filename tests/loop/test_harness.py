@@ -5,15 +5,26 @@ import math
 
 import pytest
 
-from model.field.blind_case import BlindTruth, Coefficient
+from joulemap.model.field.blind_case import BlindTruth, Coefficient
 from tests.loop.calibrators import Nothing, Oracle
 from tests.loop.cases import Outcome, append_outcome, fits_of, read_outcomes, try_case
 from tests.loop.table import table_of
 
 FOUND = Outcome(
-    case="turning", seed=3, true=("turning",), found=("turning",), new_before=0.2, new_after=0.1, new_clean=0.1,
-    other_before=0.25, other_after=0.13, other_told=0.1, other_clean=0.11, floor=0.06, tried_s=4.0,
-)  # fmt: skip
+    case="turning",
+    seed=3,
+    true=("turning",),
+    found=("turning",),
+    new_before=0.2,
+    new_after=0.1,
+    new_clean=0.1,
+    other_before=0.25,
+    other_after=0.13,
+    other_told=0.1,
+    other_clean=0.11,
+    floor=0.06,
+    tried_s=4.0,
+)
 
 
 def test_an_outcome_is_judged_by_its_names():

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.errors import InputError, NoRouteError
-from model.robot import Robot
-from planner.alternatives import alternative_paths
-from planner.edges import path_price
-from planner.moves import move_table
-from planner.plan import RoutePlanner
-from planner.search import grid_search
+from joulemap.model.errors import InputError, NoRouteError
+from joulemap.model.robot import Robot
+from joulemap.planner.alternatives import alternative_paths
+from joulemap.planner.edges import path_price
+from joulemap.planner.moves import move_table
+from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.search import grid_search
 from tests.reference.lattices import ascii_lattice, random_lattice
 
 ISLANDS = """

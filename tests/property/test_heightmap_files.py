@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from model.errors import HeightmapError, TooLargeError
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
-from model.terrain.readers import read_heightmap
-from model.terrain.writers import write_geotiff
+from joulemap.model.errors import HeightmapError, TooLargeError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.writers import write_geotiff
 
 FRAME = GridFrame(500_000.0, 4_000_000.0, 0.5, 12, 9, "EPSG:32630")
 MAP = Heightmap(np.random.default_rng(0).normal(50.0, 3.0, FRAME.shape), FRAME)

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.errors import BlockedError, NegativeCycleError, NoRouteError
-from planner.edges import path_price
-from planner.fields import field_towards
-from planner.moves import move_table
-from planner.replan import Replanner, changed_window
+from joulemap.model.errors import BlockedError, NegativeCycleError, NoRouteError
+from joulemap.planner.edges import path_price
+from joulemap.planner.fields import field_towards
+from joulemap.planner.moves import move_table
+from joulemap.planner.replan import Replanner, changed_window
 from tests.reference.lattices import random_lattice
 
 

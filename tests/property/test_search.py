@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.errors import BlockedError, NegativeCycleError, NoRouteError
-from planner.edges import path_price
-from planner.fields import field_from, field_towards
-from planner.graph import lattice_graph
-from planner.landmarks import make_landmarks
-from planner.moves import move_table
-from planner.refine import refine_path
-from planner.search import grid_search
+from joulemap.model.errors import BlockedError, NegativeCycleError, NoRouteError
+from joulemap.planner.edges import path_price
+from joulemap.planner.fields import field_from, field_towards
+from joulemap.planner.graph import lattice_graph
+from joulemap.planner.landmarks import make_landmarks
+from joulemap.planner.moves import move_table
+from joulemap.planner.refine import refine_path
+from joulemap.planner.search import grid_search
 from tests.reference.lattices import random_lattice
 
 

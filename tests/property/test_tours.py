@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.errors import BlockedError, InputError, NoRouteError
-from planner.edges import path_price
-from planner.moves import move_table
-from planner.search import grid_search
-from planner.tours import cheapest_tour
+from joulemap.model.errors import BlockedError, InputError, NoRouteError
+from joulemap.planner.edges import path_price
+from joulemap.planner.moves import move_table
+from joulemap.planner.search import grid_search
+from joulemap.planner.tours import cheapest_tour
 from tests.reference.lattices import ascii_lattice, random_lattice
 
 
@@ -27,9 +27,11 @@ def test_no_order_costs_less(seed, count, regeneration):
     except (NoRouteError, BlockedError):
         return
     energy = np.array(
-        [[0.0 if i == j else grid_search(lattice, table, a, b).energy_j for j, b in enumerate(stops)]
-         for i, a in enumerate(stops)]
-    )  # fmt: skip
+        [
+            [0.0 if i == j else grid_search(lattice, table, a, b).energy_j for j, b in enumerate(stops)]
+            for i, a in enumerate(stops)
+        ]
+    )
     np.testing.assert_allclose(tour.energies_j, energy, rtol=1e-9, atol=1e-6)
     best = min(
         sum(energy[a, b] for a, b in zip((0, *order), (*order, 0), strict=True))

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from model.errors import NoRouteError
-from model.frames import GridFrame
-from model.robot import Robot
-from planner.edges import path_price
-from planner.moves import move_offsets, move_table
-from planner.plan import RoutePlanner
-from planner.refine import refine_path
-from planner.search import grid_search
+from joulemap.model.errors import NoRouteError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.planner.edges import path_price
+from joulemap.planner.moves import move_offsets, move_table
+from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.refine import refine_path
+from joulemap.planner.search import grid_search
 from tests.reference.lattices import plane_lattice, surface_lattice, uniform_lattice
 
 

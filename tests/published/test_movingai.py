@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.frames import GridFrame
-from model.robot import Robot
-from planner.lattice import Blocked, CostLattice
-from planner.moves import move_table
-from planner.search import grid_search
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.moves import move_table
+from joulemap.planner.search import grid_search
 
 MAPS = ("arena2", "random512-10-1", "London_1_512", "maze512-1-0")
 SAMPLE = 80

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from model.loop.calibration import calibrate
-from model.loop.drive import Drive
-from model.loop.residual import residuals_of
-from model.loop.track import TURN_LIMITS_RADPS
-from model.robot import Robot
+from joulemap.model.loop.calibration import calibrate
+from joulemap.model.loop.drive import Drive
+from joulemap.model.loop.residual import residuals_of
+from joulemap.model.robot import Robot
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=12.0, speed_mps=0.5)
 
@@ -26,19 +26,33 @@ def made_up(rng, *, runs=6, each=120, heading=None) -> Drive:
         duration = 2.0 * np.exp(0.05 * smooth_noise(rng, each)) + 0.6 * np.abs(turned)
         clock = 3600.0 * run + np.cumsum(duration)
         grade = 0.05 * smooth_noise(rng, each)
-        parts.append({
-            "run": np.full(each, run), "x": 25.0 + 15.0 * smooth_noise(rng, each), "heading_rad": way % 6.2832,
-            "y": 25.0 + 15.0 * smooth_noise(rng, each), "length_m": np.ones(each), "duration_s": duration,
-            "traction_per_m": ROBOT.weight_n * (0.08 + grade), "turned_rad": turned, "turned_abs_rad": np.abs(turned),
-            "gentle_turn_rad": np.stack([np.minimum(np.abs(turned), 2.0 * r) for r in TURN_LIMITS_RADPS], axis=1),
-            "gained_m2ps2": 0.01 * rng.random(each), "grade": grade, "grades": np.repeat(grade[:, None], 5, axis=1),
-            "cross": 0.04 * smooth_noise(rng, each),
-            "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)), "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
-            "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)), "elevation_m": smooth_noise(rng, each),
-            "hollow_m": 0.05 * smooth_noise(rng, each),
-            "since_s": clock - clock[0], "driven_m": np.arange(each) + 1.0, "clock_s": clock,
-            "temperature": 15.0 + run + 0.3 * smooth_noise(rng, each),
-        })  # fmt: skip
+        parts.append(
+            {
+                "run": np.full(each, run),
+                "x": 25.0 + 15.0 * smooth_noise(rng, each),
+                "heading_rad": way % 6.2832,
+                "y": 25.0 + 15.0 * smooth_noise(rng, each),
+                "length_m": np.ones(each),
+                "duration_s": duration,
+                "traction_per_m": ROBOT.weight_n * (0.08 + grade),
+                "turned_rad": turned,
+                "turned_abs_rad": np.abs(turned),
+                "gentle_turn_rad": np.stack([np.minimum(np.abs(turned), 2.0 * r) for r in TURN_LIMITS_RADPS], axis=1),
+                "gained_m2ps2": 0.01 * rng.random(each),
+                "grade": grade,
+                "grades": np.repeat(grade[:, None], 5, axis=1),
+                "cross": 0.04 * smooth_noise(rng, each),
+                "cross_abs": 0.03 * np.abs(smooth_noise(rng, each)),
+                "cross_sq": 0.001 * smooth_noise(rng, each) ** 2,
+                "roughness_m": 0.01 * np.exp(0.3 * smooth_noise(rng, each)),
+                "elevation_m": smooth_noise(rng, each),
+                "hollow_m": 0.05 * smooth_noise(rng, each),
+                "since_s": clock - clock[0],
+                "driven_m": np.arange(each) + 1.0,
+                "clock_s": clock,
+                "temperature": 15.0 + run + 0.3 * smooth_noise(rng, each),
+            }
+        )
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
     logged = {"temperature": columns.pop("temperature")}
     return Drive(robot=ROBOT, **columns, columns=logged, runs=tuple(f"run{k}@0" for k in range(runs)))

@@ -75,9 +75,18 @@ def huge_geotiff() -> bytes:
     """A GeoTIFF of 40,000 x 30,000 cells in which nothing was written: a few kilobytes."""
     with MemoryFile() as memory:
         with memory.open(
-            driver="GTiff", width=40_000, height=30_000, count=1, dtype="float32", transform=UTM, sparse_ok=True,
-            tiled=True, blockxsize=4096, blockysize=4096, nodata=-1.0,
-        ):  # fmt: skip
+            driver="GTiff",
+            width=40_000,
+            height=30_000,
+            count=1,
+            dtype="float32",
+            transform=UTM,
+            sparse_ok=True,
+            tiled=True,
+            blockxsize=4096,
+            blockysize=4096,
+            nodata=-1.0,
+        ):
             pass
         return bytes(memory.read())
 

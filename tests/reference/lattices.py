@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.frames import GridFrame, heading_bins, heading_vector
-from model.robot import Robot
-from planner.lattice import Blocked, CostLattice
+from joulemap.model.frames import GridFrame, heading_bins, heading_vector
+from joulemap.model.robot import Robot
+from joulemap.planner.lattice import Blocked, CostLattice
 
 
 def plane_lattice(
-    rows: int, cols: int, rise_east: float = 0.0, rise_north: float = 0.0, *, robot: Robot, spacing_m: float = 1.0,
+    rows: int,
+    cols: int,
+    rise_east: float = 0.0,
+    rise_north: float = 0.0,
+    *,
+    robot: Robot,
+    spacing_m: float = 1.0,
     headings: int = 16,
-) -> CostLattice:  # fmt: skip
+) -> CostLattice:
     """A tilted plane under the physics model: traction m g (mu + rise along the heading)."""
     frame = GridFrame(0.0, rows * spacing_m, spacing_m, rows, cols)
     x, y = np.meshgrid(*frame.centres())
@@ -25,9 +31,13 @@ def surface_lattice(frame, elevation, gradient, robot, headings=16) -> CostLatti
     g_east, g_north = (np.broadcast_to(np.asarray(g, dtype=float), frame.shape) for g in gradient)
     traction = robot.weight_n * (robot.rolling_resistance + g_east[..., None] * east + g_north[..., None] * north)
     return CostLattice(
-        frame, robot, traction.astype(np.float32), np.asarray(elevation, dtype=np.float32),
-        np.stack([g_east, g_north], axis=-1).astype(np.float32), np.zeros(frame.shape, dtype=np.uint8),
-    )  # fmt: skip
+        frame,
+        robot,
+        traction.astype(np.float32),
+        np.asarray(elevation, dtype=np.float32),
+        np.stack([g_east, g_north], axis=-1).astype(np.float32),
+        np.zeros(frame.shape, dtype=np.uint8),
+    )
 
 
 def uniform_lattice(rows: int, cols: int, price_per_m, *, headings: int = 16) -> CostLattice:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
-from model.terrain.writers import write_geotiff
-from service.http.app import create_app
-from service.settings import Settings
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.http.app import create_app
+from joulemap.service.settings import Settings
 
 WEST, NORTH = 500_000.0, 4_000_030.0
 START, GOAL = [WEST + 3.5, NORTH - 15.5], [WEST + 36.5, NORTH - 14.5]

@@ -59,9 +59,12 @@ BAD_FILES = [
     (npy(np.zeros((5, 5))), {"resolution": "1"}, 422, "invalid_request", "resolution"),
     (
         npy(np.zeros((2, 2))).replace(b"(2, 2)", b"(31623, 31623)"),
-        {"resolution_m": 1}, 413, "too_large", "limit of 1000000",
+        {"resolution_m": 1},
+        413,
+        "too_large",
+        "limit of 1000000",
     ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("data", "params", "status", "code", "word"), BAD_FILES)
@@ -112,7 +115,7 @@ def test_chunked_upload_is_cut_off(path: str, kind: str, tmp_path_factory: pytes
     """Straight on the ASGI interface, where it can be seen how much was taken of an endless body."""
     import anyio
 
-    from service.http.app import create_app
+    from joulemap.service.http.app import create_app
     from tests.service.conftest import settings_for
 
     app = create_app(settings_for(tmp_path_factory.mktemp("data"), max_upload_mb=1.0))
@@ -131,11 +134,19 @@ def test_chunked_upload_is_cut_off(path: str, kind: str, tmp_path_factory: pytes
     async def main() -> None:
         async with app.router.lifespan_context(app):
             scope = {
-                "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": "POST", "scheme": "http",
-                "path": path, "raw_path": path.encode(), "query_string": b"", "root_path": "",
+                "type": "http",
+                "asgi": {"version": "3.0"},
+                "http_version": "1.1",
+                "method": "POST",
+                "scheme": "http",
+                "path": path,
+                "raw_path": path.encode(),
+                "query_string": b"",
+                "root_path": "",
                 "headers": [(b"content-type", kind.encode()), (b"transfer-encoding", b"chunked")],
-                "client": ("test", 1), "server": ("test", 80),
-            }  # fmt: skip
+                "client": ("test", 1),
+                "server": ("test", 80),
+            }
             await app(scope, receive, send)
 
     anyio.run(main)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from model.loop.record import read_record
-from model.robot import Robot
-from model.terrain.readers import read_heightmap
-from service.cli import app
-from service.loop.page import coefficient_words
-from service.loop.residuals import keep_base_runs
-from service.loop.runs import read_calibration_runs
+from joulemap.model.loop.record import read_record
+from joulemap.model.loop.residuals_of_runs import keep_base_runs
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import read_calibration_runs
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.cli import app
+from joulemap.service.loop.page import coefficient_words
 from tests.reference.drives import wheel_logs
 
 runner = CliRunner()
@@ -54,9 +54,21 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     if report["model"]["after"] is None:
         return
     done = runner.invoke(
-        app, ["evaluate", "--model", str(tmp_path / "model"), "--heightmap", str(field / "dem.tif"), "--robot",
-              str(field / "robot.toml"), "--runs", str(field), "--json", str(tmp_path / "again.json")],
-    )  # fmt: skip
+        app,
+        [
+            "evaluate",
+            "--model",
+            str(tmp_path / "model"),
+            "--heightmap",
+            str(field / "dem.tif"),
+            "--robot",
+            str(field / "robot.toml"),
+            "--runs",
+            str(field),
+            "--json",
+            str(tmp_path / "again.json"),
+        ],
+    )
     assert done.exit_code == 0, done.output
     again = json.loads((tmp_path / "again.json").read_text())
     assert again["model"] == f"{tmp_path.name}/model"
@@ -69,7 +81,7 @@ def test_a_calibration_cut_off_leaves_no_model_and_can_be_done_again(field, tmp_
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("service.loop.calibrating.compare_routes", cut_off)
+        patch.setattr("joulemap.service.loop.calibrating.compare_routes", cut_off)
         assert calibrate(field, tmp_path).exit_code != 0
     assert not (tmp_path / "model").exists()
     done = calibrate(field, tmp_path)
@@ -96,9 +108,19 @@ def test_runs_of_another_place_are_refused_in_words(field, tmp_path):
         moved.append(",".join(cells))
     other.write_text("\n".join(moved) + "\n")
     done = runner.invoke(
-        app, ["calibrate", "--model", "physics", "--heightmap", str(field / "dem.tif"), "--runs", str(other), "--out",
-              str(tmp_path / "out")],
-    )  # fmt: skip
+        app,
+        [
+            "calibrate",
+            "--model",
+            "physics",
+            "--heightmap",
+            str(field / "dem.tif"),
+            "--runs",
+            str(other),
+            "--out",
+            str(tmp_path / "out"),
+        ],
+    )
     assert done.exit_code == 3
     assert "the runs lie off the heightmap" in done.output
 
@@ -146,9 +168,21 @@ def test_runs_kept_aside_are_judged_by_and_nothing_else(field, tmp_path):
         return
     told = tmp_path / "again.json"
     done = runner.invoke(
-        app, ["evaluate", "--model", str(tmp_path / "model"), "--heightmap", str(field / "dem.tif"), "--robot",
-              str(field / "robot.toml"), "--runs", str(field / "run_02.csv"), "--json", str(told)],
-    )  # fmt: skip
+        app,
+        [
+            "evaluate",
+            "--model",
+            str(tmp_path / "model"),
+            "--heightmap",
+            str(field / "dem.tif"),
+            "--robot",
+            str(field / "robot.toml"),
+            "--runs",
+            str(field / "run_02.csv"),
+            "--json",
+            str(told),
+        ],
+    )
     assert done.exit_code == 0, done.output
     assert json.loads(told.read_text())["mean_relative_error"] == pytest.approx(error["after"]["mean_relative"], 0.15)
 

@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from model.frames import GridFrame, heading_of
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.writers import write_geotiff
-from service.http.app import create_app
-from service.models import load_model
+from joulemap.model.frames import GridFrame, heading_of
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.http.app import create_app
+from joulemap.service.models import load_model
 from tests.reference.drives import wheel_logs
 from tests.service.conftest import settings_for
 from tests.service.test_bad_input import check_problem

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from model.errors import JoulemapError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.writers import write_geotiff
-from planner.edges import price_world_path
-from planner.lattice_io import load_lattice
-from planner.plan import RoutePlanner
-from service.cli import app
-from service.commands.console import parse_point
-from service.commands.words import duration_words, energy_words, saving_words
-from service.problems import exit_code
+from joulemap.model.errors import JoulemapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.edges import price_world_path
+from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.plan import RoutePlanner
+from joulemap.service.cli import app
+from joulemap.service.commands.console import parse_point
+from joulemap.service.commands.words import duration_words, energy_words, saving_words
+from joulemap.service.problems import exit_code
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "model" / "weights"
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -50,16 +50,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_geotiff(folder / "dem.tif", Heightmap(heights.astype(np.float32), frame))
     (folder / "robot.toml").write_text('name = "crawler"\nmass_kg = 50\nidle_power_w = 20\n')
     code, _, errors = joulemap(
-        "costmap", folder / "dem.tif", "--robot", folder / "robot.toml", "--model", "physics",
-        "--out", folder / "dem.zarr", "--geotiff", folder / "dem_energy.tif", "--npz", folder / "dem.npz",
-        "--picture", folder / "dem.png", "--json", folder / "dem.json",
-    )  # fmt: skip
+        "costmap",
+        folder / "dem.tif",
+        "--robot",
+        folder / "robot.toml",
+        "--model",
+        "physics",
+        "--out",
+        folder / "dem.zarr",
+        "--geotiff",
+        folder / "dem_energy.tif",
+        "--npz",
+        folder / "dem.npz",
+        "--picture",
+        folder / "dem.png",
+        "--json",
+        folder / "dem.json",
+    )
     assert code == 0, errors
     return folder
 
 
 def test_help_answers_without_the_heavy_parts() -> None:
-    script = "import sys, service.cli; print(*sorted(set(sys.modules) & set(sys.argv[1:])))"
+    script = "import sys, joulemap.service.cli; print(*sorted(set(sys.modules) & set(sys.argv[1:])))"
     heavy = ["torch", "numba", "numpy", "matplotlib", "fastapi", "ompl", "sqlalchemy", "zarr"]
     done = subprocess.run([sys.executable, "-c", script, *heavy], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
@@ -89,9 +102,19 @@ def test_costmap_writes_what_it_says(folder: Path) -> None:
 
 def test_path_is_the_planner_s(folder: Path) -> None:
     code, words, errors = joulemap(
-        "path", folder / "dem.zarr", "--start", "3.5,14.5", "--goal", "36.5,15.5",
-        "--geojson", folder / "path.geojson", "--picture", folder / "path.png", "--json", folder / "path.json",
-    )  # fmt: skip
+        "path",
+        folder / "dem.zarr",
+        "--start",
+        "3.5,14.5",
+        "--goal",
+        "36.5,15.5",
+        "--geojson",
+        folder / "path.geojson",
+        "--picture",
+        folder / "path.png",
+        "--json",
+        folder / "path.json",
+    )
     assert (code, errors) == (0, "")
     lattice = load_lattice(folder / "dem.zarr")
     plan = RoutePlanner(lattice).plan((3.5, 14.5), (36.5, 15.5))
@@ -108,9 +131,20 @@ def test_path_is_the_planner_s(folder: Path) -> None:
 
 def test_json_to_stdout_leaves_nothing_else_there(folder: Path) -> None:
     code, words, errors = joulemap(
-        "path", folder / "dem.zarr", "--start", "3.5,14.5", "--goal", "36.5,15.5", "--neighbours", "8", "--no-refine",
-        "--planner", "dijkstra", "--json", "-",
-    )  # fmt: skip
+        "path",
+        folder / "dem.zarr",
+        "--start",
+        "3.5,14.5",
+        "--goal",
+        "36.5,15.5",
+        "--neighbours",
+        "8",
+        "--no-refine",
+        "--planner",
+        "dijkstra",
+        "--json",
+        "-",
+    )
     assert code == 0
     assert json.loads(words)["planner"] == "dijkstra"
     assert "energy-optimal" in errors
@@ -119,9 +153,17 @@ def test_json_to_stdout_leaves_nothing_else_there(folder: Path) -> None:
 @pytest.mark.parametrize("kind", ["geojson", "json", "csv"])
 def test_a_path_s_file_is_judged_at_its_own_price(folder: Path, kind: str) -> None:
     joulemap(
-        "path", folder / "dem.zarr", "--start", "3.5,14.5", "--goal", "36.5,15.5",
-        "--geojson", folder / "way.geojson", "--json", folder / "way.json",
-    )  # fmt: skip
+        "path",
+        folder / "dem.zarr",
+        "--start",
+        "3.5,14.5",
+        "--goal",
+        "36.5,15.5",
+        "--geojson",
+        folder / "way.geojson",
+        "--json",
+        folder / "way.json",
+    )
     path = json.loads((folder / "way.json").read_text())
     (folder / "way.csv").write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y, _ in path["path"]))
     code, words, _ = joulemap("feasibility", folder / "dem.zarr", "--path", folder / f"way.{kind}", "--json", "-")

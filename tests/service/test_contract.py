@@ -27,18 +27,22 @@ from schemathesis.specs.openapi.checks import (
     unsupported_method,
 )
 
-from model.robot import Robot
-from planner.plan import SAMPLING_PLANNERS
-from service.http.app import create_app, openapi_document
-from service.schemas.base import RobotIn, RobotOut
+from joulemap.model.robot import Robot
+from joulemap.planner.plan import SAMPLING_PLANNERS
+from joulemap.service.http.app import create_app, openapi_document
+from joulemap.service.schemas.base import RobotIn, RobotOut
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "openapi" / "openapi.json"
 CHECKS = [
-    not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance,
-    response_headers_conformance, unsupported_method,
-]  # fmt: skip
+    not_a_server_error,
+    status_code_conformance,
+    content_type_conformance,
+    response_schema_conformance,
+    response_headers_conformance,
+    unsupported_method,
+]
 
 
 def test_document_is_up_to_date() -> None:
@@ -110,9 +114,13 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
 
 def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen: set[int]) -> None:
     @settings(
-        max_examples=10, deadline=None, database=None, derandomize=True, phases=[Phase.explicit, Phase.generate],
+        max_examples=10,
+        deadline=None,
+        database=None,
+        derandomize=True,
+        phases=[Phase.explicit, Phase.generate],
         suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
+    )
     @given(case=operation.as_strategy(generation_mode=mode))
     def ask(case: Any) -> None:
         parameters = case.path_parameters or {}

@@ -15,17 +15,17 @@ import httpx
 import numpy as np
 import pytest
 
-from model.energy.physics import PhysicsPredictor
-from model.errors import HeightmapError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START
-from planner.edges import price_world_path
-from planner.lattice_build import build_lattice
-from planner.lattice_io import load_lattice
-from planner.plan import RoutePlanner
-from service.commands.demo import free_corners
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START
+from joulemap.planner.edges import price_world_path
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.lattice_io import load_lattice
+from joulemap.planner.plan import RoutePlanner
+from joulemap.service.commands.demo import free_corners
 
 JOULEMAP = str(Path(sys.executable).with_name("joulemap"))
 
@@ -64,9 +64,11 @@ def test_the_service_goes_on_until_it_is_stopped(tmp_path: Path) -> None:
         command = [JOULEMAP, "demo", "--model", "physics", "--port", str(port), "--out", str(tmp_path / "demo")]
         process = subprocess.Popen(
             [*command, "--heightmap", str(tmp_path / "dem.npz")],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
             env=os.environ | {"PYTHONUNBUFFERED": "1", "JOULEMAP_WARM_MODELS": '["physics"]'},
-        )  # fmt: skip
+        )
         assert process.stdout is not None
         said = ""
         while "Ctrl-C" not in said:

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from model.energy.artifact import read_artifact
-from model.energy.compact import CompactNet
-from model.energy.distillation import TAUGHT, ask_teacher, difference
-from model.energy.physics import PhysicsPredictor, eq5_traction_per_m
-from model.errors import InputError, ModelError
-from model.terrain.writers import write_geotiff
-from service.cli import app
-from service.learning.distilling import distil_on_runs
-from service.learning.training import train_on_runs
+from joulemap.model.energy.artifact import read_artifact
+from joulemap.model.energy.compact import CompactNet
+from joulemap.model.energy.physics import PhysicsPredictor, eq5_traction_per_m
+from joulemap.model.errors import InputError, ModelError
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.model.training.distillation import TAUGHT, ask_teacher, difference, distil_on_runs
+from joulemap.model.training.measured_runs import train_on_runs
+from joulemap.service.cli import app
 from tests.service.test_learning import ROBOT, SHIPPED, drive, waves
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from service.settings import Settings
+from joulemap.service.settings import Settings
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCKERFILE = REPOSITORY / "docker" / "Dockerfile"

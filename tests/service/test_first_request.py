@@ -13,14 +13,14 @@ from contextlib import suppress
 from pathlib import Path
 from fastapi.testclient import TestClient
 from numba.core.dispatcher import Dispatcher
-from model.errors import BusyError
-from service.http.app import create_app
+from joulemap.model.errors import BusyError
+from joulemap.service.http.app import create_app
 from tests.service.conftest import GOAL, START, hill, settings_for
-from model.terrain.writers import write_geotiff
+from joulemap.model.terrain.writers import write_geotiff
 
 def compiled():
     own = [d for d in gc.get_objects() if isinstance(d, Dispatcher)]
-    own = [d for d in own if d.py_func.__module__.startswith(("model", "planner"))]
+    own = [d for d in own if d.py_func.__module__.startswith(("joulemap.model", "joulemap.planner"))]
     return {f"{d.py_func.__module__}.{d.py_func.__name__}": sorted(map(str, d.signatures)) for d in own}
 
 folder = tempfile.mkdtemp()
@@ -56,8 +56,12 @@ def test_requests_after_the_warm_up_compile_nothing() -> None:
     """In a process of its own, where nothing but the warm-up came before."""
     root = Path(__file__).resolve().parents[2]
     done = subprocess.run(
-        [sys.executable, "-c", PROBE], cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, capture_output=True,
-        text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", PROBE],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip().splitlines()[-1] == "{}", f"compiled after the warm-up: {done.stdout}"

@@ -13,13 +13,13 @@ import rasterio
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from planner.lattice_io import load_lattice
+from joulemap.planner.lattice_io import load_lattice
 
 # (`ru_maxrss` of a process begins at that of the process that started it.)
 MEASURED = """
 import re, sys, time
 from pathlib import Path
-from service.cli import app
+from joulemap.service.cli import app
 began = time.perf_counter()
 try:
     app(sys.argv[1:], standalone_mode=False)
@@ -32,10 +32,19 @@ finally:
 def write_terrain(path: Path, cells: int, resolution_m: float) -> None:
     """Hills with a lake of unknown heights, written band by band of rows."""
     profile = {
-        "driver": "GTiff", "width": cells, "height": cells, "count": 1, "dtype": "float32", "crs": "EPSG:32632",
-        "transform": Affine(resolution_m, 0.0, 500_000.0, 0.0, -resolution_m, 5_400_000.0), "nodata": float("nan"),
-        "tiled": True, "blockxsize": 256, "blockysize": 256, "bigtiff": "if_safer",
-    }  # fmt: skip
+        "driver": "GTiff",
+        "width": cells,
+        "height": cells,
+        "count": 1,
+        "dtype": "float32",
+        "crs": "EPSG:32632",
+        "transform": Affine(resolution_m, 0.0, 500_000.0, 0.0, -resolution_m, 5_400_000.0),
+        "nodata": float("nan"),
+        "tiled": True,
+        "blockxsize": 256,
+        "blockysize": 256,
+        "bigtiff": "if_safer",
+    }
     x = np.arange(cells) * resolution_m
     with rasterio.open(path, "w", **profile) as dataset:
         for row in range(0, cells, 256):

@@ -7,23 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.energy.artifact import read_artifact
-from model.energy.domain import Domain
-from model.energy.physics import tan_grade
-from model.energy.predictor import load_predictor
-from model.errors import InputError, ModelError, RunsError
-from model.frames import GridFrame
-from model.loop.calibrated import CalibratedPredictor, Correction
-from model.loop.prediction import predict_segments
-from model.loop.record import RECORD_FILE
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from service.learning.evaluation import evaluate_on_runs
-from service.learning.runs import read_segments
-from service.learning.training import train_on_runs
-from service.loop.runs import read_calibration_runs
-from service.models import find_predictor
-from service.workflows import make_cost_lattice
+from joulemap.model.energy.artifact import read_artifact
+from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.physics import tan_grade
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.errors import InputError, ModelError, RunsError
+from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
+from joulemap.model.loop.prediction import predict_segments
+from joulemap.model.loop.record import RECORD_FILE
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import read_calibration_runs, read_segments
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.training.evaluation import evaluate_on_runs
+from joulemap.model.training.measured_runs import train_on_runs
+from joulemap.service.models import find_predictor
+from joulemap.service.workflows import make_cost_lattice
 
 ROBOT = Robot(rolling_resistance=0.1)
 SHIPPED = Path(__file__).resolve().parents[2] / "model" / "weights"
@@ -57,7 +56,7 @@ def train(files, out, **options):
 
 def test_a_single_run_is_held_out_stretch_by_stretch(tmp_path, monkeypatch):
     kept = []
-    monkeypatch.setattr("service.learning.training.keep_base_runs", lambda *given: kept.append(given[3]))
+    monkeypatch.setattr("joulemap.model.training.measured_runs.keep_base_runs", lambda *given: kept.append(given[3]))
     run = drive(tmp_path, "run.csv", y=4.0)
     model = train([run], tmp_path / "model")
     assert model.held_out_runs == ["run.csv"]

@@ -12,8 +12,8 @@ import rasterio
 from fastapi.testclient import TestClient
 from rasterio.io import MemoryFile
 
-from planner.edges import price_world_path
-from planner.lattice_io import load_lattice
+from joulemap.planner.edges import price_world_path
+from joulemap.planner.lattice_io import load_lattice
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
 
 

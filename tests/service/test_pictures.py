@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from matplotlib import image as mpimage
 
-from model.energy.physics import PhysicsPredictor
-from model.errors import InputError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from planner.lattice import CostLattice
-from planner.lattice_build import build_lattice
-from planner.plan import RoutePlanner
-from service import pictures
-from service.pictures import INK, OPTIMAL, SHORTEST, lattice_image, route_picture
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.plan import RoutePlanner
+from joulemap.service import pictures
+from joulemap.service.pictures import INK, OPTIMAL, SHORTEST, lattice_image, route_picture
 
 
 def rough(rows: int = 30, cols: int = 40) -> Heightmap:

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import RunsError
-from model.frames import GridFrame
-from model.loop.runs import parse_run
-from model.loop.segments import Segments, concatenate, cut_segments
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from service.loop.plausible import check_runs
+from joulemap.model.errors import RunsError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.runs.plausibility import check_runs
+from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.segments import Segments, concatenate, cut_segments
+from joulemap.model.terrain.heightmap import Heightmap
 from tests.service.test_cli import joulemap
 
 MAP = Heightmap(np.zeros((80, 60), dtype=np.float32), GridFrame(100.0, 980.0, 1.0, 80, 60, "EPSG:32615"))

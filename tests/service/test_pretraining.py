@@ -7,18 +7,24 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from model.energy.compact import FEATURES
-from model.energy.evaluation import errors
-from model.energy.physics import PhysicsPredictor
-from model.energy.predictor import load_predictor
-from model.energy.tensors import predicted
-from model.energy.training import TrainingOptions
-from model.frames import GridFrame, heading_bins
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from service.learning.pretraining import MU_RANGE, ROBOTS_PER_SITE, baselines, make_pretraining_set, train_default
+from joulemap.model.energy.compact import FEATURES
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.tensors import predicted
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.training.evaluation import errors
+from joulemap.model.training.optimisation import TrainingOptions
+from joulemap.model.training.pretraining import (
+    MU_RANGE,
+    ROBOTS_PER_SITE,
+    baselines,
+    make_pretraining_set,
+    train_default,
+)
 
-WEIGHTS = resources.files("model") / "weights"
+WEIGHTS = resources.files("joulemap.model") / "weights"
 SMALL = Robot(mass_kg=20.0, width_m=0.4, length_m=0.45, wheel_radius_m=0.1, speed_mps=0.8, rolling_resistance=0.06)
 LARGE = Robot(mass_kg=70.0, width_m=0.65, length_m=0.9, wheel_radius_m=0.15, rolling_resistance=0.14)
 

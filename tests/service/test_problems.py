@@ -9,9 +9,9 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
-from model import errors
-from service import problems
-from service.http.limits import RequestLimits
+from joulemap.model import errors
+from joulemap.service import problems
+from joulemap.service.http.limits import RequestLimits
 
 
 def tree(cls: type[errors.JoulemapError]) -> list[type[errors.JoulemapError]]:
@@ -19,7 +19,7 @@ def tree(cls: type[errors.JoulemapError]) -> list[type[errors.JoulemapError]]:
 
 
 def test_every_error_has_a_status_and_an_exit_code() -> None:
-    classes = [cls for cls in tree(errors.JoulemapError) if cls.__module__ == "model.errors"]
+    classes = [cls for cls in tree(errors.JoulemapError) if cls.__module__ == "joulemap.model.errors"]
     assert len(classes) >= 14
     for cls in classes:
         row = problems.row_of(cls)
@@ -32,9 +32,13 @@ def test_every_error_has_a_status_and_an_exit_code() -> None:
 
 def test_statuses_are_those_of_the_architecture() -> None:
     expected = {
-        errors.HeightmapError: 422, errors.BlockedError: 422, errors.NotFoundError: 404, errors.ConflictError: 409,
-        errors.TooLargeError: 413, errors.BusyError: 503,
-    }  # fmt: skip
+        errors.HeightmapError: 422,
+        errors.BlockedError: 422,
+        errors.NotFoundError: 404,
+        errors.ConflictError: 409,
+        errors.TooLargeError: 413,
+        errors.BusyError: 503,
+    }
     assert {cls: problems.problem_of(cls("x"))["status"] for cls in expected} == expected
     assert problems.problem_of(ValueError("secret"))["status"] == 500
     assert "secret" not in json.dumps(problems.problem_of(ValueError("secret")))
@@ -43,9 +47,16 @@ def test_statuses_are_those_of_the_architecture() -> None:
 
 def test_any_context_becomes_json() -> None:
     context = {
-        "nan": float("nan"), "array": np.arange(3.0), "scalar": np.float32(1.5), "bytes": b"\xff", "object": object(),
-        "long": "x" * 10_000, "many": list(range(1000)), "surrogate": "\ud800", "nested": {"inf": [float("inf")]},
-    }  # fmt: skip
+        "nan": float("nan"),
+        "array": np.arange(3.0),
+        "scalar": np.float32(1.5),
+        "bytes": b"\xff",
+        "object": object(),
+        "long": "x" * 10_000,
+        "many": list(range(1000)),
+        "surrogate": "\ud800",
+        "nested": {"inf": [float("inf")]},
+    }
     body = problems.problem_of(errors.InputError("words", **context))
     text = json.dumps(body, allow_nan=False)
     assert len(text) < 3000

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from model.robot import Robot
-from service.cli import app
-from service.reproduction.experiments import Setting
-from service.reproduction.fieldwork import read_measured
-from service.reproduction.profiles import FIRST_SEED, PROFILES
+from joulemap.model.reproduction.experiments import Setting
+from joulemap.model.reproduction.fieldwork import read_measured
+from joulemap.model.reproduction.profiles import FIRST_SEED, PROFILES
+from joulemap.model.robot import Robot
+from joulemap.service.cli import app
 
 QUICK = ["--profile", "quick", "--seeds", "1", "--workers", "1"]
 
@@ -79,11 +79,21 @@ def test_baselines_on_any_runs(reproduced: Path) -> None:
     answer = CliRunner().invoke(
         app,
         [
-            "baselines", "--heightmap", str(field / "grass_a.tif"), "--robot", str(field / "robot.toml"),
-            "--runs", str(field / "a_lawnmower_*.csv"), "--test", str(field / "a_lawnmower_06.csv"),
-            "--model", "physics", "--json", "-",
+            "baselines",
+            "--heightmap",
+            str(field / "grass_a.tif"),
+            "--robot",
+            str(field / "robot.toml"),
+            "--runs",
+            str(field / "a_lawnmower_*.csv"),
+            "--test",
+            str(field / "a_lawnmower_06.csv"),
+            "--model",
+            "physics",
+            "--json",
+            "-",
         ],
-    )  # fmt: skip
+    )
     assert answer.exit_code == 0, answer.output
     document = json.loads(answer.stdout)
     assert (len(document["learned"]), len(document["tested"])) == (5, 1)

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.energy.physics import PhysicsPredictor
-from model.energy.uncertainty import Spread
-from model.errors import BlockedError, NoRouteError
-from model.frames import GridFrame
-from model.loop.calibrated import CalibratedPredictor, Correction
-from model.loop.calibration import calibrate
-from model.loop.effects import Term
-from model.loop.residual import residuals_of
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from service.loop.calibrating import correction_of
-from service.loop.rerouting import compare_routes, drawn_tasks
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import BlockedError, NoRouteError
+from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
+from joulemap.model.loop.calibration import calibrate
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.residual import residuals_of
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.loop.calibrating import correction_of
+from joulemap.service.loop.rerouting import compare_routes, drawn_tasks
 from tests.reference.drives import made_up, noisy
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, rolling_resistance=0.05)

@@ -16,13 +16,13 @@ import pytest
 from fastapi.testclient import TestClient
 from sqlalchemy import delete
 
-from model.errors import BusyError, ConflictError
-from service.http.app import create_app
-from service.jobs.costmaps import Builder
-from service.jobs.steps import LEASE_S, Step, Steps
-from service.jobs.worker import SERVICE, Jobs, Worker
-from service.storage.store import Store
-from service.storage.tables import COSTMAP, LAY_OUT, StepRow
+from joulemap.model.errors import BusyError, ConflictError
+from joulemap.service.http.app import create_app
+from joulemap.service.jobs.costmaps import Builder
+from joulemap.service.jobs.steps import LEASE_S, Step, Steps
+from joulemap.service.jobs.worker import SERVICE, Jobs, Worker
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import COSTMAP, LAY_OUT, StepRow
 from tests.service.conftest import GOAL, START, hill, settings_for
 
 
@@ -54,10 +54,10 @@ SERVE = """
 import sys, time
 import uvicorn
 from pathlib import Path
-from service.http.app import create_app
-from service.settings import Settings
+from joulemap.service.http.app import create_app
+from joulemap.service.settings import Settings
 if sys.argv[2] == "slow":  # every tile takes a while, so that the kill comes in the middle
-    import service.jobs.costmaps as building
+    import joulemap.service.jobs.costmaps as building
     build = building.build_tile
     def slow(*args):
         time.sleep(60)
@@ -238,7 +238,7 @@ def test_a_step_is_taken_once_and_goes_on_when_its_worker_is_dead(
     assert store.costmap(costmap_id).progress == pytest.approx(1 / 3)
     assert one.take() is None
     now = time.time()
-    monkeypatch.setattr("service.jobs.steps.time.time", lambda: now + LEASE_S + 1.0)
+    monkeypatch.setattr("joulemap.service.jobs.steps.time.time", lambda: now + LEASE_S + 1.0)
     assert one.take() == taken[1]  # nothing was heard of the other
     assert not other.renew(taken[1])
     assert one.complete(taken[1], 12)

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from model.energy.dense import CompactPredictor
-from model.energy.predictor import load_predictor
-from model.loop.calibrated import Correction, save_calibrated
-from model.loop.effects import Term
-from model.robot import Robot
-from service.jobs.makers import make_makers
-from service.jobs.worker import Worker
-from service.settings import Settings
-from service.storage.store import Store
+from joulemap.model.energy.dense import CompactPredictor
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.loop.calibrated import Correction, save_calibrated
+from joulemap.model.loop.effects import Term
+from joulemap.model.robot import Robot
+from joulemap.service.jobs.makers import make_makers
+from joulemap.service.jobs.worker import Worker
+from joulemap.service.settings import Settings
+from joulemap.service.storage.store import Store
 from tests.service.workers import fingerprint, rolling, until
 
 WIND = Term("wind", "wind_constant", ("J/m", "J/m"), coefficients=(7.0, 3.0))
@@ -34,7 +34,7 @@ def service(tmp_path: Path, monkeypatch):
         return answer(self, heightmap, robot, frame, headings)
 
     monkeypatch.setattr(CompactPredictor, "traction_and_std", counted)
-    monkeypatch.setattr("planner.tiles.TILE_CELLS", 64)
+    monkeypatch.setattr("joulemap.planner.tiles.TILE_CELLS", 64)
     store = Store(tmp_path, settings.resolved_database_url)
     store.open()
     heightmap_id = store.add_heightmap(rolling(80), name="rolling", stats={}).id

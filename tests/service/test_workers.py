@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from service.jobs.steps import Steps
-from service.jobs.worker import SERVICE
-from service.storage.store import Store
-from service.storage.tables import StepRow
+from joulemap.service.jobs.steps import Steps
+from joulemap.service.jobs.worker import SERVICE
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import StepRow
 from tests.service.test_restart import free_port
 from tests.service.workers import asked, fingerprint, postgres, postgres_programs, rolling, until, worker
 

@@ -17,22 +17,22 @@ from pathlib import Path
 import numpy as np
 import zarr
 
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from service.storage.store import Store
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.storage.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
 
 WORK = """
 import sys, time
-import planner.tiles
-planner.tiles.TILE_CELLS = 32  # many tiles on a small map
-import service.jobs.costmaps as building
-from service.jobs.worker import Worker
-from service.storage.store import Store
-from service.jobs.makers import make_makers
-from service.settings import Settings
+from joulemap.planner import tiles
+tiles.TILE_CELLS = 32  # many tiles on a small map
+import joulemap.service.jobs.costmaps as building
+from joulemap.service.jobs.worker import Worker
+from joulemap.service.storage.store import Store
+from joulemap.service.jobs.makers import make_makers
+from joulemap.service.settings import Settings
 build, pause = building.build_tile, float(sys.argv[3])
 def slowly(*args):
     time.sleep(pause)

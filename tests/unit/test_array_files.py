@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from rasterio.io import MemoryFile
 
-from model.errors import HeightmapError
-from model.frames import GridFrame
-from model.terrain.readers import read_heightmap
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.readers import read_heightmap
 from tests.reference.heightmap_files import ASC, HEIGHTS, npy, npy_header, npz
 
 

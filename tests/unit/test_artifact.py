@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from model.energy.artifact import CONFIG_FILE, WEIGHTS_FILE, Artifact, load_artifact, save_artifact
-from model.energy.compact import CompactNet
-from model.energy.domain import Domain, steep_share
-from model.energy.predictor import load_predictor
-from model.energy.resnet import ResNetEnergy
-from model.errors import ModelError
-from model.frames import GridFrame, heading_bins
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.artifact import CONFIG_FILE, WEIGHTS_FILE, Artifact, load_artifact, save_artifact
+from joulemap.model.energy.compact import CompactNet
+from joulemap.model.energy.domain import Domain, steep_share
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.resnet import ResNetEnergy
+from joulemap.model.errors import ModelError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOTS = {"mass_kg": (15.0, 120.0), "speed_mps": (0.3, 1.2), "hotel_over_weight": (0.01, 0.3)}
 DOMAIN = Domain(ROBOTS, (0.05, 1.0), 30.0)

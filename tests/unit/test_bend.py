@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from model.loop.bend import Bend, bend_of, spread_of
-from model.loop.effects import Term
-from model.loop.residual import residuals_of
+from joulemap.model.loop.bend import Bend, bend_of, spread_of
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.residual import residuals_of
 from tests.reference.drives import ROBOT, found_in, made_up, noisy
 
 WEIGHT = ROBOT.weight_n

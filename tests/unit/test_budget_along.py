@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.robot import Battery
-from planner.budget import judge, judge_along
+from joulemap.model.robot import Battery
+from joulemap.planner.budget import judge, judge_along
 
 PIECES = st.lists(st.floats(-5000.0, 5000.0), min_size=1, max_size=30)
 

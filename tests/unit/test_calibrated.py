@@ -7,15 +7,15 @@ import re
 import numpy as np
 import pytest
 
-from model.energy.physics import PhysicsPredictor
-from model.energy.uncertainty import USUAL_SPREAD, Spread
-from model.frames import GridFrame, heading_bins
-from model.loop.calibrated import CalibratedPredictor, Correction
-from model.loop.effects import Term
-from model.loop.formulas import FORMULAS, GROUND, quantity
-from model.loop.report import where_words
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.formulas import FORMULAS, GROUND, quantity
+from joulemap.model.loop.report import where_words
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, speed_mps=0.5, rolling_resistance=0.1)
 WEIGHT = ROBOT.weight_n
@@ -39,12 +39,14 @@ EFFECTS = {  # what each adds to a metre up the hill of grade 0.05, along its he
     "turning": (Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {}, (50.0,)), 0.0),
     "east wind": (Term("wind", "wind_constant", ("J/m", "J/m"), coefficients=(7.0, 3.0)), 7.0),
     "only uphill": (
-        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "above": 0.02}, (0.03,)), 0.03 * WEIGHT,
+        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "above": 0.02}, (0.03,)),
+        0.03 * WEIGHT,
     ),
     "only downhill": (
-        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "below": -0.02}, (0.03,)), 0.0,
+        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "below": -0.02}, (0.03,)),
+        0.0,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", EFFECTS)

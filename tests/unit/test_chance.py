@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import linregress, norm
 
-from model.loop.chance import SHIFTS, between_runs
+from joulemap.model.loop.chance import SHIFTS, between_runs
 
 _ERROR = 3.0 * np.sqrt(0.25 / SHIFTS)  # of a share of so many draws, at most
 
@@ -54,7 +54,11 @@ def test_chance_is_told_from_an_effect_as_often_as_stated():
 
 def test_what_needs_more_runs_than_there_are_is_left_out():
     rng = np.random.default_rng(7)
-    tried = {1: rng.standard_normal((6, 1)), 2: rng.standard_normal((6, 2)), 3: rng.standard_normal((6, 3)),
-             4: np.ones((6, 1))}  # fmt: skip
+    tried = {
+        1: rng.standard_normal((6, 1)),
+        2: rng.standard_normal((6, 2)),
+        3: rng.standard_normal((6, 3)),
+        4: np.ones((6, 1)),
+    }
     assert set(between_runs(rng.standard_normal(6), tried, usual=0.02, freedom=5)) == {1, 2}
     assert set(between_runs(rng.standard_normal(6), tried, usual=0.02, freedom=5, taken=1)) == {1}

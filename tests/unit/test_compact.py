@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from model.energy.compact import CompactNet, robot_features, slopes_of_squares
-from model.energy.dense import CompactPredictor
-from model.energy.domain import Domain
-from model.energy.physics import PhysicsPredictor
-from model.energy.raster import Buffers, read_cells
-from model.energy.tracks import PIXEL_M, REACH_M, SQUARE, TRACK_SCALES, TRACKS, track_features
-from model.energy.uncertainty import Spread
-from model.frames import GridFrame, heading_bins
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.patches import cut_squares
+from joulemap.model.energy.compact import CompactNet, robot_features, slopes_of_squares
+from joulemap.model.energy.dense import CompactPredictor
+from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.raster import Buffers, read_cells
+from joulemap.model.energy.tracks import PIXEL_M, REACH_M, SQUARE, TRACK_SCALES, TRACKS, track_features
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.patches import cut_squares
 
 ROBOT = Robot()
 DOMAIN = Domain({"mass_kg": (15.0, 120.0)}, (0.05, 1.0), 30.0)
@@ -155,7 +155,7 @@ def test_the_answer_does_not_depend_on_how_the_passes_are_cut(monkeypatch):
     heightmap = rough(0.2)
     frame = heightmap.frame.respaced(1.0)
     whole = predictor().traction_and_std(heightmap, ROBOT, frame, heading_bins(16))
-    monkeypatch.setattr("model.energy.dense._JOINED_TILE", (5, 9))
+    monkeypatch.setattr("joulemap.model.energy.dense._JOINED_TILE", (5, 9))
     for cut, uncut in zip(predictor().traction_and_std(heightmap, ROBOT, frame, heading_bins(16)), whole, strict=True):
         np.testing.assert_allclose(cut, uncut, rtol=2e-5, atol=1e-4)
 

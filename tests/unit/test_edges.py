@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from model.errors import PointError
-from model.frames import heading_bins
-from model.robot import Robot
-from planner.edges import (
+from joulemap.model.errors import PointError
+from joulemap.model.frames import heading_bins
+from joulemap.model.robot import Robot
+from joulemap.planner.edges import (
     energy_per_m_at,
     interpolation_matrix,
     leg_prices,

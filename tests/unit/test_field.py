@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.errors import InputError, NotFoundError, PointError
-from model.field.drives import Drive, drive_along
-from model.field.electrics import Pack, open_circuit_v, terminals
-from model.field.robot_dynamics import move
-from model.field.robots import FieldRobot, Ground
-from model.field.simulation import simulate_segments, simulate_trace, true_segments
-from model.field.sites import Site, named_site, random_site
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import InputError, NotFoundError, PointError
+from joulemap.model.field.drives import Drive, drive_along
+from joulemap.model.field.electrics import Pack, open_circuit_v, terminals
+from joulemap.model.field.robot_dynamics import move
+from joulemap.model.field.robots import FieldRobot, Ground
+from joulemap.model.field.simulation import simulate_segments, simulate_trace, true_segments
+from joulemap.model.field.sites import Site, named_site, random_site
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 G = 9.80665
 BARE = Ground(
@@ -99,9 +99,15 @@ def test_wheel_loads_on_a_cross_slope_balance_moments():
     site = site_of(lambda x, y: -math.tan(angle) * x)  # falls to the east; driving north the right side is low
     drive = straight((6, 3), (6, 8))
     motion = move(
-        site.terrain, site.mu_factor, BARE, IDEAL,
-        x=drive.x, y=drive.y, heading_rad=drive.heading_rad, speed_mps=drive.speed_mps,
-    )  # fmt: skip
+        site.terrain,
+        site.mu_factor,
+        BARE,
+        IDEAL,
+        x=drive.x,
+        y=drive.y,
+        heading_rad=drive.heading_rad,
+        speed_mps=drive.speed_mps,
+    )
     loads = motion.loads_n[20]
     assert loads.sum() == pytest.approx(WEIGHT * math.cos(angle), rel=1e-4)
     right_minus_left = loads[1] + loads[3] - loads[0] - loads[2]

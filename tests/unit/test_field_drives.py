@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from model.errors import PointError
-from model.field.drives import STEP_M, drive_along, lawnmower, random_waypoints
-from model.field.logger import COLUMNS, Logger, log_trace, simulate_run
-from model.field.robots import FieldRobot
-from model.field.simulation import simulate_trace
-from model.field.sites import named_site
-from model.robot import Robot
+from joulemap.model.errors import PointError
+from joulemap.model.field.drives import STEP_M, drive_along, lawnmower, random_waypoints
+from joulemap.model.field.logger import COLUMNS, Logger, log_trace, simulate_run
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.simulation import simulate_trace
+from joulemap.model.field.sites import named_site
+from joulemap.model.robot import Robot
 
 BOUNDS = (0.0, 0.0, 20.0, 10.0)
 

@@ -8,13 +8,13 @@ import hashlib
 import numpy as np
 import pytest
 
-from model.field.drives import drive_along, random_waypoints
-from model.field.logger import simulate_run
-from model.field.robots import FieldRobot
-from model.field.simulation import simulate_segments, simulate_trace
-from model.field.sites import named_site
-from model.robot import Robot
-from service.learning.pretraining import make_pretraining_set
+from joulemap.model.field.drives import drive_along, random_waypoints
+from joulemap.model.field.logger import simulate_run
+from joulemap.model.field.robots import FieldRobot
+from joulemap.model.field.simulation import simulate_segments, simulate_trace
+from joulemap.model.field.sites import named_site
+from joulemap.model.robot import Robot
+from joulemap.model.training.pretraining import make_pretraining_set
 
 
 def digest(*arrays) -> str:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.loop.effects import Term, turning_per_rad
-from model.loop.report import coefficient_names, coefficient_units, where_words
-from model.loop.track import TURN_LIMITS_RADPS
+from joulemap.model.loop.effects import Term, turning_per_rad
+from joulemap.model.loop.report import coefficient_names, coefficient_units, where_words
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from tests.reference.drives import found_in, made_up, noisy
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.errors import HeightmapError, PointError
-from model.frames import GridFrame, heading_bins, heading_of, heading_of_step, heading_vector, wrap_angle
+from joulemap.model.errors import HeightmapError, PointError
+from joulemap.model.frames import GridFrame, heading_bins, heading_of, heading_of_step, heading_vector, wrap_angle
 
 finite = st.floats(-1e6, 1e6)
 headings = st.floats(-20.0, 20.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.energy.friction_map import FrictionMap
-from model.errors import InputError
+from joulemap.model.energy.friction_map import FrictionMap
+from joulemap.model.errors import InputError
 
 WEIGHT_N = 350.0
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.errors import HeightmapError
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
 
 
 def plane(rows: int = 5, cols: int = 6, resolution_m: float = 2.0) -> Heightmap:

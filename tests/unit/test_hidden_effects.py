@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.errors import InputError, NotFoundError
-from model.field.blind_case import make_blind_case
-from model.field.conditions import Conditions, Day, Halts, Wind
-from model.field.drives import drive_along, winding
-from model.field.effects import Effect, Within
-from model.field.hidden_draws import EFFECT_NAMES, day_for, draw_effect
-from model.field.hidden_forces import (
+from joulemap.model.errors import InputError, NotFoundError
+from joulemap.model.field.blind_case import make_blind_case
+from joulemap.model.field.conditions import Conditions, Day, Halts, Wind
+from joulemap.model.field.drives import drive_along, winding
+from joulemap.model.field.effects import Effect, Within
+from joulemap.model.field.hidden_draws import EFFECT_NAMES, day_for, draw_effect
+from joulemap.model.field.hidden_forces import (
     Acceleration,
     AirDrag,
     ColdGrease,
@@ -25,16 +25,16 @@ from model.field.hidden_forces import (
     Turning,
     WetPatch,
 )
-from model.field.hidden_losses import Braking, Connector, HotelLoad, HotMotors, SensorGain
-from model.field.logger import Logger, log_trace, simulate_run
-from model.field.robots import FieldRobot, Ground
-from model.field.simulation import simulate_trace, with_stands
-from model.field.sites import Site
-from model.frames import GridFrame
-from model.loop.runs import read_run
-from model.loop.segments import cut_segments
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.field.hidden_losses import Braking, Connector, HotelLoad, HotMotors, SensorGain
+from joulemap.model.field.logger import Logger, log_trace, simulate_run
+from joulemap.model.field.robots import FieldRobot, Ground
+from joulemap.model.field.simulation import simulate_trace, with_stands
+from joulemap.model.field.sites import Site
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.runs.reader import read_run
+from joulemap.model.runs.segments import cut_segments
+from joulemap.model.terrain.heightmap import Heightmap
 from tests.loop.cases import extra_energy
 
 G = 9.80665
@@ -202,9 +202,14 @@ def test_hot_motors_weaken_as_they_warm():
 def test_a_wrong_meter_changes_the_log_and_nothing_else():
     def logged(*effects):
         return simulate_run(
-            site_of(), IDEAL, NORTH, rng=np.random.default_rng(0), logger=Logger.perfect(), effects=effects,
+            site_of(),
+            IDEAL,
+            NORTH,
+            rng=np.random.default_rng(0),
+            logger=Logger.perfect(),
+            effects=effects,
             conditions=Conditions(),
-        ).columns  # fmt: skip
+        ).columns
 
     np.testing.assert_allclose(logged(SensorGain(1.2))["current"], 1.2 * logged()["current"], rtol=1e-12)
     np.testing.assert_array_equal(logged(SensorGain(1.2))["voltage"], logged()["voltage"])

@@ -8,14 +8,14 @@ import pytest
 import rasterio
 import zarr
 
-from model.energy.physics import PhysicsPredictor
-from model.errors import HeightmapError, InputError, TooLargeError
-from model.frames import GridFrame, heading_bins
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from planner.lattice import Blocked, CostLattice
-from planner.lattice_build import build_lattice
-from planner.lattice_io import export_geotiff, export_npz, load_lattice, save_lattice
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.errors import HeightmapError, InputError, TooLargeError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.lattice_io import export_geotiff, export_npz, load_lattice, save_lattice
 
 ROBOT = Robot(max_grade_deg=20.0, max_cross_slope_deg=15.0)
 

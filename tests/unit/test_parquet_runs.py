@@ -8,9 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from model.errors import RunsError
-from model.loop.runs import parse_run, read_run
-from service.commands.options import find_runs
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.reader import parse_run, read_run
+from joulemap.service.commands.options import find_runs
 
 
 def columns(n=60):

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from model.errors import InputError
-from model.frames import GridFrame, heading_vector
-from model.terrain.heightmap import Heightmap
-from model.terrain.patches import cut_patches, cut_squares
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame, heading_vector
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.patches import cut_patches, cut_squares
 
 FRAME = GridFrame(west_m=500_000.0, north_m=4_000_008.0, resolution_m=0.1, rows=80, cols=80)  # 8 x 8 m, as in UTM
 MIDDLE = (500_004.0, 4_000_004.0)

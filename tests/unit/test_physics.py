@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.energy.physics import (
+from joulemap.model.energy.physics import (
     PhysicsPredictor,
     eq5_energy_j,
     eq5_traction_per_m,
@@ -15,10 +15,10 @@ from model.energy.physics import (
     local_rolling_resistance,
     tan_grade,
 )
-from model.errors import InputError
-from model.frames import GridFrame, heading_bins
-from model.robot import GRAVITY_MPS2, Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import GRAVITY_MPS2, Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT = Robot(mass_kg=40.0, rolling_resistance=0.1)
 

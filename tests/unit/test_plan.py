@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.errors import BlockedError, InputError, NegativeCycleError, NoRouteError, PointError
-from model.robot import Battery, Robot
-from planner.budget import judge
-from planner.edges import price_world_path
-from planner.plan import PLANNERS, RoutePlanner
-from planner.route import geojson, price_route
-from planner.sampling import price_floor_per_m
+from joulemap.model.errors import BlockedError, InputError, NegativeCycleError, NoRouteError, PointError
+from joulemap.model.robot import Battery, Robot
+from joulemap.planner.budget import judge
+from joulemap.planner.edges import price_world_path
+from joulemap.planner.plan import PLANNERS, RoutePlanner
+from joulemap.planner.route import geojson, price_route
+from joulemap.planner.sampling import price_floor_per_m
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice, uniform_lattice
 
 ROOM = """

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from model.errors import NegativeCycleError
-from model.robot import Robot
-from planner.lattice import CostLattice
-from planner.moves import move_table
-from planner.potential import even_surface, spare_per_m
+from joulemap.model.errors import NegativeCycleError
+from joulemap.model.robot import Robot
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import move_table
+from joulemap.planner.potential import even_surface, spare_per_m
 from tests.reference.lattices import plane_lattice
 
 GENTLE = Robot(rolling_resistance=0.1, idle_power_w=0.0)

@@ -10,11 +10,11 @@ from rasterio.enums import ColorInterp
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
-from model.errors import HeightmapError
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
-from model.terrain.readers import read_heightmap
-from model.terrain.writers import write_bands_geotiff, write_geotiff
+from joulemap.model.errors import HeightmapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.writers import write_bands_geotiff, write_geotiff
 from tests.reference.heightmap_files import HEIGHTS, ROUGH, UTM, geotiff, png
 
 
@@ -103,7 +103,7 @@ def test_south_up_geotiff_is_turned() -> None:
         ({"crs": "EPSG:2229"}, r"foot.*0\.3048"),
         ({"unit": "ft"}, "heights are in ft"),
     ],
-)  # fmt: skip
+)
 def test_geotiffs_off_the_metre_grid_are_refused(options: dict, words: str) -> None:
     with pytest.raises(HeightmapError, match=words):
         read_heightmap(geotiff(**options))
@@ -166,9 +166,18 @@ def test_blocks_that_were_never_written_are_no_ground_at_zero() -> None:
     def sparse(**options: object) -> bytes:
         with MemoryFile() as memory:
             with memory.open(
-                driver="GTiff", width=128, height=128, count=1, dtype="float32", transform=UTM, sparse_ok=True,
-                tiled=True, blockxsize=64, blockysize=64, **options,
-            ) as dataset:  # fmt: skip
+                driver="GTiff",
+                width=128,
+                height=128,
+                count=1,
+                dtype="float32",
+                transform=UTM,
+                sparse_ok=True,
+                tiled=True,
+                blockxsize=64,
+                blockysize=64,
+                **options,
+            ) as dataset:
                 dataset.write(ROUGH[:64, :64], 1, window=rasterio.windows.Window(64, 0, 64, 64))
             return bytes(memory.read())
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import HeightmapError, TooLargeError
-from model.terrain.readers import read_heightmap
+from joulemap.model.errors import HeightmapError, TooLargeError
+from joulemap.model.terrain.readers import read_heightmap
 from tests.reference.heightmap_files import (
     ASC,
     HEIGHTS,

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import InputError
-from model.frames import GridFrame
-from model.terrain.heightmap import Heightmap
-from service.reproduction.experiments import EXPERIMENTS, Setting
-from service.reproduction.fieldwork import roughness_m3
-from service.reproduction.profiles import PROFILES
-from service.reproduction.runner import plan
-from service.reproduction.summary import Interval, Summary, checks
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.reproduction.experiments import EXPERIMENTS, Setting
+from joulemap.model.reproduction.fieldwork import roughness_m3
+from joulemap.model.reproduction.profiles import PROFILES
+from joulemap.model.reproduction.runner import plan
+from joulemap.model.reproduction.summary import Interval, Summary, checks
+from joulemap.model.terrain.heightmap import Heightmap
 
 
 def test_an_interval_is_students() -> None:

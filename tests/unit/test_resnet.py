@@ -7,13 +7,13 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from model.energy.domain import Domain
-from model.energy.resnet import ResNet18Backbone, ResNetEnergy, ResNetPredictor, load_backbone
-from model.errors import ModelError
-from model.frames import GridFrame, heading_bins
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.patches import cut_patches
+from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.resnet import ResNet18Backbone, ResNetEnergy, ResNetPredictor, load_backbone
+from joulemap.model.errors import ModelError
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.patches import cut_patches
 
 
 def torchvision_resnet18() -> dict[str, tuple[int, ...]]:

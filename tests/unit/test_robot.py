@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.errors import InputError, RobotError
-from model.robot import GRAVITY_MPS2, Battery, Robot
+from joulemap.model.errors import InputError, RobotError
+from joulemap.model.robot import GRAVITY_MPS2, Battery, Robot
 
 
 def test_price_is_hotel_plus_traction_with_brakes_and_regeneration() -> None:

@@ -10,17 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.energy.physics import PhysicsPredictor
-from model.energy.uncertainty import Spread
-from model.frames import GridFrame
-from model.robot import Battery, Robot
-from model.terrain.heightmap import Heightmap
-from planner.budget import judge, judge_along
-from planner.lattice import CostLattice
-from planner.lattice_build import build_lattice
-from planner.route import price_route
-from service.spreads import std_along
-from service.workflows import assess
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Battery, Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.budget import judge, judge_along
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.route import price_route
+from joulemap.service.route_uncertainty import std_along
+from joulemap.service.workflows import assess
 
 INDEPENDENT = Spread(run_share=0.0, correlation_m=1.0)
 

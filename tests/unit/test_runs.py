@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.errors import RunsError
-from model.loop.runs import _longest_increasing, parse_run, read_run
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.reader import _longest_increasing, parse_run, read_run
 
 
 def log(n=60, **columns):

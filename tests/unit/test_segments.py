@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.errors import InputError, RunsError
-from model.frames import GridFrame
-from model.loop.drive import describe_segments
-from model.loop.runs import Run
-from model.loop.segments import concatenate, cut_segments, driven_only, split_runs
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import InputError, RunsError
+from joulemap.model.frames import GridFrame
+from joulemap.model.loop.drive import describe_segments
+from joulemap.model.robot import Robot
+from joulemap.model.runs.reader import Run
+from joulemap.model.runs.segments import concatenate, cut_segments, driven_only, split_runs
+from joulemap.model.terrain.heightmap import Heightmap
 
 
 def run_along(x, y, *, rate_hz=10.0, volts=28.0, amps=2.0, name="run", **extras) -> Run:

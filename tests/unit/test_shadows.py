@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from model.loop.report import report_document
-from service.loop.page import shadow_words
+from joulemap.model.loop.report import report_document
+from joulemap.service.loop.page import shadow_words
 from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
 
 BEFORE = {"name": "made up", "version": "1"}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.energy.shape_regression import FEATURES, RidgeBaseline, shape_features
-from model.errors import InputError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.shape_regression import FEATURES, RidgeBaseline, shape_features
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT = Robot(width_m=0.5)
 FRAME = GridFrame(0.0, 12.0, 0.1, 120, 120)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from model.loop.steps import step_chance
+from joulemap.model.loop.steps import step_chance
 
 
 def test_a_step_is_judged_by_the_jumps_of_all_other_places():

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from model.errors import InfeasibleError
-from model.frames import GridFrame
-from model.loop.effects import Term
-from model.loop.residual import residuals_of
-from model.loop.suggest import suggest_drive
-from model.terrain.heightmap import Heightmap
+from joulemap.model.errors import InfeasibleError
+from joulemap.model.frames import GridFrame
+from joulemap.model.loop.effects import Term
+from joulemap.model.loop.residual import residuals_of
+from joulemap.model.loop.suggest import suggest_drive
+from joulemap.model.terrain.heightmap import Heightmap
 from tests.reference.drives import ROBOT, made_up, noisy
 
 TURNING = Term("turning", "turning", ("J/rad",), {"limit_radps": None})

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from model.errors import HeightmapError, TooLargeError
-from model.terrain.heightmap import Heightmap
-from model.terrain.surface_fit import fit_surface
+from joulemap.model.errors import HeightmapError, TooLargeError
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.surface_fit import fit_surface
 
 EAST, NORTH = 500_000.0, 4_000_000.0
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from model.errors import HeightmapError, InputError
-from model.frames import GridFrame
-from model.terrain import landforms
-from model.terrain.heightmap import Heightmap
-from model.terrain.survey import degrade
-from model.terrain.synthesis import (
+from joulemap.model.errors import HeightmapError, InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain import landforms
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.survey import degrade
+from joulemap.model.terrain.synthesis import (
     HILLSIDE,
     PARK,
     RECIPES,

@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.energy.physics import PhysicsPredictor
-from model.energy.predictor import load_predictor
-from model.errors import HeightmapError, InputError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
-from model.terrain.readers import open_ground, read_heightmap
-from model.terrain.windows import HeightmapFile, overview
-from model.terrain.writers import write_geotiff
-from planner.lattice_build import build_lattice, write_lattice
-from planner.lattice_io import LatticeFolder, load_lattice, save_lattice
-from planner.tiles import Tiling
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.errors import HeightmapError, InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import open_ground, read_heightmap
+from joulemap.model.terrain.windows import HeightmapFile, overview
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.lattice_build import build_lattice, write_lattice
+from joulemap.planner.lattice_io import LatticeFolder, load_lattice, save_lattice
+from joulemap.planner.tiles import Tiling
 
 ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked", "std_j")
 ROBOT = Robot(max_grade_deg=20.0, max_cross_slope_deg=15.0)
@@ -69,9 +69,13 @@ def test_tiles_are_smaller_where_heights_are_dense() -> None:
 
 @settings(max_examples=12, deadline=None)
 @given(
-    rows=st.integers(30, 90), cols=st.integers(30, 90), side=st.integers(3, 40), seed=st.integers(0, 1000),
-    resolution_m=st.sampled_from([0.1, 0.25, 0.5, 1.0]), spacing_m=st.sampled_from([0.5, 1.0, 1.3]),
-)  # fmt: skip
+    rows=st.integers(30, 90),
+    cols=st.integers(30, 90),
+    side=st.integers(3, 40),
+    seed=st.integers(0, 1000),
+    resolution_m=st.sampled_from([0.1, 0.25, 0.5, 1.0]),
+    spacing_m=st.sampled_from([0.5, 1.0, 1.3]),
+)
 def test_tiles_do_not_show_in_physics(rows, cols, side, seed, resolution_m, spacing_m) -> None:
     heightmap = rough(rows, cols, resolution_m=resolution_m, seed=seed)
     if min(rows, cols) * resolution_m < 2.0 * spacing_m:
@@ -148,7 +152,7 @@ def test_a_file_without_a_known_height_is_refused(tmp_path) -> None:
 
 
 def test_a_large_map_is_judged_by_windows_that_do_not_touch(monkeypatch) -> None:
-    monkeypatch.setattr("model.terrain.windows._SAMPLE_CELLS", 10_000)
+    monkeypatch.setattr("joulemap.model.terrain.windows._SAMPLE_CELLS", 10_000)
     heights = np.add.outer(np.zeros(400), np.where(np.arange(900) < 450, 0.0, 500.0)).astype(np.float32)
     seen = overview(Heightmap(heights, GridFrame(0.0, 400.0, 1.0, 400, 900))).heights
     assert seen.size < 30_000

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.errors import ConflictError, ModelError, RunsError
-from model.loop import calibration
-from model.loop.bounds import bounded
-from model.loop.calibrated import Correction, read_calibrated, save_calibrated
-from model.loop.columns import usable_columns
-from model.loop.effects import Term, inside
-from model.loop.fitting import Fit, fit_terms
-from model.loop.record import RECORD_FILE, read_record, save_record
-from model.loop.report import report_document
-from model.loop.residual import residuals_of
-from model.loop.shared import SharedErrors
+from joulemap.model.errors import ConflictError, ModelError, RunsError
+from joulemap.model.loop import calibration
+from joulemap.model.loop.bounds import bounded
+from joulemap.model.loop.calibrated import Correction, read_calibrated, save_calibrated
+from joulemap.model.loop.columns import usable_columns
+from joulemap.model.loop.effects import Term, inside
+from joulemap.model.loop.fitting import Fit, fit_terms
+from joulemap.model.loop.record import RECORD_FILE, read_record, save_record
+from joulemap.model.loop.report import report_document
+from joulemap.model.loop.residual import residuals_of
+from joulemap.model.loop.shared import SharedErrors
 from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
 
 BEFORE = {"name": "made up", "version": "1"}
@@ -82,8 +82,14 @@ def test_hostile_columns_are_refused_with_a_reason():
     measured = noisy(rng, drive, EFFECTS["turning"](drive))
     power = measured / drive.duration_s
     odd = rng.standard_normal(len(drive))
-    hostile = {"flat": np.full(len(drive), 3.0), "odd": odd, "odder": odd.copy(), "sneaky": 2.0 * power + 5.0,
-               "voltage_2": 28.0 - 0.01 * power, "empty": np.full(len(drive), np.nan)}  # fmt: skip
+    hostile = {
+        "flat": np.full(len(drive), 3.0),
+        "odd": odd,
+        "odder": odd.copy(),
+        "sneaky": 2.0 * power + 5.0,
+        "voltage_2": 28.0 - 0.01 * power,
+        "empty": np.full(len(drive), np.nan),
+    }
     found = found_in(replace(drive, columns=drive.columns | hostile), measured, electric={"power": power})
     assert [e.term.name for e in found.effects] == ["turning"]
     assert found.refused["learned:flat"] == "constant (3)"
@@ -189,8 +195,9 @@ def test_an_interaction_is_found_with_the_effects_that_it_joins():
         assert effect.share > 0.02
         assert not effect.term.where  # where they differ is the interaction's to say
     both = sum(e.term.energy(drive) for e in found.effects)
-    rad = np.array([both[(turned > 0.5) & where].sum() / turned[(turned > 0.5) & where].sum()
-                    for where in (loam, ~loam)])  # fmt: skip
+    rad = np.array(
+        [both[(turned > 0.5) & where].sum() / turned[(turned > 0.5) & where].sum() for where in (loam, ~loam)]
+    )
     np.testing.assert_allclose(rad[0] - rad[1], 50.0 + 12.0 / turned[(turned > 0.5) & loam].mean(), rtol=0.25)
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from model.energy.evaluation import coverage, errors
-from model.energy.examples import cut_examples
-from model.energy.physics import tan_grade
-from model.energy.resnet import ResNetEnergy
-from model.energy.tensors import ExampleTensors, Network, predicted
-from model.energy.training import TrainingOptions, averaged, train_network
-from model.energy.uncertainty import Spread, fit_spread
-from model.errors import InputError, ModelError
-from model.frames import GridFrame
-from model.robot import Robot
-from model.terrain.heightmap import Heightmap
+from joulemap.model.energy.examples import cut_examples
+from joulemap.model.energy.physics import tan_grade
+from joulemap.model.energy.resnet import ResNetEnergy
+from joulemap.model.energy.tensors import ExampleTensors, Network, predicted
+from joulemap.model.energy.uncertainty import Spread, fit_spread
+from joulemap.model.errors import InputError, ModelError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.training.evaluation import coverage, errors
+from joulemap.model.training.optimisation import TrainingOptions, averaged, train_network
 
 ROBOT = Robot(rolling_resistance=0.1)
 SHORT = TrainingOptions(epochs=3, patience=9, batch=64, learning_rate=2e-3)

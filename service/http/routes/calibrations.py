@@ -10,19 +10,18 @@ from fastapi import APIRouter, Response
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 
-from model.errors import InputError, TooLargeError
-from model.robot import Robot
-from service.http.documents import problems
-from service.http.routes.parts import Limit, Offset, ServiceDep
-from service.http.routes.waiting import Prefer, job_answer
-from service.http.state import Service
-from service.jobs.calibrations import PAGE
-from service.loop.calibrating import refuse_calibrated
-from service.models import find_predictor
-from service.schemas.answers import calibration_out
-from service.schemas.base import robot_values
-from service.schemas.loop import CalibrationOut, CalibrationRequest
-from service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
+from joulemap.model.errors import InputError, TooLargeError
+from joulemap.model.robot import Robot
+from joulemap.service.http.documents import problems
+from joulemap.service.http.routes.waiting import Prefer, job_answer
+from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
+from joulemap.service.jobs.calibrations import PAGE
+from joulemap.service.loop.calibrating import refuse_calibrated
+from joulemap.service.models import find_predictor
+from joulemap.service.schemas.answers import calibration_out
+from joulemap.service.schemas.base import robot_values
+from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest
+from joulemap.service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
 
 router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
 PLACE = "/v1/calibrations"
@@ -47,9 +46,7 @@ class CalibrationList(BaseModel):
 async def make_calibration(wanted: CalibrationRequest, service: ServiceDep, prefer: Prefer = None) -> Response:
     """Ask what a model lacks on measured runs: effects with evidence, and a model that has them; in the background."""
     row = await anyio.to_thread.run_sync(_enqueue, service, wanted)
-    return await job_answer(
-        service, row.id, PLACE, prefer, load=service.store.calibration, answer=calibration_out
-    )  # fmt: skip
+    return await job_answer(service, row.id, PLACE, prefer, load=service.store.calibration, answer=calibration_out)
 
 
 @router.get("", responses=problems())
@@ -84,7 +81,8 @@ def delete_calibration(calibration_id: str, service: ServiceDep) -> None:
 
 def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     """Raises what can be known to be wrong without calibrating: NotFoundError, RobotError, ModelError, InputError,
-    TooLargeError, and BusyError."""
+    TooLargeError, and BusyError.
+    """
     ground = None if wanted.heightmap_id is None else service.store.heightmap(wanted.heightmap_id).id
     aside = list(dict.fromkeys(wanted.aside_runs))
     runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in aside]
@@ -97,8 +95,9 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
         if count > limit:
             raise TooLargeError(
                 f"these runs have {count:,} {key}, the limit of a calibration is {limit:,}: send fewer",
-                limit=limit, **{key: count},
-            )  # fmt: skip
+                limit=limit,
+                **{key: count},
+            )
     odometry = _odometry_of(sent)
     if ground is None and odometry is None:
         raise InputError("name the heightmap that these runs were driven on", field="heightmap_id")

@@ -9,14 +9,14 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
-from planner.lattice_io import export_geotiff, export_npz
-from service.http.documents import problems
-from service.http.routes.parts import KernelsDep
-from service.http.zip_stream import zip_folder
-from service.pictures import lattice_image
-from service.schemas.answers import number
-from service.schemas.maps import AtOut
-from service.workflows import costs_at
+from joulemap.planner.lattice_io import export_geotiff, export_npz
+from joulemap.service.http.documents import problems
+from joulemap.service.http.state import KernelsDep
+from joulemap.service.http.zip_stream import zip_folder
+from joulemap.service.pictures import lattice_image
+from joulemap.service.schemas.answers import number
+from joulemap.service.schemas.maps import AtOut
+from joulemap.service.workflows import costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
 Finite = Annotated[float, Query(allow_inf_nan=False)]

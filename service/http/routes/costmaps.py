@@ -10,19 +10,18 @@ from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData
 from starlette.exceptions import HTTPException
 
-from model.frames import GridFrame
-from model.robot import Robot
-from service.http.documents import costmap_body, problems
-from service.http.routes.parts import Limit, Offset, ServiceDep
-from service.http.routes.waiting import Prefer, job_answer
-from service.http.state import Service
-from service.http.uploads import invalid, media_type, take_form
-from service.models import find_predictor
-from service.schemas.answers import costmap_out
-from service.schemas.base import robot_values
-from service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions
-from service.storage.tables import CostmapRow, HeightmapRow
-from service.workflows import check_lattice
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.service.http.documents import costmap_body, problems
+from joulemap.service.http.routes.waiting import Prefer, job_answer
+from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
+from joulemap.service.http.uploads import invalid, media_type, take_form
+from joulemap.service.models import find_predictor
+from joulemap.service.schemas.answers import costmap_out
+from joulemap.service.schemas.base import robot_values
+from joulemap.service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions
+from joulemap.service.storage.tables import CostmapRow, HeightmapRow
+from joulemap.service.workflows import check_lattice
 
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])
 

@@ -7,11 +7,11 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
-from service.http.documents import problems, upload_body
-from service.http.routes.parts import Limit, Offset, ServiceDep
-from service.http.uploads import media_type, take_form, take_raw
-from service.schemas.answers import heightmap_out
-from service.schemas.maps import HeightmapOut, UploadOptions
+from joulemap.service.http.documents import problems, upload_body
+from joulemap.service.http.state import Limit, Offset, ServiceDep
+from joulemap.service.http.uploads import media_type, take_form, take_raw
+from joulemap.service.schemas.answers import heightmap_out
+from joulemap.service.schemas.maps import HeightmapOut, UploadOptions
 
 router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
 

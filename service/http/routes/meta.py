@@ -8,9 +8,9 @@ from fastapi import APIRouter
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel, Field
 
-from planner.plan import PLANNERS
-from service.http.documents import problems
-from service.http.routes.parts import ServiceDep
+from joulemap.planner.plan import PLANNERS
+from joulemap.service.http.documents import problems
+from joulemap.service.http.state import ServiceDep
 
 router = APIRouter(tags=["service"])
 
@@ -63,4 +63,4 @@ async def index(service: ServiceDep) -> Index:
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
 def home() -> str:
     """A page for people who look."""
-    return resources.files("service").joinpath("web/index.html").read_text(encoding="utf-8")
+    return resources.files("joulemap.service").joinpath("web/index.html").read_text(encoding="utf-8")

@@ -9,17 +9,17 @@ from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from model.errors import ConflictError
-from model.robot import Robot
-from service.http.documents import problems
-from service.http.routes.parts import KernelsDep
-from service.problems import jsonable
-from service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
-from service.schemas.base import robot_values
-from service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
-from service.schemas.tours import TourOut, TourRequest, tour_out
-from service.storage.tables import CostmapRow
-from service.workflows import assess, judge_routes
+from joulemap.model.errors import ConflictError
+from joulemap.model.robot import Robot
+from joulemap.service.http.documents import problems
+from joulemap.service.http.state import KernelsDep
+from joulemap.service.problems import jsonable
+from joulemap.service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
+from joulemap.service.schemas.base import robot_values
+from joulemap.service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
+from joulemap.service.schemas.tours import TourOut, TourRequest, tour_out
+from joulemap.service.storage.tables import CostmapRow
+from joulemap.service.workflows import assess, judge_routes
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"])
 GEOJSON = "application/geo+json"
@@ -108,7 +108,8 @@ def _warnings(row: CostmapRow) -> list[str]:
 
 def _same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
     """The cost map's robot. Raises ConflictError, naming the fields, when a given one is neither this one nor the one
-    that was asked for; RobotError."""
+    that was asked for; RobotError.
+    """
     robot, values = Robot.from_mapping(row.robot), robot_values(given)
     Robot.from_mapping(values)
     differing = {

@@ -7,13 +7,13 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
-from model.errors import InputError
-from model.loop.odometry import Odometry
-from service.http.documents import problems, runs_body
-from service.http.routes.parts import KernelsDep, Limit, Offset, ServiceDep
-from service.http.uploads import media_type, take_raw_run, take_runs
-from service.schemas.answers import runs_out
-from service.schemas.loop import RunsOut
+from joulemap.model.errors import InputError
+from joulemap.model.runs.odometry import Odometry
+from joulemap.service.http.documents import problems, runs_body
+from joulemap.service.http.state import KernelsDep, Limit, Offset, ServiceDep
+from joulemap.service.http.uploads import media_type, take_raw_run, take_runs
+from joulemap.service.schemas.answers import runs_out
+from joulemap.service.schemas.loop import RunsOut
 
 router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
 

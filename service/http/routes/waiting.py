@@ -11,9 +11,9 @@ from fastapi import Header
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from service import problems
-from service.http.state import Service
-from service.storage.tables import DONE, FAILED
+from joulemap.service import problems
+from joulemap.service.http.state import Service
+from joulemap.service.storage.tables import DONE, FAILED
 
 MAX_WAIT_S = 300.0
 _WAIT = re.compile(r"(?:^|[,;])\s*wait\s*=\s*\"?(\d{1,18})\"?\s*(?:$|[,;])", re.IGNORECASE)

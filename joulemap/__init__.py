@@ -1,0 +1,1 @@
+"""Energy planner for ground robots."""

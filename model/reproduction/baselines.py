@@ -1,0 +1,84 @@
+"""What needs no network: friction fitted in three ways, and a regression on shape. Each is fitted once, then asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.friction_map import FrictionMap
+from joulemap.model.energy.physics import (
+    eq5_traction_per_m,
+    fit_rolling_resistance,
+    local_rolling_resistance,
+    tan_grade,
+)
+from joulemap.model.energy.shape_regression import RidgeBaseline
+from joulemap.model.reproduction.measured import Measured
+from joulemap.model.robot import Robot
+
+FloatArray = NDArray[np.float64]
+Said = Callable[[Measured], FloatArray]
+"""Energy [J] of every segment of a drive, (n,); NaN on unknown ground."""
+
+_FAR_M = {"grass_b": 2e3, "dirt": 4e3, "elsewhere": 1e9}  # added to x: sites may share coordinates, not their ground
+
+
+def global_friction(learned: Measured, robot: Robot) -> Said:
+    """Equation 5 with the one mu that fits best."""
+    here = learned.straight
+    traction = (learned.segments.energy_j - robot.hotel_per_m)[here]
+    mu = fit_rolling_resistance(traction, _grade(learned)[here], weight_n=robot.weight_n)
+    return lambda test: robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
+
+
+def friction_and_weight(learned: Measured, robot: Robot) -> Said:
+    """The same with the weight fitted too, for a robot whose mass or drivetrain is not known: E = a + b tan theta."""
+    grade = _grade(learned)
+    known = learned.straight & np.isfinite(grade)
+    slope, level = np.polyfit(grade[known], learned.segments.energy_j[known], 1)
+    return lambda test: np.maximum(level + slope * _grade(test), robot.hotel_per_m)
+
+
+def friction_map(learned: Measured, robot: Robot) -> Said:
+    """Equation 5 with a mu that depends on the place."""
+    s = learned.segments.take(learned.straight)
+    process = FrictionMap.fit(
+        s.x + _FAR_M.get(learned.site, 0.0),
+        s.y,
+        s.energy_j - robot.hotel_per_m,
+        _grade(learned)[learned.straight],
+        weight_n=robot.weight_n,
+    )
+
+    def said(test: Measured) -> FloatArray:
+        mu = process.rolling_resistance(test.segments.x + _FAR_M.get(test.site, 0.0), test.segments.y)
+        return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
+
+    return said
+
+
+def shape_ridge(learned: Measured, robot: Robot) -> Said:
+    """The regression on shape features."""
+    s = learned.segments.take(learned.straight)
+    model = RidgeBaseline.fit(learned.heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=s.run)
+    return lambda test: model.predict_j(
+        test.heightmap, robot, test.segments.x, test.segments.y, test.segments.heading_rad
+    )
+
+
+def local_friction(test: Measured, robot: Robot) -> FloatArray:
+    """Five metres of driving for the next five, run by run; NaN in the first five of a run."""
+    mu = np.full(len(test.segments), np.nan)
+    grade = _grade(test)
+    for run in np.unique(test.segments.run):
+        mine = test.segments.run == run
+        traction = test.segments.energy_j[mine] - robot.hotel_per_m
+        mu[mine] = local_rolling_resistance(traction, grade[mine], weight_n=robot.weight_n)
+    return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, grade))
+
+
+def _grade(measured: Measured) -> FloatArray:
+    s = measured.segments
+    return tan_grade(measured.heightmap, s.x, s.y, s.heading_rad)

@@ -1,0 +1,49 @@
+"""The baselines, and any model, on a user's own measured runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.reproduction import baselines, networks
+from joulemap.model.reproduction.measured import Measured, judged
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import read_segments
+from joulemap.model.terrain.heightmap import Heightmap
+
+_FITTED = {
+    "fitted friction": baselines.global_friction,
+    "fitted friction and weight": baselines.friction_and_weight,
+    "friction map (Gaussian process)": baselines.friction_map,
+    "ridge on shape": baselines.shape_ridge,
+}
+
+
+def compare(
+    heightmap: Heightmap,
+    robot: Robot,
+    learned: Sequence[Path],
+    tested: Sequence[Path],
+    *,
+    tested_heightmap: Heightmap | None = None,
+    models: Sequence[Predictor] = (),
+) -> dict[str, dict[str, Any]]:
+    """Every baseline fitted to the runs `learned`, and every model as it is, judged on the runs `tested`.
+
+    tested_heightmap : where the tested runs were driven elsewhere. By method: the numbers of `judged`, JSON-able.
+    Raises RunsError, InputError.
+    """
+    mine = _measured(heightmap, robot, learned, "")
+    elsewhere = tested_heightmap is not None
+    test = _measured(tested_heightmap or heightmap, robot, tested, "elsewhere" if elsewhere else "")
+    found = {name: judged(fit(mine, robot)(test), test) for name, fit in _FITTED.items()}
+    return found | {model.name: judged(networks.predicted_j(model, test, robot), test) for model in models}
+
+
+def _measured(heightmap: Heightmap, robot: Robot, files: Sequence[Path], site: str) -> Measured:
+    _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
+    return Measured(site, heightmap, tuple(files), segments, np.full(len(segments), np.nan))

@@ -1,0 +1,282 @@
+"""The paper's section V, experiment by experiment: what every method says of the same measured segments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.predictor import Predictor, load_predictor
+from joulemap.model.reproduction import networks
+from joulemap.model.reproduction.baselines import friction_map, global_friction, local_friction, shape_ridge
+from joulemap.model.reproduction.fieldwork import HEIGHTMAPS, make_field, more_examples, read_measured
+from joulemap.model.reproduction.measured import Measured, judged
+from joulemap.model.reproduction.profiles import STRATEGIES, Profile
+from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import concatenate
+
+FloatArray = NDArray[np.float64]
+
+ROWS = ("V-A", "V-B", "V-C", "V-D", "V-E", "V-E shifted", "V-E rest", "V-E other")
+"""Test sets. V-D is the rest of site A again, for friction fitted to five metres and used on the next five."""
+
+_DRIVE_OF = {"V-B": "a_waypoints", "V-C": "b_waypoints", "V-E": "dirt_lawnmower", "V-E other": "dirt_waypoints"}
+_BASELINES = (("physics", global_friction), ("gp", friction_map), ("ridge", shape_ridge))
+_PAPER_SHARE = 3  # a third of a site is trained on
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where a reproduction is kept and how much of it is run. weights : an ImageNet file for the paper's network."""
+
+    folder: Path
+    profile: Profile
+    heightmap_from: str = "survey"
+    weights: Path | None = None
+
+    def field(self, seed: int) -> Path:
+        return self.folder / "field" / str(seed)
+
+    def model(self, name: str, seed: int) -> Path:
+        return self.folder / "models" / f"{name}_{seed}"
+
+    @property
+    def other_heightmap(self) -> str:
+        """The kind of heightmap that this reproduction does not use."""
+        return next(kind for kind in HEIGHTMAPS if kind != self.heightmap_from)
+
+
+class Scores:
+    """What methods said, judged: `methods` is JSON-able, `arrays` keeps every prediction by "method/row"."""
+
+    def __init__(self) -> None:
+        self.methods: dict[str, dict[str, Any]] = {}
+        self.arrays: dict[str, FloatArray] = {}
+
+    def add(self, method: str, row: str, predicted: FloatArray, measured: Measured) -> None:
+        """Judge one method's energies of every segment of a test set."""
+        self.methods.setdefault(method, {})[row] = judged(predicted, measured)
+        self.arrays[f"{method}/{row}"] = predicted
+
+    def add_shifted(self, method: str, predicted: FloatArray, measured: Measured) -> None:
+        """V-E's mean shift: e_hat - mean(e_hat) + mean(e)."""
+        known = np.isfinite(predicted) & measured.straight
+        off = float(np.mean(measured.segments.energy_j[known] - predicted[known]))
+        self.add(method, "V-E shifted", predicted + off, measured)
+
+
+class Field:
+    """The measured drives of one seed, split as in the paper."""
+
+    def __init__(self, setting: Setting, seed: int, *, heightmap_from: str | None = None) -> None:
+        self.folder = setting.field(seed)
+        self.robot = Robot.from_toml(self.folder / "robot.toml")
+        self._kind = heightmap_from or setting.heightmap_from
+        self._west = setting.profile.west_strips
+        self._kept: dict[str, Measured] = {}
+
+    def drive(self, name: str) -> Measured:
+        """All of a drive. Drives of one site share their heightmap."""
+        if name not in self._kept:
+            site = name.split("_")[0]
+            known = next((m.heightmap for key, m in self._kept.items() if key.split("_")[0] == site), None)
+            self._kept[name] = read_measured(self.folder, name, self.robot, heightmap_from=self._kind, heightmap=known)
+        return self._kept[name]
+
+    def west(self, drive: str) -> Measured:
+        """The west third: what is trained on."""
+        return self.drive(drive).of_runs(0, self._west)
+
+    def test(self, row: str) -> Measured:
+        """What a row is judged on."""
+        if row in ("V-A", "V-D"):
+            return self.drive("a_lawnmower").of_runs(self._west)
+        if row == "V-E rest":
+            return self.drive("dirt_lawnmower").of_runs(self._west)
+        return self.drive(_DRIVE_OF[row.removesuffix(" shifted")])
+
+
+def baselines(setting: Setting, seed: int) -> Scores:
+    """Physics, friction as a Gaussian process, ridge on shape, and the noise floor, on every row."""
+    field, scores = Field(setting, seed), Scores()
+    for row in ROWS:
+        test = field.test(row)
+        scores.arrays[f"measured/{row}"] = test.segments.energy_j
+        scores.arrays[f"straight/{row}"] = test.straight.astype(np.float64)
+        if row != "V-E shifted":
+            scores.add("noise_floor", row, test.explained_j, test)
+    for method, fit in _BASELINES:
+        grass = fit(field.west("a_lawnmower"), field.robot)
+        for row in ("V-A", "V-B", "V-C", "V-E"):
+            scores.add(method, row, grass(field.test(row)), field.test(row))
+        scores.add_shifted(method, scores.arrays[f"{method}/V-E"], field.test("V-E"))
+        dirt = fit(field.west("dirt_lawnmower"), field.robot)
+        for row in ("V-E rest", "V-E other"):
+            scores.add(method, row, dirt(field.test(row)), field.test(row))
+    near = field.test("V-D")
+    scores.add("physics", "V-D", local_friction(near, field.robot), near)
+    return scores
+
+
+def compact(setting: Setting, seed: int) -> Scores:
+    """The compact network from the shipped weights and from scratch, on grass and then fine-tuned on dirt."""
+    field, scores = Field(setting, seed), Scores()
+    for method, start in (("compact", networks.SHIPPED), ("compact_scratch", None)):
+        here = setting.model(method, seed)
+        trained = networks.trained_compact(
+            field.west("a_lawnmower"),
+            field.robot,
+            out=here,
+            start_from=start,
+            seed=seed,
+            epochs=setting.profile.compact_epochs,
+        )
+        _grass_rows(scores, method, field, trained)
+        tuned = networks.trained_compact(
+            field.west("dirt_lawnmower"),
+            field.robot,
+            out=setting.model(f"{method}_dirt", seed),
+            start_from=here,
+            seed=seed,
+            epochs=setting.profile.compact_epochs,
+        )
+        _dirt_rows(scores, method, field, tuned)
+    return scores
+
+
+def resnet(strategy: str, setting: Setting, seed: int) -> Scores:
+    """The paper's network in one of its three strategies; the one it calls best goes on to dirt."""
+    field, scores, profile = Field(setting, seed), Scores(), setting.profile
+    method = f"resnet_{strategy}"
+    here = setting.model(method, seed)
+    trained = networks.trained_resnet(
+        field.west("a_lawnmower"),
+        field.robot,
+        out=here,
+        strategy=strategy,
+        size=profile.resnet_size,
+        epochs=profile.resnet_epochs[STRATEGIES.index(strategy)],
+        seed=seed,
+        backbone=setting.weights or setting.model("backbone", 0) / networks.BACKBONE_FILE,
+    )
+    _grass_rows(scores, method, field, trained)
+    if strategy == "finetuned":
+        tuned = networks.trained_resnet(
+            field.west("dirt_lawnmower"),
+            field.robot,
+            out=setting.model(f"{method}_dirt", seed),
+            strategy=strategy,
+            size=profile.resnet_size,
+            epochs=profile.dirt_epochs,
+            seed=seed,
+            start_from=here,
+        )
+        _dirt_rows(scores, method, field, tuned)
+    return scores
+
+
+def map_floor(setting: Setting, seed: int) -> Scores:
+    """What the heightmap can tell at all: the compact network with many times the data of the same robot on sites of
+    the test's own kind, surveyed alike.
+    """
+    field, scores, profile = Field(setting, seed, heightmap_from="survey"), Scores(), setting.profile
+    paper = len(field.drive("a_lawnmower").segments) // _PAPER_SHARE
+    for site, rows in (("grass_a", ("V-A", "V-B")), ("grass_b", ("V-C",)), ("dirt", ("V-E rest", "V-E other"))):
+        out = setting.model(f"map_floor_{site}", seed)
+        examples = more_examples(site, seed, profile, segments=profile.more * paper)
+        trained = networks.compact_on_more(examples, out=out, seed=seed, epochs=profile.more_epochs)
+        for row in rows:
+            scores.add("map_floor", row, networks.predicted_j(trained, field.test(row), field.robot), field.test(row))
+    return scores
+
+
+def learning_curve(setting: Setting, seed: int) -> Scores:
+    """Error on random drives over site A and site B after so many driven metres on site A: rows "metres V-B", "V-C"."""
+    field, scores = Field(setting, seed), Scores()
+    for method, start in (("curve_shipped", networks.SHIPPED), ("curve_scratch", None)):
+        for metres in setting.profile.curve_m:
+            model: Predictor
+            if metres == 0:
+                model = load_predictor("default") if start is not None else PhysicsPredictor()
+            else:
+                model = networks.trained_compact(
+                    _driven(field, setting.profile, metres),
+                    field.robot,
+                    out=setting.model(f"{method}_{metres}", seed),
+                    start_from=start,
+                    seed=seed,
+                    epochs=setting.profile.compact_epochs,
+                )
+            for row in ("V-B", "V-C"):
+                test = field.test(row)
+                scores.add(method, f"{metres} {row}", networks.predicted_j(model, test, field.robot), test)
+    return scores
+
+
+def other_heightmap(setting: Setting, seed: int) -> Scores:
+    """V-A once more, on the kind of heightmap that the other experiments do not use."""
+    kind = setting.other_heightmap
+    field, scores = Field(setting, seed, heightmap_from=kind), Scores()
+    west, test = field.west("a_lawnmower"), field.test("V-A")
+    for method, fit in _BASELINES:
+        scores.add(f"{method}_{kind}", "V-A", fit(west, field.robot)(test), test)
+    trained = networks.trained_compact(
+        west,
+        field.robot,
+        out=setting.model(f"compact_{kind}", seed),
+        start_from=networks.SHIPPED,
+        seed=seed,
+        epochs=setting.profile.compact_epochs,
+    )
+    scores.add(f"compact_{kind}", "V-A", networks.predicted_j(trained, test, field.robot), test)
+    return scores
+
+
+def field_of(setting: Setting, seed: int) -> dict[str, Any]:
+    """Drive the field of a seed: metres by drive."""
+    return make_field(setting.field(seed), seed, setting.profile)
+
+
+EXPERIMENTS: Mapping[str, Callable[[Setting, int], Scores]] = {
+    "baselines": baselines,
+    "compact": compact,
+    "resnet_frozen": lambda setting, seed: resnet("frozen", setting, seed),
+    "resnet_scratch": lambda setting, seed: resnet("scratch", setting, seed),
+    "resnet_finetuned": lambda setting, seed: resnet("finetuned", setting, seed),
+    "map_floor": map_floor,
+    "learning_curve": learning_curve,
+    "other_heightmap": other_heightmap,
+}
+
+
+def _grass_rows(scores: Scores, method: str, field: Field, trained: Predictor) -> None:
+    for row in ("V-A", "V-B", "V-C", "V-E"):
+        scores.add(method, row, networks.predicted_j(trained, field.test(row), field.robot), field.test(row))
+    scores.add_shifted(method, scores.arrays[f"{method}/V-E"], field.test("V-E"))
+
+
+def _dirt_rows(scores: Scores, method: str, field: Field, tuned: Predictor) -> None:
+    for row in ("V-E rest", "V-E other"):
+        scores.add(method, row, networks.predicted_j(tuned, field.test(row), field.robot), field.test(row))
+
+
+def _driven(field: Field, profile: Profile, metres: int) -> Measured:
+    """About so many metres on site A, always at least two runs."""
+    if metres <= len(field.drive("a_short").files) * profile.short_m:
+        return field.drive("a_short").of_runs(0, max(2, round(metres / profile.short_m)))
+    lanes = field.drive("a_lawnmower")
+    each = len(lanes.segments) / len(lanes.files)
+    count = min(max(2, round(metres / each)), len(lanes.files))
+    spread = np.linspace(0, len(lanes.files) - 1, count).round().astype(int).tolist()
+    parts = [lanes.of_runs(k, k + 1) for k in spread]
+    return replace(
+        lanes,
+        files=tuple(part.files[0] for part in parts),
+        segments=concatenate([part.segments for part in parts]),
+        explained_j=np.concatenate([part.explained_j for part in parts]),
+    )

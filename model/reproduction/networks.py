@@ -1,0 +1,213 @@
+"""How the reproduction trains and asks networks: the one place that calls the project's training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.torch import save_file
+
+from joulemap.model.energy.artifact import CONFIG_FILE, Artifact, read_artifact, save_artifact
+from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.predictor import SHIPPED_WEIGHTS, Predictor, load_predictor
+from joulemap.model.energy.resnet import ResNetEnergy, load_backbone
+from joulemap.model.errors import ModelError
+from joulemap.model.field.drives import drive_along, random_waypoints
+from joulemap.model.field.robot_dynamics import FieldRobot
+from joulemap.model.field.simulation import simulate_segments
+from joulemap.model.field.sites import random_site
+from joulemap.model.loop.prediction import predict_segments
+from joulemap.model.reproduction.measured import Measured
+from joulemap.model.reproduction.profiles import STRATEGIES, Profile
+from joulemap.model.robot import Robot
+from joulemap.model.training.measured_runs import CHECKPOINT, LEARNING_RATE, train_on_runs
+from joulemap.model.training.optimisation import TrainingOptions, train_network
+from joulemap.model.training.pretraining import MAX_TURN_RAD
+
+FloatArray = NDArray[np.float64]
+
+SHIPPED = Path(str(SHIPPED_WEIGHTS))
+"""Folder of the network that joulemap ships."""
+BACKBONE_FILE = "backbone.safetensors"
+
+_MORE_BATCH = 128  # twenty times the data do not need small batches
+_PAPER_BATCH = 32
+_BACKBONE_SLOPE_DEG = 12.0
+_BACKBONE_WAYPOINTS = 12
+
+
+def trained_compact(
+    measured: Measured, robot: Robot, *, out: Path, start_from: Path | None, seed: int, epochs: int
+) -> Predictor:
+    """What `joulemap train` makes of these runs. start_from : a model's folder, or None for a fresh network."""
+    if not (out / CONFIG_FILE).exists():
+        train_on_runs(
+            measured.heightmap,
+            robot,
+            measured.files,
+            out=out,
+            start_from=start_from,
+            seed=seed,
+            epochs=epochs,
+            resume=True,
+        )
+    return load_predictor(out)
+
+
+def compact_on_more(examples: Examples, *, out: Path, seed: int, epochs: int) -> Predictor:
+    """The shipped network trained on very many segments: what the map can tell at all."""
+    if not (out / CONFIG_FILE).exists():
+        parent = read_artifact(SHIPPED)
+        options = TrainingOptions(
+            epochs=epochs, patience=epochs, batch=_MORE_BATCH, learning_rate=LEARNING_RATE["compact"]
+        )
+        result = train_network(examples, seed=seed, start_from=parent.net, options=options)
+        save_artifact(out, Artifact(result.net, parent.domain.joined(examples.domain())))
+    return load_predictor(out)
+
+
+def pretrained_backbone(out: Path, *, profile: Profile, seed: int) -> Path:
+    """A file with torchvision's names: a backbone trained on the energy of one nominal robot on random sites."""
+    file = out / BACKBONE_FILE
+    if file.exists():
+        return file
+    truth = FieldRobot.nominal(Robot())
+    parts = []
+    for number in range(profile.backbone_sites):
+        rng = np.random.default_rng([seed, 4, number])
+        site = random_site(rng, max_slope_deg=_BACKBONE_SLOPE_DEG, survey_m=0.1)
+        points = random_waypoints(site.drivable, _BACKBONE_WAYPOINTS, rng)
+        drive = drive_along(points, speed_mps=truth.declared.speed_mps, rng=rng)
+        found = simulate_segments(site, truth, drive, rng=rng)
+        keep = np.abs(found.heading_change_rad) < MAX_TURN_RAD
+        ends = np.array_split(np.flatnonzero(keep), 2)  # two runs a site: one site alone can be trained on as well
+        for half, mine in enumerate(ends):
+            parts.append(
+                cut_examples(
+                    site.survey,
+                    truth.declared,
+                    found.x[mine],
+                    found.y[mine],
+                    found.heading_rad[mine],
+                    found.energy_j[mine],
+                    run=2 * number + half,
+                    architecture="resnet18",
+                    size=profile.resnet_size,
+                )
+            )
+    net = _trained_resnet(
+        concatenate(parts),
+        start=None,
+        epochs=profile.backbone_epochs,
+        seed=seed,
+        frozen=False,
+        checkpoint=out / CHECKPOINT,
+        learning_rate=1e-3,
+    )
+    partial = file.with_name(f".{file.name}.partial")
+    save_file({key: value.contiguous() for key, value in net.backbone.state_dict().items()}, partial)
+    partial.replace(file)
+    (out / CHECKPOINT).unlink(missing_ok=True)
+    return file
+
+
+def trained_resnet(
+    measured: Measured,
+    robot: Robot,
+    *,
+    out: Path,
+    strategy: str,
+    size: int,
+    epochs: int,
+    seed: int,
+    backbone: Path | None = None,
+    start_from: Path | None = None,
+) -> Predictor:
+    """The paper's network on these runs with the paper's loss and learning rate, one of `STRATEGIES`.
+
+    backbone : a file with torchvision's names, needed but for "scratch". start_from : a trained model's folder to
+    fine-tune instead. Raises ModelError for an unknown strategy or a missing backbone.
+    """
+    if strategy not in STRATEGIES:
+        raise ModelError(f"no training strategy {strategy!r}: known are {', '.join(STRATEGIES)}", name=strategy)
+    if not (out / CONFIG_FILE).exists():
+        straight = measured.segments.take(measured.straight)
+        examples = cut_examples(
+            measured.heightmap,
+            robot,
+            straight.x,
+            straight.y,
+            straight.heading_rad,
+            straight.energy_j,
+            run=straight.run,
+            architecture="resnet18",
+            size=size,
+        )
+        net = _trained_resnet(
+            examples,
+            start=_start(strategy, backbone, start_from),
+            epochs=epochs,
+            seed=seed,
+            frozen=strategy == "frozen",
+            checkpoint=out / CHECKPOINT,
+        )
+        save_artifact(out, Artifact(net, examples.domain(), size))
+        (out / CHECKPOINT).unlink(missing_ok=True)
+    return load_predictor(out)
+
+
+def _start(strategy: str, backbone: Path | None, start_from: Path | None) -> ResNetEnergy | None:
+    if start_from is not None:
+        net = read_artifact(start_from).net
+        if not isinstance(net, ResNetEnergy):
+            raise ModelError(f"{start_from} is not a resnet18")
+        return net
+    if strategy == "scratch":
+        return None
+    if backbone is None:
+        raise ModelError(f"the strategy {strategy!r} needs a backbone's weights")
+    net = ResNetEnergy()
+    net.backbone = load_backbone(backbone)
+    return net
+
+
+def _trained_resnet(
+    examples: Examples,
+    *,
+    start: ResNetEnergy | None,
+    epochs: int,
+    seed: int,
+    frozen: bool,
+    checkpoint: Path,
+    learning_rate: float = LEARNING_RATE["resnet18"],
+) -> ResNetEnergy:
+    checkpoint.parent.mkdir(parents=True, exist_ok=True)
+    options = TrainingOptions(
+        epochs=epochs,
+        patience=epochs,
+        batch=_PAPER_BATCH,
+        learning_rate=learning_rate,
+        augment=False,
+        freeze_backbone=frozen,
+        loss="mse",
+    )
+    result = train_network(
+        examples, architecture="resnet18", seed=seed, start_from=start, options=options, checkpoint=checkpoint
+    )
+    if not isinstance(result.net, ResNetEnergy):
+        raise ModelError("the training of a resnet18 returned another network")
+    return result.net
+
+
+def predicted_j(predictor: Predictor, measured: Measured, robot: Robot) -> FloatArray:
+    """Energy [J] of every segment, (n,); NaN on unknown ground."""
+    return predict_segments(predictor, measured.heightmap, robot, measured.segments).energy_j
+
+
+def described(backbone: Path | None) -> dict[str, Any]:
+    """Where the paper network's backbone came from, for the table."""
+    if backbone is None:
+        return {"backbone": "pre-trained on simulated terrain: another robot on random sites (no ImageNet file given)"}
+    return {"backbone": f"read from {backbone.name}"}

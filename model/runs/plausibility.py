@@ -1,0 +1,58 @@
+"""Whether measured runs can have been driven on this heightmap by this robot: asked before anything is made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import RunsError
+from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import Segments
+from joulemap.model.terrain.heightmap import Heightmap
+
+_FAR_OFF = 100.0  # thousandfold are milliamperes, millivolts and milliseconds; no robot is a hundredfold its own file
+
+
+def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
+    """Raises RunsError where there is no segment, where none lies on the map, or where a metre took a hundred times
+    more or less than this robot can need.
+    """
+    if len(segments) == 0:
+        rules = ", ".join(f"{count} {rule}" for rule, count in segments.left_out.items() if count)
+        raise RunsError(
+            "the runs hold no segment of 1 m: did the robot move, and is its position recorded?"
+            + (f" Left out: {rules}" if rules else ""),
+            left_out=segments.left_out,
+        )
+    frame = heightmap.frame
+    if not _inside(heightmap, segments.x, segments.y).any():
+        west, south, east, north = frame.bounds
+        hint = (
+            "with x and y exchanged they would lie on it"
+            if _inside(heightmap, segments.y, segments.x).any()
+            else f"are they in its coordinate system ({frame.crs or 'which the file does not name'})?"
+        )
+        raise RunsError(
+            f"the runs lie off the heightmap: they span x {_span(segments.x)}, y {_span(segments.y)}, the map x "
+            f"{west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}; {hint}",
+            bounds=list(frame.bounds),
+        )
+    unit = robot.nominal_voltage_v if segments.charge else 1.0
+    took = unit * float(np.median(segments.energy_j / segments.driven_m))
+    usual = float(robot.price_per_m(np.array(robot.weight_n * robot.rolling_resistance)))
+    if usual > 0 and not usual / _FAR_OFF < took < usual * _FAR_OFF:
+        raise RunsError(
+            f"a metre took {took:,.1f} J, where this robot needs about {usual:,.1f} J on level ground: are `t` in s, "
+            "`current` in A and `voltage` in V, and is the robot's file this robot's?",
+            measured=took,
+            expected=usual,
+        )
+
+
+def _inside(heightmap: Heightmap, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    west, south, east, north = heightmap.frame.bounds
+    return np.asarray((x >= west) & (x <= east) & (y >= south) & (y <= north))
+
+
+def _span(values: NDArray[np.float64]) -> str:
+    return f"{values.min():.2f}..{values.max():.2f}"

@@ -1,0 +1,213 @@
+"""Distillation: a compact model out of a ResNet18 teacher's answers and the runs that the teacher learned from.
+
+Source of the idea: Hinton, Vinyals & Dean 2015, "Distilling the knowledge in a neural network".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.artifact import Artifact, load_artifact, predictor_of, read_artifact, save_artifact
+from joulemap.model.energy.compact import CompactNet
+from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.energy.resnet import ResNetPredictor
+from joulemap.model.energy.uncertainty import FEWEST, fit_spread
+from joulemap.model.errors import InputError, ModelError
+from joulemap.model.loop.prediction import Prediction, predict_segments
+from joulemap.model.robot import Robot
+from joulemap.model.runs.files import read_segments
+from joulemap.model.runs.plausibility import check_runs
+from joulemap.model.runs.segments import Segments
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.training.evaluation import errors
+from joulemap.model.training.optimisation import TrainingOptions, train_network
+from joulemap.model.training.pretraining import MAX_TURN_RAD
+
+TAUGHT = -1
+"""The run of examples that were never driven."""
+
+_AT_ONCE = 512
+
+
+def ask_teacher(
+    teacher: Predictor,
+    heightmap: Heightmap,
+    robot: Robot,
+    *,
+    count: int,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] | None = None,
+) -> Examples:
+    """`count` random places and headings with the energy that the teacher gives them, run `TAUGHT`; fewer where the
+    map is unknown. Raises InputError where it knows none of them.
+    """
+    parts = []
+    for start in range(0, count, _AT_ONCE):
+        x, y, heading = random_places(heightmap, min(_AT_ONCE, count - start), rng)
+        energy = robot.hotel_per_m + teacher.segment_traction(heightmap, robot, x, y, heading)
+        parts.append(cut_examples(heightmap, robot, x, y, heading, energy, run=TAUGHT))
+        if progress is not None:
+            progress(min(start + _AT_ONCE, count) / count)
+    examples = concatenate(parts)
+    if not len(examples):
+        raise InputError(f"the teacher knows none of {count} random places: is the map unknown nearly everywhere?")
+    return examples
+
+
+def difference(one: Predictor, other: Predictor, heightmap: Heightmap, robot: Robot, *, count: int, seed: int) -> float:
+    """Mean absolute difference of two models' energies over the mean energy of the other, at random places and
+    headings that both know. NaN where there is none.
+    """
+    places = random_places(heightmap, count, np.random.default_rng(seed))
+    ours, theirs = (robot.price_per_m(model.segment_traction(heightmap, robot, *places)) for model in (one, other))
+    known = np.isfinite(ours) & np.isfinite(theirs)
+    if not known.any():
+        return float("nan")
+    return float(np.abs(ours - theirs)[known].mean() / theirs[known].mean())
+
+
+def random_places(heightmap: Heightmap, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], ...]:
+    """x, y [m] anywhere on the map and any heading [rad], (count,) each."""
+    west, south, east, north = heightmap.frame.bounds
+    return rng.uniform(west, east, count), rng.uniform(south, north, count), rng.uniform(0.0, 2.0 * np.pi, count)
+
+
+DISTILLING = TrainingOptions(epochs=30, batch=128, learning_rate=1e-3, keep_last=True)
+ANSWERS = 20_000
+_COPIES = 8  # every measured segment is learned from as many sides, as in `joulemap.model.training.measured_runs`
+_JUDGED = 2_000  # places at which student and teacher are compared, none of them taught
+_ASKING = 0.5  # share of the time
+
+
+@dataclass(frozen=True)
+class DistilledModel:
+    """What a distillation left. answers, segments : taught, and measured, that the student learned from. difference :
+    mean absolute difference from the teacher at places that nobody drove, over the energy. teacher_held_out,
+    student_held_out : errors on `held_out_runs`; neither was fitted to them, but they told the teacher when to stop.
+    """
+
+    version: str
+    teacher: str
+    answers: int
+    segments: int
+    held_out_runs: list[str]
+    difference: float
+    teacher_held_out: dict[str, Any]
+    student_held_out: dict[str, Any]
+
+
+def distil_on_runs(
+    heightmap: Heightmap,
+    robot: Robot,
+    files: Sequence[Path],
+    *,
+    teacher: Path,
+    start_from: Path,
+    out: Path,
+    answers: int = ANSWERS,
+    epochs: int | None = None,
+    seed: int = 0,
+    charge: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> DistilledModel:
+    """Teach a compact network what a ResNet18 (`teacher`, a model's folder) says at `answers` random places, fit it to
+    the measured segments at the same time, and write the model's folder `out`.
+
+    The runs that the teacher held out are held out of the student too. start_from : the folder of the compact model
+    that the student starts from. Raises ModelError where either is no such model, InputError where none of the runs is
+    one that the teacher had not seen, RunsError.
+    """
+    report = progress or (lambda _: None)
+    knows = load_artifact(teacher)
+    if not isinstance(knows, ResNetPredictor):
+        raise ModelError(f"the teacher {teacher} is no resnet18: make one with `joulemap train --arch resnet18`")
+    learned = read_artifact(teacher)
+    parent = read_artifact(start_from)
+    if not isinstance(parent.net, CompactNet):
+        raise ModelError(f"{start_from} is no compact model: a student cannot start from it")
+    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    check_runs(segments, heightmap, robot)
+    unseen = [str(name) for name in learned.training.get("held_out_runs", [])]
+    held = [number for number, name in enumerate(segments.runs) if name in unseen]
+    if not held:
+        raise InputError(
+            f"none of the {len(segments.runs)} runs is one that the teacher had not seen "
+            f"({', '.join(unseen) or 'it held none out'}): give the runs that it was trained on",
+            held_out_runs=unseen,
+        )
+    rng = np.random.default_rng(seed)
+    measured = _measured(heightmap, robot, segments, rng)
+    taught = ask_teacher(knows, heightmap, robot, count=answers, rng=rng, progress=lambda done: report(_ASKING * done))
+    examples = concatenate([measured, taught])
+    result = train_network(
+        examples,
+        seed=seed,
+        start_from=parent.net,
+        held_out_runs=held,
+        options=replace(DISTILLING, epochs=epochs or DISTILLING.epochs),
+        progress=lambda done: report(_ASKING + (1.0 - _ASKING) * done),
+    )
+    student = Artifact(result.net, parent.domain.joined(examples.domain()), turn_j_per_rad=learned.turn_j_per_rad)
+    answers_of = predictor_of(student, {}, name=out.name)
+    apart = segments.take(np.flatnonzero(np.isin(segments.run, held)))
+    said = predict_segments(answers_of, heightmap, robot, apart)
+    found = DistilledModel(
+        "",
+        str(teacher),
+        len(taught),
+        int((~np.isin(segments.run, held)).sum()),
+        [segments.runs[k] for k in held],
+        difference(answers_of, knows, heightmap, robot, count=_JUDGED, seed=seed + 1),
+        _errors(predict_segments(knows, heightmap, robot, apart), apart),
+        _errors(said, apart),
+    )
+    training = {
+        "data": "measured runs and a teacher's answers",
+        "data_hash": examples.data_hash,
+        "seed": seed,
+        "epochs": result.epochs,
+        "teacher_version": knows.provenance()["version"],
+        "started_from": str(start_from),
+        "held_out": found.student_held_out,
+        **{key: value for key, value in asdict(found).items() if key != "version"},
+    }
+    known = np.isfinite(said.energy_j)
+    if known.sum() >= FEWEST and said.std_j is not None:
+        spread = fit_spread(apart.energy_j[known], said.energy_j[known], said.std_j[known], apart.run[known])
+        student = replace(student, spread=spread)
+    return replace(found, version=save_artifact(out, replace(student, training=training)))
+
+
+def _measured(heightmap: Heightmap, robot: Robot, segments: Segments, rng: np.random.Generator) -> Examples:
+    """The straight segments, as driven and with the world turned by random angles."""
+    straight = segments.take(np.flatnonzero(np.abs(segments.heading_change_rad) < MAX_TURN_RAD))
+    payload = np.nan_to_num(straight.extras.get("payload", np.zeros(len(straight))))
+    turns = [np.zeros(len(straight)), *rng.uniform(0.0, 2.0 * np.pi, (_COPIES - 1, len(straight)))]
+    return concatenate(
+        [
+            cut_examples(
+                heightmap,
+                robot,
+                straight.x,
+                straight.y,
+                straight.heading_rad,
+                straight.energy_j,
+                run=straight.run,
+                payload_kg=payload,
+                turned_rad=turned,
+            )
+            for turned in turns
+        ]
+    )
+
+
+def _errors(said: Prediction, segments: Segments) -> dict[str, Any]:
+    known = np.isfinite(said.energy_j)
+    return errors(said.energy_j[known], segments.energy_j[known], segments.run[known])
