@@ -20,7 +20,7 @@ from joulemap.service.commands.options import (
     find_runs,
     robot_of,
 )
-from joulemap.service.commands.words import energy_words, runs_words
+from joulemap.service.words import energy_words, runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot

@@ -33,8 +33,8 @@ from joulemap.planner.lattice_io import load_lattice
 from joulemap.planner.plan import Plan
 from joulemap.planner.route import price_route
 from joulemap.service.commands.console import Answer, write_file
-from joulemap.service.commands.words import energy_words, route_words, saving_words
 from joulemap.service.pictures import route_picture
+from joulemap.service.words import energy_words, route_words, saving_words
 
 READY_WITHIN_S = 180.0
 COSTMAP_WITHIN_S = 300

@@ -10,7 +10,7 @@ import typer
 
 from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
 from joulemap.service.commands.options import ModelName, Overwrite, RobotFile, refuse_to_replace, robot_of, there
-from joulemap.service.commands.words import route_words, saving_words
+from joulemap.service.words import route_words, saving_words
 
 MapFolder = Annotated[
     Path, typer.Argument(metavar="MAP.zarr", callback=there, help="A cost map made by `joulemap costmap`.")

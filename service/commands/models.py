@@ -24,7 +24,7 @@ from joulemap.service.commands.options import (
     robot_of,
     there,
 )
-from joulemap.service.commands.words import runs_words
+from joulemap.service.words import runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot

@@ -13,7 +13,7 @@ import typer
 from joulemap.model.errors import InputError
 from joulemap.service.commands.console import Answer, JsonFile, progress_bar
 from joulemap.service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, robot_of, there
-from joulemap.service.commands.words import runs_words
+from joulemap.service.words import runs_words
 
 
 class ProfileName(StrEnum):

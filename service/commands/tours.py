@@ -10,7 +10,7 @@ import typer
 
 from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
 from joulemap.service.commands.maps import MapFolder
-from joulemap.service.commands.words import route_words
+from joulemap.service.words import route_words
 
 
 def tour(

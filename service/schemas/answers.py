@@ -27,6 +27,7 @@ from joulemap.service.schemas.planning import (
     VerdictOut,
 )
 from joulemap.service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, JobRow, RunsRow
+from joulemap.service.words import verdict_words
 from joulemap.service.workflows import Assessment
 
 
@@ -113,26 +114,6 @@ def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
 
 def verdict_out(verdict: Verdict) -> VerdictOut:
     return VerdictOut(message=verdict_words(verdict), **asdict(verdict))
-
-
-def verdict_words(verdict: Verdict) -> str:
-    """A verdict as a robot operator would say it."""
-    doubt = "" if verdict.energy_std_j is None else f" +- {verdict.energy_std_j / 3600:.2f}"
-    need = f"{verdict.energy_j / 3600:.2f}{doubt} Wh needed, "
-    need += f"{verdict.available_j / 3600:.2f} Wh available above the reserve"
-    if verdict.probability is not None:
-        need += f", lasts with {_probability_words(verdict.probability)}"
-    if verdict.feasible:
-        spare = f"{verdict.margin_j / 3600:.2f} Wh to spare"
-        return f"feasible: {need}, {spare}; charge at the end {verdict.charge_at_end:.1%}"
-    return f"not feasible: {need}, {verdict.shortfall_j / 3600:.2f} Wh short"
-
-
-def _probability_words(probability: float) -> str:
-    """A probability as far as it is worth saying: nobody knows the tails."""
-    if probability > 0.99:
-        return "more than 99 %"
-    return "less than 1 %" if probability < 0.01 else f"{probability:.0%}".replace("%", " %")
 
 
 def route_values(route: Route) -> dict[str, Any]:

@@ -22,8 +22,8 @@ from joulemap.planner.lattice_io import load_lattice
 from joulemap.planner.plan import RoutePlanner
 from joulemap.service.cli import app
 from joulemap.service.commands.console import parse_point
-from joulemap.service.commands.words import duration_words, energy_words, saving_words
 from joulemap.service.problems import exit_code
+from joulemap.service.words import duration_words, energy_words, saving_words
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "model" / "weights"
 PNG = b"\x89PNG\r\n\x1a\n"

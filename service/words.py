@@ -1,9 +1,12 @@
-"""Answers in plain words: what a route costs and what it saves."""
+"""Answers in plain words: what a route costs, what it saves, and whether the battery lasts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from joulemap.planner.budget import Verdict
 
 
 def energy_words(energy_j: float) -> str:
@@ -39,3 +42,23 @@ def saving_words(route: Mapping[str, Any], shortest: Mapping[str, Any]) -> str:
     share = f" ({saved / shortest['energy_j']:.1%})" if shortest["energy_j"] > 0 else ""
     detour = f", {longer:.1f} m longer" if longer >= 0.05 else ""
     return f"{energy_words(saved)} less than the shortest{share}{detour}"
+
+
+def verdict_words(verdict: Verdict) -> str:
+    """A verdict as a robot operator would say it."""
+    spread = "" if verdict.energy_std_j is None else f" +- {verdict.energy_std_j / 3600:.2f}"
+    need = f"{verdict.energy_j / 3600:.2f}{spread} Wh needed, "
+    need += f"{verdict.available_j / 3600:.2f} Wh available above the reserve"
+    if verdict.probability is not None:
+        need += f", lasts with {_probability_words(verdict.probability)}"
+    if verdict.feasible:
+        spare = f"{verdict.margin_j / 3600:.2f} Wh to spare"
+        return f"feasible: {need}, {spare}; charge at the end {verdict.charge_at_end:.1%}"
+    return f"not feasible: {need}, {verdict.shortfall_j / 3600:.2f} Wh short"
+
+
+def _probability_words(probability: float) -> str:
+    """A probability as far as it is worth saying: nobody knows the tails."""
+    if probability > 0.99:
+        return "more than 99 %"
+    return "less than 1 %" if probability < 0.01 else f"{probability:.0%}".replace("%", " %")

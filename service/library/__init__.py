@@ -1,0 +1,1 @@
+"""The Python package: what `import joulemap` offers, for scripts and notebooks."""
