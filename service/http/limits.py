@@ -38,9 +38,9 @@ class RequestLimits:
         scope.setdefault("state", {})["request_id"] = request_id
         limit = self._limit(scope, headers)
         declared = headers.get(b"content-length", b"")
-        answer = _Answer(send, request_id)
+        reply = _Reply(send, request_id)
         if declared.isdigit() and int(declared[:20]) > limit:
-            await answer.refuse(TooLargeError(_words(limit), declared_bytes=int(declared[:20]), limit_bytes=limit))
+            await reply.refuse(TooLargeError(_words(limit), declared_bytes=int(declared[:20]), limit_bytes=limit))
             return
         received = 0
 
@@ -50,11 +50,11 @@ class RequestLimits:
             if message["type"] == "http.request":
                 received += len(message.get("body", b""))
                 if received > limit:
-                    answer.overrun = TooLargeError(_words(limit), received_bytes=received, limit_bytes=limit)
-                    raise answer.overrun
+                    reply.overrun = TooLargeError(_words(limit), received_bytes=received, limit_bytes=limit)
+                    raise reply.overrun
             return message
 
-        await self._app(scope, counted, answer.send)
+        await self._app(scope, counted, reply.send)
 
     def _limit(self, scope: Scope, headers: dict[bytes, bytes]) -> int:
         upload = scope["method"] == "POST" and scope["path"] in self._upload_paths
@@ -66,7 +66,7 @@ def _words(limit: int) -> str:
     return f"the request's body is larger than the limit of {limit / 1e6:g} MB"
 
 
-class _Answer:
+class _Reply:
     """The way out: adds the request id, and replaces whatever is answered to an overrun body by a 413."""
 
     def __init__(self, send: Send, request_id: str) -> None:

@@ -17,7 +17,7 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Answer(BaseModel):
+class ResponseModel(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
@@ -62,7 +62,7 @@ RobotIn = create_model(  # type: ignore[call-overload]
 )
 RobotOut = create_model(  # type: ignore[call-overload]
     "RobotOut",
-    __base__=Answer,
+    __base__=ResponseModel,
     __doc__="The robot whose prices and limits these are.",
     **{
         key: (kind, Field(description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
@@ -88,7 +88,7 @@ class Problem(BaseModel):
     context: dict[str, Any] = Field(description="the offending value and the limit", examples=[{"reason": "step"}])
 
 
-class JobOut(Answer):
+class JobOut(ResponseModel):
     """What is asked for, being made, or done."""
 
     id: str

@@ -8,17 +8,17 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.schemas.base import Answer, JobOut, Point, Problem, Request, RobotIn, RobotOut
+from joulemap.service.schemas.base import JobOut, Point, Problem, Request, ResponseModel, RobotIn, RobotOut
 
 
-class OdometryOut(Answer):
+class OdometryOut(ResponseModel):
     """How runs without positions are read."""
 
     track_m: float = Field(description="distance of the sides as the robot turns [m]", examples=[1.07])
     terrain_from_name: bool = Field(description="whether a file's name says what ground it was driven on")
 
 
-class RunOut(Answer):
+class RunOut(ResponseModel):
     """What was read of one measured run, and what was left out and why."""
 
     name: str = Field(description="of its file", examples=["run_01.csv"])
@@ -37,7 +37,7 @@ class RunOut(Answer):
     odometry: OdometryOut | None = Field(default=None, description="of a run without positions")
 
 
-class RunsOut(Answer):
+class RunsOut(ResponseModel):
     """Measured runs that were sent together."""
 
     id: str = Field(examples=["runs-3b9d0c1e77aa"])

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS
 from joulemap.planner.tiles import HEADING_LIMITS
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.schemas.base import Answer, JobOut, Problem, Request, RobotIn, RobotOut
+from joulemap.service.schemas.base import JobOut, Problem, Request, ResponseModel, RobotIn, RobotOut
 
 
 class UploadOptions(BaseModel):
@@ -43,7 +43,7 @@ class UploadOptions(BaseModel):
     )
 
 
-class HeightmapOut(Answer):
+class HeightmapOut(ResponseModel):
     """A heightmap that is kept."""
 
     id: str = Field(examples=["hm-5f0c2a9d41be"])
@@ -89,7 +89,7 @@ class CostmapRequest(CostmapOptions):
     heightmap_id: str = Field(max_length=100, examples=["hm-5f0c2a9d41be"])
 
 
-class FrameOut(Answer):
+class FrameOut(ResponseModel):
     """Where the cost map's cells lie; row 0 is north."""
 
     rows: int = Field(examples=[200])
@@ -99,7 +99,7 @@ class FrameOut(Answer):
     crs: str | None = Field(examples=["EPSG:32630"])
 
 
-class SpreadOut(Answer):
+class SpreadOut(ResponseModel):
     """Over all cells and headings that may be driven."""
 
     min: float = Field(description="[J/m]")
@@ -107,7 +107,7 @@ class SpreadOut(Answer):
     max: float = Field(description="[J/m]")
 
 
-class BlockedOut(Answer):
+class BlockedOut(ResponseModel):
     """Share of (cell, heading) pairs, 0..1, under each reason."""
 
     free: float
@@ -136,7 +136,7 @@ class CostmapOut(JobOut):
     links: dict[str, str]
 
 
-class AtOut(Answer):
+class AtOut(ResponseModel):
     """Energy per metre at one place over all headings."""
 
     x: float = Field(description="[m]")

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from joulemap.planner.plan import PLANNERS
-from joulemap.service.schemas.base import Answer, PathPoint, Point, Point3, Request, RobotIn
+from joulemap.service.schemas.base import PathPoint, Point, Point3, Request, ResponseModel, RobotIn
 
 
 class BatteryIn(Request):
@@ -33,7 +33,7 @@ class PathRequest(Request):
     robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")
 
 
-class PieceOut(Answer):
+class PieceOut(ResponseModel):
     """A piece of at most a metre."""
 
     distance_m: float = Field(description="horizontal distance from the start at its end [m]")
@@ -45,7 +45,7 @@ class PieceOut(Answer):
     cumulative_j: float = Field(description="energy from the start to its end [J]")
 
 
-class VerdictOut(Answer):
+class VerdictOut(ResponseModel):
     """Whether the battery lasts."""
 
     feasible: bool
@@ -63,7 +63,7 @@ class VerdictOut(Answer):
     probability: float | None = Field(description="that the battery lasts, 0..1; null likewise")
 
 
-class ShortestOut(Answer):
+class ShortestOut(ResponseModel):
     """The shortest path within the same limits, priced the same way."""
 
     energy_j: float = Field(description="[J]")
@@ -71,7 +71,7 @@ class ShortestOut(Answer):
     path: list[Point3]
 
 
-class RouteOut(Answer):
+class RouteOut(ResponseModel):
     """A path with its price."""
 
     energy_j: float = Field(description="[J]", examples=[12345.6])
