@@ -74,8 +74,8 @@ def calibrate(
 
     Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv' --out found`
     """
-    from joulemap.service.loop.calibrating import calibrate_on_runs
-    from joulemap.service.loop.page import report_page
+    from joulemap.service.loop.calibration import calibrate_on_runs
+    from joulemap.service.loop.report_page import report_page
 
     if (start is None) != (goal is None):
         raise typer.BadParameter("--start and --goal go together")
@@ -135,7 +135,7 @@ def _read(
 
 
 def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
-    from joulemap.service.loop.page import coefficient_words, shadow_words
+    from joulemap.service.loop.report_page import coefficient_words, shadow_words
 
     unit = "A s" if document["target"] == "charge_as" else "J"
     names = ", ".join(effect["name"] for effect in document["effects"])
@@ -160,7 +160,7 @@ def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
 
 
 def _error_words(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
-    from joulemap.service.loop.page import error_states
+    from joulemap.service.loop.report_page import error_states
 
     states = error_states(error)
     return {

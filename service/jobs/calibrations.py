@@ -23,8 +23,8 @@ from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.jobs.steps import Step, Steps
-from joulemap.service.loop.calibrating import calibrate_on_runs
-from joulemap.service.loop.page import report_page
+from joulemap.service.loop.calibration import calibrate_on_runs
+from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.rerouting import Task
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.storage.store import Store

@@ -16,7 +16,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_calibration_runs, read_segments
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.readers import read_heightmap
-from joulemap.service.loop.calibrating import calibrate_on_runs
+from joulemap.service.loop.calibration import calibrate_on_runs
 from joulemap.service.models import load_model
 from tests.loop.cases import extra_energy
 

@@ -12,7 +12,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_calibration_runs
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
-from joulemap.service.loop.page import coefficient_words
+from joulemap.service.loop.report_page import coefficient_words
 from tests.reference.drives import wheel_logs
 
 runner = CliRunner()
@@ -81,7 +81,7 @@ def test_a_calibration_cut_off_leaves_no_model_and_can_be_done_again(field, tmp_
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("joulemap.service.loop.calibrating.compare_routes", cut_off)
+        patch.setattr("joulemap.service.loop.calibration.compare_routes", cut_off)
         assert calibrate(field, tmp_path).exit_code != 0
     assert not (tmp_path / "model").exists()
     done = calibrate(field, tmp_path)

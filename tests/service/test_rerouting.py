@@ -15,7 +15,7 @@ from joulemap.model.loop.effects import Term
 from joulemap.model.loop.residual import residuals_of
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.service.loop.calibrating import correction_of
+from joulemap.service.loop.calibration import correction_of
 from joulemap.service.loop.rerouting import compare_routes, drawn_tasks
 from tests.reference.drives import made_up, noisy
 

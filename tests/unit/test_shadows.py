@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from joulemap.model.loop.report import report_document
-from joulemap.service.loop.page import shadow_words
+from joulemap.service.loop.report_page import shadow_words
 from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
 
 BEFORE = {"name": "made up", "version": "1"}

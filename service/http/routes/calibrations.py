@@ -16,7 +16,7 @@ from joulemap.service.http.documents import problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.jobs.calibrations import PAGE
-from joulemap.service.loop.calibrating import refuse_calibrated
+from joulemap.service.loop.calibration import refuse_calibrated
 from joulemap.service.models import find_predictor
 from joulemap.service.schemas.answers import calibration_out
 from joulemap.service.schemas.base import robot_values

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.service.loop.calibrating import Calibrated
-from joulemap.service.loop.plots import (
+from joulemap.service.loop.calibration import Calibrated
+from joulemap.service.loop.report_figures import (
     against_figures,
     change_figure,
     error_figure,
