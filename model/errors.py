@@ -21,6 +21,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 
@@ -117,3 +119,24 @@ class BusyError(JoulemapError):
     """The service is full or still starting; `retry_after_s` is in the context."""
 
     code = "busy"
+
+
+def nearest_name(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that a wrong one most likely means.
+
+    Parameters
+    ----------
+    name : str
+        The name that is not known, for example ``mass``.
+    known : iterable of str
+        The names that are, for example ``mass_kg``.
+
+    Returns
+    -------
+    str or None
+        A known name that contains `name` or is spelled nearly like it; None where none is near.
+    """
+    given, names = name.lower(), {other.lower(): other for other in known}
+    longer = [other for other in names if len(given) >= 3 and given in other]
+    near = get_close_matches(given, longer or names, n=1, cutoff=0.0 if longer else 0.6)
+    return names[near[0]] if near else None
