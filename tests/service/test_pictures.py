@@ -13,11 +13,12 @@ from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.plan import RoutePlanner
-from joulemap.service import pictures
-from joulemap.service.pictures import INK, OPTIMAL, SHORTEST, lattice_image, route_picture
+from joulemap.service import map_drawing
+from joulemap.service.map_drawing import INK, OPTIMAL, SHORTEST
+from joulemap.service.pictures import lattice_image, route_picture
 
 
 def rough(rows: int = 30, cols: int = 40) -> Heightmap:
@@ -61,7 +62,7 @@ def test_opposite_headings_look_different_on_a_slope(lattice: CostLattice) -> No
 
 def test_what_is_too_steep_is_marked_where_it_blocks(lattice: CostLattice) -> None:
     """The bank climbs to the north at 0.8 m per metre (39 degrees): too steep along north, across for east."""
-    grade, cross = (pictures._REASONS[reason][0] for reason in (pictures.Blocked.GRADE, pictures.Blocked.CROSS_SLOPE))
+    grade, cross = (map_drawing._REASONS[reason][0] for reason in (Blocked.GRADE, Blocked.CROSS_SLOPE))
     north, east = (lattice_image(lattice, view="heading", heading_deg=h) for h in (0.0, 90.0))
     assert share_of(north, grade) > 5.0 * share_of(east, grade)
     assert share_of(east, cross) > 5.0 * share_of(north, cross)
@@ -94,10 +95,10 @@ def test_both_paths_are_in_the_picture() -> None:
 
 def test_a_large_map_is_averaged_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks of 3 x 3 with one unknown cell average the other eight; the rest that fills no block is left out."""
-    monkeypatch.setattr(pictures, "MAX_PIXELS", 4)
+    monkeypatch.setattr(map_drawing, "MAX_PIXELS", 4)
     values = np.arange(110.0).reshape(10, 11)
     values[0, 0] = np.nan
-    thin, extent = pictures._thinned(values, GridFrame(0.0, 10.0, 1.0, 10, 11))
+    thin, extent = map_drawing._thinned(values, GridFrame(0.0, 10.0, 1.0, 10, 11))
     assert thin.shape == (3, 3)
     assert extent == (0.0, 9.0, 1.0, 10.0)
     assert thin[0, 0] == pytest.approx((values[:3, :3][~np.isnan(values[:3, :3])]).mean())
