@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -239,20 +239,6 @@ def _means_of_runs(values: FloatArray, run: NDArray[np.int64]) -> FloatArray:
     count = np.bincount(run[known], minlength=run.max(initial=0) + 1)
     total = np.bincount(run[known], weights=values[known], minlength=count.size)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def concatenate_drives(parts: Sequence[Drive]) -> Drive:
-    """Several drives of one robot in one value; a column that some part lacks is NaN (or empty text) there."""
-    names = sorted({key for p in parts for key in p.columns})
-    words = sorted({key for p in parts for key in p.words})
-    changed: dict[str, Any] = {
-        f.name: np.concatenate([getattr(p, f.name) for p in parts])
-        for f in fields(parts[0])
-        if isinstance(getattr(parts[0], f.name), np.ndarray)
-    }
-    changed["columns"] = {k: np.concatenate([p.columns.get(k, np.full(len(p), np.nan)) for p in parts]) for k in names}
-    changed["words"] = {k: np.concatenate([p.words.get(k, np.full(len(p), "")) for p in parts]) for k in words}
-    return replace(parts[0], **changed)
 
 
 def _unread_ground(n: int) -> dict[str, FloatArray]:

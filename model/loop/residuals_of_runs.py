@@ -17,7 +17,7 @@ from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.loop.record import read_record, save_record
 from joulemap.model.loop.residual import LEAST_SEGMENTS, Residuals, residuals_of
 from joulemap.model.robot import Robot
-from joulemap.model.runs.plausibility import check_runs
+from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 

@@ -13,7 +13,7 @@ undriven : segments of runs that draw next to nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -236,16 +236,6 @@ def driven_only(segments: Segments) -> Segments:
         return segments
     apart = np.isin(segments.run, still)
     return replace(segments.take(~apart), left_out=segments.left_out | {"undriven": int(apart.sum())})
-
-
-def split_runs(segments: Segments, held_out: Iterable[int]) -> tuple[Segments, Segments]:
-    """(the rest, the held-out ones) by whole runs; held_out : indices into `segments.runs`."""
-    chosen = sorted(set(held_out))
-    wrong = [k for k in chosen if not 0 <= k < len(segments.runs)]
-    if wrong:
-        raise InputError(f"there is no run {wrong[0]}; there are {len(segments.runs)}", run=wrong[0])
-    apart = np.isin(segments.run, chosen)
-    return segments.take(~apart), segments.take(apart)
 
 
 def _count(counts: dict[str, int], key: str, count: int) -> None:

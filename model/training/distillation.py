@@ -23,7 +23,7 @@ from joulemap.model.errors import InputError, ModelError
 from joulemap.model.loop.prediction import Prediction, predict_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
-from joulemap.model.runs.plausibility import check_runs
+from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors

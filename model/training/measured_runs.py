@@ -25,7 +25,7 @@ from joulemap.model.loop.record import RECORD_FILE
 from joulemap.model.loop.residuals_of_runs import keep_base_runs
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
-from joulemap.model.runs.plausibility import check_runs
+from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors

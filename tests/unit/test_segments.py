@@ -11,7 +11,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.loop.drive import describe_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.reader import Run
-from joulemap.model.runs.segments import concatenate, cut_segments, driven_only, split_runs
+from joulemap.model.runs.segments import concatenate, cut_segments, driven_only
 from joulemap.model.terrain.heightmap import Heightmap
 
 
@@ -153,7 +153,7 @@ def test_further_columns_are_averaged_and_angles_as_directions():
     assert segments.texts["terrain"][-1] == "dirt"
 
 
-def test_runs_are_put_together_and_split_whole():
+def test_runs_are_put_together_and_taken_out_whole():
     parts = [
         cut_segments(line(seconds, name=f"r{k}", z=np.full(round(seconds * 10), k)))
         for k, seconds in enumerate((20.0, 30.0, 40.0))
@@ -163,13 +163,11 @@ def test_runs_are_put_together_and_split_whole():
     assert together.runs == ("r0", "r1", "r2")
     assert len(together) == sum(map(len, parts))
     assert together.left_out == {"remainders": 3}
-    rest, held = split_runs(together, [1])
-    assert set(rest.run) == {0, 2}
+    held = together.take(together.run == 1)
     assert set(held.run) == {1}
+    assert held.runs == together.runs
     assert np.isnan(held.extras["z"]).all()
     np.testing.assert_array_equal(held.energy_j, parts[1].energy_j)
-    with pytest.raises(InputError, match="no run 3"):
-        split_runs(together, [3])
     with pytest.raises(InputError, match="charge"):
         concatenate([parts[0], cut_segments(line(), charge=True)])
     with pytest.raises(InputError, match="no segments"):

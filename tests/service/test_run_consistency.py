@@ -9,7 +9,7 @@ import pytest
 from joulemap.model.errors import RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.runs.plausibility import check_runs
+from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.reader import parse_run
 from joulemap.model.runs.segments import Segments, concatenate, cut_segments
 from joulemap.model.terrain.heightmap import Heightmap
