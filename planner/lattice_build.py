@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,9 +34,27 @@ MAX_LATTICE_VALUES = 400_000_000
 def build_tile(
     ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling, rows: slice, cols: slice
 ) -> CostLattice:
-    """The lattice of some of the tiling's cells, equal to that part of the whole lattice to float32 rounding.
+    """Build the lattice of some of the tiling's cells, equal to that part of the whole lattice to float32 rounding.
 
-    Memory is bounded by the cells and the heights around them. Its provenance is empty: see `provenance_of`.
+    Memory is bounded by the cells and the heights around them.
+
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap, in memory or in a file.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model that predicts traction [J/m].
+    tiling : Tiling
+        Frame, headings and tiles of the whole lattice.
+    rows, cols : slice
+        The cells to build.
+
+    Returns
+    -------
+    CostLattice
+        The cells; its provenance is empty, see `provenance_of`.
     """
     frame = tiling.frame.window(rows.start, rows.stop, cols.start, cols.stop)
     heights = ground_of(ground, frame, robot)
@@ -44,7 +66,24 @@ def build_tile(
 
 
 def provenance_of(ground: Ground, robot: Robot, source: TractionSource, tiling: Tiling) -> dict[str, Any]:
-    """How a lattice is made, JSON-able, with every warning about the map and the robot."""
+    """Return how a lattice is made, with every warning about the map and the robot.
+
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model.
+    tiling : Tiling
+        Frame and headings of the lattice.
+
+    Returns
+    -------
+    dict
+        JSON-able: version and time, heightmap, model, `spacing_m`, `headings`, `warnings`.
+    """
     return {
         "joulemap": version("joulemap"),
         "made_at": dt.datetime.now(dt.UTC).isoformat(timespec="seconds"),
@@ -71,10 +110,38 @@ def build_lattice(
     tile_cells: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> CostLattice:
-    """The cost lattice of a whole heightmap, in memory.
+    """Build the cost lattice of a whole heightmap in memory.
 
-    spacing_m : side of a cell [m]; headings : number of bins (4 to 360); tile_cells : side of a tile. Raises InputError
-    and HeightmapError on bad settings, TooLargeError above `MAX_LATTICE_VALUES`.
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap, in memory or in a file.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model that predicts traction [J/m].
+    spacing_m : float, default 1.0
+        Side of a cell [m].
+    headings : int, default 16
+        Number of heading bins, 4 to 360.
+    tile_cells : int, optional
+        Side of a tile [cells]; chosen from the heightmap's resolution where None.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    CostLattice
+        The lattice with its provenance.
+
+    Raises
+    ------
+    InputError
+        If the number of headings is out of range.
+    HeightmapError
+        If the spacing does not fit the map.
+    TooLargeError
+        Above `MAX_LATTICE_VALUES`.
     """
     tiling = Tiling.of(ground.frame, spacing_m=spacing_m, headings=headings, side=tile_cells)
     frame = tiling.frame
@@ -113,26 +180,82 @@ def write_lattice(
     each: Callable[[CostLattice], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Write the lattice of any size to `path`, whole or not at all, holding one tile at a time; its provenance.
+    """Write a lattice of any size to a folder, whole or not at all, holding one tile in memory at a time.
 
-    each : is shown every tile. Raises InputError where something else than a lattice is at `path`.
+    Cut off by an exception, Ctrl-C or SIGTERM, it leaves nothing behind.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder, usually NAME.zarr. A cost lattice that is there is replaced at the end.
+    ground : Ground
+        The heightmap, in memory or in a file.
+    robot : Robot
+        Whose prices and limits these are.
+    source : TractionSource
+        The model that predicts traction [J/m].
+    tiling : Tiling
+        Frame, headings and tiles of the lattice.
+    each : callable, optional
+        Called with the `CostLattice` of every tile.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    dict
+        The lattice's provenance, see `provenance_of`.
+
+    Raises
+    ------
+    InputError
+        If something else than a cost lattice is at `path`.
     """
     folder = LatticeFolder(path)
-    folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
-    for number, place in enumerate(tiling):
-        part = build_tile(ground, robot, source, tiling, *place)
-        folder.write(part, *place)
-        if each is not None:
-            each(part)
-        if progress is not None:
-            progress((number + 1) / len(tiling))
-    provenance = provenance_of(ground, robot, source, tiling)
-    folder.finish(provenance)
+    with _ending_by_exception(), folder.whole_or_nothing():
+        folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
+        for number, place in enumerate(tiling):
+            part = build_tile(ground, robot, source, tiling, *place)
+            folder.write(part, *place)
+            if each is not None:
+                each(part)
+            if progress is not None:
+                progress((number + 1) / len(tiling))
+        provenance = provenance_of(ground, robot, source, tiling)
+        folder.finish(provenance)
     return provenance
 
 
+@contextmanager
+def _ending_by_exception() -> Iterator[None]:
+    """Let SIGTERM raise SystemExit, as Ctrl-C raises KeyboardInterrupt, where nobody else listens to it."""
+    listens = threading.current_thread() is threading.main_thread() and (
+        signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    )
+    if listens:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        yield
+    finally:
+        if listens:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
 def knows_spread(source: TractionSource, robot: Robot) -> bool:
-    """Whether a source tells how far off it may be: asked on a little flat ground."""
+    """Return whether a model gives the standard deviation of its predictions, asked on a little flat ground.
+
+    Parameters
+    ----------
+    source : TractionSource
+        The model.
+    robot : Robot
+        The robot to ask for.
+
+    Returns
+    -------
+    bool
+        Whether the lattice will have `std_j`.
+    """
     flat = Heightmap(np.zeros((8, 8), dtype=np.float32), GridFrame(0.0, 8.0, 1.0, 8, 8))
     cell = flat.frame.window(3, 5, 3, 5)
     return source.traction_and_std(flat, robot, cell, heading_bins(4))[1] is not None

@@ -1,10 +1,13 @@
-"""A cost lattice on disk: written as zarr, whole or tile by tile, and exported as npz and GeoTIFF."""
+"""A cost lattice on disk: a zarr group that xarray opens too; exports to npz and GeoTIFF."""
 
 from __future__ import annotations
 
 import io
 import json
 import shutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,18 +21,25 @@ from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.writers import write_bands_geotiff
 from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice_xarray import CRS_VARIABLE, DIMENSIONS, attributes_of, coordinates_of
 from joulemap.planner.tiles import TILE_CELLS, Tiling
 
 FORMAT = "joulemap.cost-lattice/1"
+"""Dimension names, coordinates and units came later and are no part of it: folders without them are read as well."""
 _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
 _OPTIONAL = ("std_j",)
 _COMPRESSOR = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")  # noise of the last bits does not compress: be quick
 
 
 class LatticeFolder:
-    """A lattice on its way to disk. It is built beside its place, `path`.partial, and moved there by `finish`.
+    """A lattice on its way to disk: it is built beside its place, in `path`.partial, and moved there by `finish`.
 
     Tiles may come in any order, again, and from several processes that share the folder: a tile is whole chunks.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder to write, usually NAME.zarr.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -37,16 +47,26 @@ class LatticeFolder:
         self.partial = self.path.with_name(self.path.name + ".partial")
 
     def lay_out(self, tiling: Tiling, robot: Robot, *, with_std: bool) -> None:
-        """Make the empty arrays, and throw away what an earlier try left.
+        """Make the empty arrays with their coordinates, and remove what an earlier try left.
 
-        Raises InputError where `path` exists and is no lattice.
+        Parameters
+        ----------
+        tiling : Tiling
+            Frame, headings and tiles of the lattice; one chunk per tile.
+        robot : Robot
+            Whose prices these are.
+        with_std : bool
+            Whether `std_j` will be written.
+
+        Raises
+        ------
+        InputError
+            If `path` exists and is not a cost lattice.
         """
-        if self.path.exists() and not _is_lattice(self.path):
-            raise InputError(
-                f"{self.path} exists and is not a cost lattice: it will not be overwritten", path=str(self.path)
-            )
+        self.check_place()
         self.path.parent.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(self.partial, ignore_errors=True)
+        frame = tiling.frame
         group = zarr.open_group(self.partial, mode="w")
         by_heading, side = (tiling.headings,), tiling.side
         arrays: dict[str, tuple[tuple[int, ...], str, float]] = {
@@ -58,15 +78,68 @@ class LatticeFolder:
         if with_std:
             arrays["std_j"] = (by_heading, "float32", np.nan)
         for name, (more, dtype, unknown) in arrays.items():
-            shape = (*tiling.frame.shape, *more)
-            chunks = (*(min(side, n) for n in tiling.frame.shape), *more)
             group.create_array(
-                name, shape=shape, chunks=chunks, dtype=dtype, fill_value=unknown, compressors=_COMPRESSOR
+                name,
+                shape=(*frame.shape, *more),
+                chunks=(*(min(side, n) for n in frame.shape), *more),
+                dtype=dtype,
+                fill_value=unknown,
+                compressors=_COMPRESSOR,
+                dimension_names=DIMENSIONS[name],
+                attributes=attributes_of(name, frame.crs),
             )
-        group.attrs.update(_metadata(tiling.frame, robot))
+        for name, (dimensions, values, attributes) in coordinates_of(frame, tiling.headings).items():
+            group.create_array(name, data=values, dimension_names=dimensions, attributes=attributes)
+        group.attrs.update({"Conventions": "CF-1.11", **_metadata(frame, robot)})
+        if frame.crs is not None:
+            group.attrs["coordinates"] = CRS_VARIABLE  # else xarray takes it for data
+
+    def check_place(self) -> None:
+        """Refuse a place where something else is.
+
+        Raises
+        ------
+        InputError
+            If `path` exists and is not a cost lattice.
+        """
+        if self.path.exists() and not _is_lattice(self.path):
+            raise InputError(
+                f"{self.path} exists and is not a cost lattice: it will not be overwritten", path=str(self.path)
+            )
+
+    @contextmanager
+    def whole_or_nothing(self) -> Iterator[None]:
+        """Remove the unfinished folder when the block ends by an exception, Ctrl-C included.
+
+        For a writer that cannot go on later from the tiles that are there.
+
+        Yields
+        ------
+        None
+            Nothing; the block lays out, writes and finishes.
+
+        Raises
+        ------
+        InputError
+            If `path` exists and is not a cost lattice.
+        """
+        self.check_place()
+        try:
+            yield
+        except BaseException:
+            shutil.rmtree(self.partial, ignore_errors=True)
+            raise
 
     def write(self, part: CostLattice, rows: slice, cols: slice) -> None:
-        """Keep the cells of one tile."""
+        """Write the cells of one tile.
+
+        Parameters
+        ----------
+        part : CostLattice
+            The lattice of these cells alone.
+        rows, cols : slice
+            Where they lie in the whole lattice.
+        """
         group = zarr.open_group(self.partial, mode="r+")
         for name in (*_ARRAYS, *_OPTIONAL):
             data = getattr(part, name)
@@ -74,29 +147,62 @@ class LatticeFolder:
                 group[name][rows, cols] = data  # type: ignore[index]
 
     def finish(self, provenance: dict[str, Any]) -> None:
-        """Say how the lattice was made, and move it into place where it is not there yet."""
+        """Write how the lattice was made, and move it into place where it is not there yet.
+
+        Parameters
+        ----------
+        provenance : dict
+            JSON-able record of model, heightmap, settings and warnings.
+        """
         if self.partial.exists():
             for torn in self.partial.rglob("*.partial"):  # a chunk whose writer was killed; it was written again
                 torn.unlink()
-            zarr.open_group(self.partial, mode="r+").attrs["provenance"] = provenance
+            _describe(self.partial, provenance)
             shutil.rmtree(self.path, ignore_errors=True)
             self.partial.rename(self.path)
         else:
-            zarr.open_group(self.path, mode="r+").attrs["provenance"] = provenance
+            _describe(self.path, provenance)
 
     def discard(self) -> None:
-        """Remove it, finished or not."""
+        """Remove the folder, finished or not."""
         for place in (self.partial, self.path):
             shutil.rmtree(place, ignore_errors=True)
 
 
 def save_lattice(lattice: CostLattice, path: str | Path) -> None:
-    """Write `path` (a folder, usually NAME.zarr), whole or not at all: it is built beside and moved into place."""
+    """Write a lattice to a folder, whole or not at all.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        What to write.
+    path : str or Path
+        The folder, usually NAME.zarr. A cost lattice that is there is replaced.
+
+    Raises
+    ------
+    InputError
+        If something else is at `path`.
+
+    Notes
+    -----
+    The folder is a zarr group with dimension names, coordinates, units and CRS after the CF conventions:
+    `xarray.open_zarr(path)` reads it.
+    """
     folder = LatticeFolder(path)
     tiling = Tiling(lattice.frame, lattice.headings, TILE_CELLS)
-    folder.lay_out(tiling, lattice.robot, with_std=lattice.std_j is not None)
-    folder.write(lattice, slice(0, lattice.frame.rows), slice(0, lattice.frame.cols))
-    folder.finish(lattice.provenance)
+    with folder.whole_or_nothing():
+        folder.lay_out(tiling, lattice.robot, with_std=lattice.std_j is not None)
+        folder.write(lattice, slice(0, lattice.frame.rows), slice(0, lattice.frame.cols))
+        folder.finish(lattice.provenance)
+
+
+def _describe(folder: Path, provenance: dict[str, Any]) -> None:
+    """Write the provenance, and a copy of all metadata in one place: without it xarray gives a warning."""
+    zarr.open_group(folder, mode="r+").attrs["provenance"] = provenance
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # zarr 3 has no standard for it yet; both libraries read it
+        zarr.consolidate_metadata(folder)
 
 
 def _is_lattice(path: Path) -> bool:
@@ -107,13 +213,29 @@ def _is_lattice(path: Path) -> bool:
 
 
 def load_lattice(path: str | Path) -> CostLattice:
-    """Read a folder written by `save_lattice`. Raises InputError when it is not one."""
+    """Read a folder written by `save_lattice` or `write_lattice`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder, usually NAME.zarr.
+
+    Returns
+    -------
+    CostLattice
+        The lattice, in memory.
+
+    Raises
+    ------
+    InputError
+        If `path` is not a cost lattice, or a damaged one.
+    """
     path = Path(path)
     if not (path / "zarr.json").is_file():
         raise InputError(
             f"{path} is not a cost lattice, which is a folder written by `joulemap costmap`", path=str(path)
         )
-    group = zarr.open_group(path, mode="r")
+    group = zarr.open_group(path, mode="r", use_consolidated=False)  # what is there, not what was there once
     meta: dict[str, Any] = dict(group.attrs)
     if meta.get("format") != FORMAT:
         raise InputError(f"{path} holds format {meta.get('format')!r}, expected {FORMAT!r}", path=str(path))
@@ -130,8 +252,18 @@ def load_lattice(path: str | Path) -> CostLattice:
 
 
 def export_npz(lattice: CostLattice) -> bytes:
-    """A compressed npz: energy_per_m, blocked (by heading), headings_rad, elevation_m, std_j where it is known, and the
-    metadata as JSON.
+    """Return a lattice as a compressed NumPy npz file.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        What to export.
+
+    Returns
+    -------
+    bytes
+        The file: `energy_per_m` and `blocked` (rows, cols, headings), `headings_rad` (headings,), `elevation_m`
+        (rows, cols), `std_j` where it is known, and `metadata` as JSON.
     """
     out = io.BytesIO()
     known: dict[str, Any] = {} if lattice.std_j is None else {"std_j": lattice.std_j}
@@ -148,7 +280,18 @@ def export_npz(lattice: CostLattice) -> bytes:
 
 
 def export_geotiff(lattice: CostLattice) -> bytes:
-    """A GeoTIFF with one float32 band per heading [J/m]; NaN (nodata) where that heading is blocked."""
+    """Return a lattice as a GeoTIFF file.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        What to export.
+
+    Returns
+    -------
+    bytes
+        The file: one float32 band per heading [J/m]; NaN (nodata) where that heading is blocked.
+    """
     energy = np.where(lattice.blocked_by_heading() == Blocked.FREE, lattice.energy_per_m, np.float32(np.nan))
     headings_deg = np.rad2deg(heading_bins(lattice.headings))
     written = write_bands_geotiff(

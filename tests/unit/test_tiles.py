@@ -1,6 +1,8 @@
 """Tiles: their cells once each, and a lattice made of them equal to one made whole, in memory, in files and in time."""
 
+import os
 import shutil
+import signal
 
 import numpy as np
 import pytest
@@ -189,3 +191,40 @@ def test_a_tile_that_was_never_written_is_unknown_and_not_free(tmp_path) -> None
     back = load_lattice(tmp_path / "a.zarr")
     assert (back.blocked > 0).all()
     assert np.isnan(back.traction_per_m).all()
+
+
+@pytest.mark.parametrize(
+    "cut",
+    [lambda: os.kill(os.getpid(), signal.SIGINT), lambda: os.kill(os.getpid(), signal.SIGTERM)],
+    ids=["int", "term"],
+)
+def test_a_writer_that_is_cut_off_leaves_nothing_behind(tmp_path, cut) -> None:
+    """Ctrl-C and SIGTERM after a tile: no folder, no half of one; a lattice that was there before is kept."""
+    heightmap, source = rough(120, 120, resolution_m=0.5), PhysicsPredictor()
+    tiling = Tiling.of(heightmap.frame, spacing_m=1.0, headings=8, side=32)
+    seen = []
+
+    def cut_after_the_second(part) -> None:
+        seen.append((tmp_path / "a.zarr.partial").exists())
+        if len(seen) == 2:
+            cut()
+
+    for before in (False, True):
+        seen.clear()
+        with pytest.raises((KeyboardInterrupt, SystemExit)):
+            write_lattice(tmp_path / "a.zarr", heightmap, ROBOT, source, tiling, each=cut_after_the_second)
+        assert seen == [True, True]
+        assert [place.name for place in tmp_path.iterdir()] == (["a.zarr"] if before else [])
+        write_lattice(tmp_path / "a.zarr", heightmap, ROBOT, source, tiling)
+    assert load_lattice(tmp_path / "a.zarr").frame == tiling.frame
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_what_is_no_lattice_is_left_alone_with_all_that_is_beside_it(tmp_path) -> None:
+    for name in ("a.zarr", "a.zarr.partial"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "precious.txt").write_text("keep")
+    tiling = Tiling.of(GridFrame(0.0, 20.0, 0.5, 40, 40), spacing_m=1.0, headings=8)
+    with pytest.raises(InputError, match="will not be overwritten"):
+        write_lattice(tmp_path / "a.zarr", rough(40, 40, resolution_m=0.5), ROBOT, PhysicsPredictor(), tiling)
+    assert len(list(tmp_path.rglob("precious.txt"))) == 2
