@@ -160,6 +160,7 @@ def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
     found = {"field": jsonable(field), "message": jsonable(message)}
     if error["type"] != "missing" and "input" in error:
         found["value"] = jsonable(error["input"], depth=2)
-        if isinstance(error["input"], (int, float, str)) and not isinstance(error["input"], bool):
+        ours = error["type"] in ("value_error", "unknown_field")  # these words name the value where it matters
+        if not ours and isinstance(error["input"], (int, float, str)) and not isinstance(error["input"], bool):
             found["message"] = f"{found['message']}, got {str(jsonable(error['input']))[:60]}"
     return found

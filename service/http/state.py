@@ -89,6 +89,7 @@ class Service:
             "height_min_m": float(known.min()),
             "height_max_m": float(known.max()),
             "hash": heightmap.data_hash,
+            "band": options.get("band"),
         }
         return self.store.add_heightmap(heightmap, name=name, stats=stats)
 

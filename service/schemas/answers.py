@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -46,6 +47,7 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
             "npz": f"{base}/data?format=npz",
             "zarr": f"{base}/data?format=zarr",
             "image": f"{base}/image.png",
+            "provenance": f"{base}/provenance",
             "at": f"{base}/at",
             "paths": f"{base}/paths",
             "tours": f"{base}/tours",
@@ -63,9 +65,20 @@ def costmap_out(row: CostmapRow) -> CostmapOut:
         energy_per_m=summary.get("energy_per_m"),
         blocked=summary.get("blocked"),
         warnings=(provenance or {}).get("warnings", []),
-        provenance=provenance,
+        provenance=None if provenance is None else {**provenance, "model": _short_model(provenance["model"])},
         links=links,
     )
+
+
+def _short_model(model: Mapping[str, Any]) -> dict[str, Any]:
+    """Which model it is, without how it was trained."""
+    short = {key: model[key] for key in ("name", "kind", "version") if key in model}
+    parent = model.get("config", {}).get("training", {}).get("parent")
+    if parent is not None:
+        short["parent"] = parent
+    if "base" in model:
+        short["base"] = _short_model(model["base"])
+    return short
 
 
 def _job(row: JobRow) -> dict[str, Any]:

@@ -3,21 +3,68 @@
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Mapping
 from dataclasses import fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    create_model,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from joulemap.model.errors import nearest_name
 from joulemap.model.robot import Robot
 
+UNKNOWN_FIELD = "unknown_field"
+"""The type of pydantic's finding for a field that a request does not have."""
 
-class Request(BaseModel):
+
+class ClosedModel(BaseModel):
+    """Refuses unknown fields, and says which known name is the nearest."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _name_the_nearest(cls, values: Any, check: ModelWrapValidatorHandler[Self]) -> Self:
+        try:
+            return check(values)
+        except ValidationError as error:
+            found = error.errors(include_url=False)
+            if not any(_is_unknown(one) for one in found):
+                raise
+            raise ValidationError.from_exception_data(error.title, [cls._said(one) for one in found]) from error
+
+    @classmethod
+    def _said(cls, found: Mapping[str, Any]) -> InitErrorDetails:
+        """A finding as it was, but for unknown fields of this model."""
+        finding = PydanticCustomError(found["type"], found["msg"])
+        if _is_unknown(found):
+            near = nearest_name(str(found["loc"][0]), cls.model_fields)
+            hint = f"did you mean {near}?" if near else f"known are {', '.join(cls.model_fields)}"
+            finding = PydanticCustomError(UNKNOWN_FIELD, f"unknown field; {hint}")
+        return InitErrorDetails(type=finding, loc=found["loc"], input=found["input"])
+
+
+def _is_unknown(found: Mapping[str, Any]) -> bool:
+    return found["type"] == "extra_forbidden" and len(found["loc"]) == 1
+
+
+class Request(ClosedModel):
     """Strict: unknown fields, numbers in quotes, NaN and infinity are refused."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(strict=True)
 
 
 class ResponseModel(BaseModel):
+    """What is answered: its fields are those of the schema and no others."""
+
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 

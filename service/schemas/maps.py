@@ -5,18 +5,16 @@ from __future__ import annotations
 import datetime as dt
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS
 from joulemap.planner.tiles import HEADING_LIMITS
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.schemas.base import JobOut, Problem, Request, ResponseModel, RobotIn, RobotOut
+from joulemap.service.schemas.base import ClosedModel, JobOut, Problem, Request, ResponseModel, RobotIn, RobotOut
 
 
-class UploadOptions(BaseModel):
+class UploadOptions(ClosedModel):
     """What a heightmap file may leave unsaid; as query parameters or form fields."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     name: str | None = Field(
         default=None, min_length=1, max_length=200, description="what to call it; else the file's name"
@@ -41,6 +39,12 @@ class UploadOptions(BaseModel):
     nodata: float | None = Field(
         default=None, description="stored value that means unknown, where the file does not declare it"
     )
+    band: int | None = Field(
+        default=None,
+        ge=1,
+        le=65_535,
+        description="band that holds the heights, from 1; a GeoTIFF with several needs it",
+    )
 
 
 class HeightmapOut(ResponseModel):
@@ -60,6 +64,9 @@ class HeightmapOut(ResponseModel):
     height_min_m: float = Field(description="lowest known height [m]", examples=[48.2])
     height_max_m: float = Field(description="highest known height [m]", examples=[73.9])
     hash: str = Field(description="identity of heights and position", examples=["9e107d9d372bb682"])
+    band: int | None = Field(
+        default=None, description="band of the sent GeoTIFF that holds the heights, from 1; null where none was named"
+    )
     links: dict[str, str]
 
 
@@ -131,7 +138,10 @@ class CostmapOut(JobOut):
     energy_per_m: SpreadOut | None = Field(description="null too where nothing may be driven")
     blocked: BlockedOut | None
     warnings: list[str] = Field(description="where map or robot lie outside what the model knows")
-    provenance: dict[str, Any] | None = Field(description="model, heightmap, settings and versions it was made with")
+    provenance: dict[str, Any] | None = Field(
+        description="model (name, kind, version, and what it was made from), heightmap, settings and versions it was "
+        "made with; the link `provenance` says everything about the model"
+    )
     problem: Problem | None = Field(description="why it failed")
     links: dict[str, str]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from joulemap.planner.plan import PLANNERS
 from joulemap.service.schemas.base import PathPoint, Point, Point3, Request, ResponseModel, RobotIn
@@ -14,8 +14,21 @@ class BatteryIn(Request):
     """A battery; what is left out is the robot's own, full and without a reserve."""
 
     capacity_wh: float | None = Field(default=None, gt=0, le=1e9, description="energy when full [Wh]", examples=[280.0])
-    charge: float = Field(default=1.0, ge=0, le=1, description="state of charge at the start, 0..1", examples=[0.8])
-    reserve: float = Field(default=0.0, ge=0, le=1, description="share of it that must remain, 0..1", examples=[0.2])
+    charge: float = Field(
+        default=1.0, ge=0, le=1, description="state of charge at the start, 0..1 (0.6 is 60 %)", examples=[0.8]
+    )
+    reserve: float = Field(
+        default=0.0, ge=0, le=1, description="share of the capacity that must remain at the end, 0..1", examples=[0.2]
+    )
+
+    @field_validator("charge", "reserve", mode="before")
+    @classmethod
+    def _no_percentage(cls, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, int | float) and 1 < value <= 100:
+            raise ValueError(
+                f"{info.field_name} is {value:g}; it lies between 0 and 1: for {value:g} % write {value / 100:g}"
+            )
+        return value
 
 
 class PathRequest(Request):

@@ -169,6 +169,62 @@ BAD_COSTMAPS: list[tuple[dict, str, str]] = [
 ]
 
 
+NEAREST: list[tuple[str, dict, str]] = [
+    ("costmaps", {"robot": {"mass": 20}}, "robot.mass: unknown field; did you mean mass_kg?"),
+    ("costmaps", {"robot": {"speed": 1.0}}, "robot.speed: unknown field; did you mean speed_mps?"),
+    ("costmaps", {"heading": 8}, "heading: unknown field; did you mean headings?"),
+    ("costmaps", {"robot": {"wings": 2}}, "robot.wings: unknown field; known are name, mass_kg"),
+    ("costmaps/{}/paths", {"neighbors": 8}, "neighbors: unknown field; did you mean neighbours?"),
+    ("costmaps/{}/paths", {"battery": {"capacity": 9}}, "battery.capacity: unknown field; did you mean capacity_wh?"),
+    (
+        "costmaps/{}/feasibility",
+        {"battery": {"charge": 60}},
+        "battery.charge: charge is 60; it lies between 0 and 1: for 60 % write 0.6",
+    ),
+    (
+        "costmaps/{}/tours",
+        {"stops": [START, GOAL], "battery": {"reserve": 12.5}},
+        "battery.reserve: reserve is 12.5; it lies between 0 and 1: for 12.5 % write 0.125",
+    ),
+]
+
+
+@pytest.mark.parametrize(("place", "change", "words"), NEAREST)
+def test_what_was_probably_meant_is_said(
+    client: TestClient, heightmap_id: str, costmap_id: str, place: str, change: dict, words: str
+) -> None:
+    asked = {"heightmap_id": heightmap_id} if place == "costmaps" else {"start": START, "goal": GOAL}
+    if "stops" in change:
+        asked = {}
+    problem = check_problem(
+        client.post(f"/v1/{place.format(costmap_id)}", json=asked | change), 422, "invalid_request", words
+    )
+    assert words in "; ".join(f"{e['field']}: {e['message']}" for e in problem["context"]["errors"])
+
+
+def test_every_unknown_field_is_named_at_once(client: TestClient, costmap_id: str) -> None:
+    asked = {"strat": START, "goal": GOAL, "robot": {"mass": 1, "width_m": "a"}, "refined": True}
+    problem = check_problem(client.post(f"/v1/costmaps/{costmap_id}/paths", json=asked), 422, "invalid_request")
+    assert sorted(e["field"] for e in problem["context"]["errors"]) == [
+        "refined",
+        "robot.mass",
+        "robot.width_m",
+        "start",
+        "strat",
+    ]
+
+
+@pytest.mark.parametrize("how", ["query", "form"])
+def test_an_unknown_upload_option_is_answered_with_the_nearest(client: TestClient, how: str) -> None:
+    given: dict[str, Any] = {"resolution": "1"}
+    heights = npy(np.zeros((5, 5)))
+    if how == "query":
+        answer = client.post("/v1/heightmaps", params=given, content=heights)
+    else:
+        answer = client.post("/v1/heightmaps", data=given, files={"file": ("map.npy", heights)})
+    check_problem(answer, 422, "invalid_request", "resolution: unknown field; did you mean resolution_m?")
+
+
 @pytest.mark.parametrize(("change", "code", "word"), BAD_COSTMAPS)
 def test_bad_costmap_requests_are_answered_at_once(
     client: TestClient, heightmap_id: str, change: dict, code: str, word: str

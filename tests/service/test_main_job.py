@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import zipfile
 
 import numpy as np
@@ -39,6 +40,43 @@ def test_raw_body_with_parameters(client: TestClient) -> None:
     assert client.get(answer.headers["location"]).status_code == 404
 
 
+def two_bands() -> bytes:
+    """A GeoTIFF whose first band is zero and whose second holds the hill."""
+    heights = np.stack([np.zeros((30, 40), dtype=np.float32), hill().heights])
+    place = {"crs": "EPSG:32630", "transform": rasterio.Affine(1.0, 0.0, WEST, 0.0, -1.0, NORTH), "nodata": np.nan}
+    with MemoryFile() as memory:
+        with memory.open(driver="GTiff", height=30, width=40, count=2, dtype="float32", **place) as dataset:
+            dataset.write(heights)
+        return memory.read()
+
+
+@pytest.mark.parametrize("how", ["query", "form", "costmap"])
+def test_a_band_of_several_can_be_chosen(client: TestClient, how: str) -> None:
+    """The error asks for `band`, and each way in takes it."""
+    refused = client.post("/v1/heightmaps", content=two_bands())
+    assert (refused.status_code, "band" in refused.json()["detail"]) == (422, True)
+    file = {"file": ("two.tif", two_bands())}
+    if how == "query":
+        answer = client.post("/v1/heightmaps?band=2", content=two_bands())
+    elif how == "form":
+        answer = client.post("/v1/heightmaps", files=file, data={"band": "2"})
+    else:
+        options = {"options": '{"model": "physics", "headings": 4}', "band": "2"}
+        made = client.post("/v1/costmaps", files=file, data=options, headers={"Prefer": "wait=60"})
+        assert made.status_code == 201, made.text
+        answer = client.get(made.json()["links"]["heightmap"])
+    assert answer.status_code in (200, 201), answer.text
+    about = answer.json()
+    assert (about["band"], about["hash"]) == (2, hill().data_hash)
+    assert client.get(f"/v1/heightmaps/{about['id']}").json()["band"] == 2
+
+
+def test_a_band_that_is_not_there(client: TestClient) -> None:
+    answer = client.post("/v1/heightmaps?band=3", content=two_bands())
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid_heightmap")
+    assert "bands 1 to 2" in answer.json()["detail"]
+
+
 def test_costmap_tells_how_it_was_made(client: TestClient, costmap_id: str) -> None:
     about = client.get(f"/v1/costmaps/{costmap_id}").json()
     assert (about["status"], about["progress"], about["model"], about["headings"]) == ("done", 1.0, "physics", 16)
@@ -48,7 +86,25 @@ def test_costmap_tells_how_it_was_made(client: TestClient, costmap_id: str) -> N
     assert about["blocked"] == pytest.approx(lattice.blocked_shares())
     assert about["energy_per_m"]["mean"] == pytest.approx(float(lattice.energy_per_m[free].mean(dtype=np.float64)))
     assert about["energy_per_m"]["max"] == pytest.approx(float(lattice.energy_per_m[free].max()))
-    assert about["provenance"]["model"]["name"] == "physics"
+    assert about["provenance"]["model"] == {"name": "physics", "kind": "physics", "version": "1"}
+    everything = client.get(about["links"]["provenance"]).json()
+    assert everything == lattice.provenance
+    assert "config" in everything["model"]
+
+
+def test_the_answer_names_the_network_and_the_link_has_its_training(client: TestClient, heightmap_id: str) -> None:
+    wanted = {"heightmap_id": heightmap_id, "model": "default", "headings": 4, "spacing_m": 2.0}
+    answer = client.post("/v1/costmaps", json=wanted, headers={"Prefer": "wait=120"})
+    assert answer.status_code == 201, answer.text
+    about = answer.json()
+    assert set(about["provenance"]["model"]) <= {"name", "kind", "version", "parent"}
+    assert len(json.dumps(about["provenance"])) < 1000
+    everything = client.get(f"/v1/costmaps/{about['id']}/provenance").json()
+    assert everything["model"]["config"]["training"]["data_hash"]
+    assert {**everything, "model": None} == {**about["provenance"], "model": None}
+    lattice = load_lattice(client.app.state.service.store.lattice_path(about["id"]))  # type: ignore[attr-defined]
+    assert lattice.provenance == everything
+    assert client.delete(f"/v1/costmaps/{about['id']}").status_code == 204
 
 
 def test_one_request_makes_a_costmap_of_a_sent_file(client: TestClient, hill_tif: bytes) -> None:
@@ -189,6 +245,21 @@ def test_shortfall_is_an_answer_not_an_error(client: TestClient, costmap_id: str
     assert about["available_j"] == pytest.approx(360.0)  # (0.5 - 0.4) x 1 Wh
     assert about["shortfall_j"] == pytest.approx(about["energy_j"] - 360.0)
     assert about["message"].startswith("not feasible")
+
+
+def test_the_documentation_needs_no_other_server(client: TestClient) -> None:
+    page = client.get("/docs")
+    assert page.headers["content-type"].startswith("text/html")
+    assert "http" not in page.text
+    wanted = re.findall(r"(?:href|src)=\"([^\"]+)\"", page.text) + re.findall(r"\burl: '([^']+)'", page.text)
+    assert len(wanted) == 4  # style, icon, script, and the document itself
+    for place in wanted:
+        assert client.get(f"/{place}").status_code == 200, place
+    script = next(client.get(f"/{place}").text for place in wanted if place.endswith(".js"))
+    assert "openapi: 3.1" in script  # what this Swagger UI can read
+    assert '"validatorUrl": null' in page.text
+    assert client.get("/docs/static/..%2f__init__.py").status_code == 404
+    assert 'href="docs"' in client.get("/").text
 
 
 def test_where_to_start(client: TestClient) -> None:

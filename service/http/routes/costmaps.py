@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import anyio
 from fastapi import APIRouter, Query, Request, Response
@@ -78,6 +78,13 @@ def list_costmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -
 def get_costmap(costmap_id: str, service: ServiceDep) -> CostmapOut:
     """Status and progress; when done, the frame, the prices, what is blocked and why, and how it was made."""
     return costmap_out(service.store.costmap(costmap_id))
+
+
+@router.get("/{costmap_id}/provenance", responses=problems(404, 409))
+def get_provenance(costmap_id: str, service: ServiceDep) -> dict[str, Any]:
+    """How a cost map was made, with everything that is known about its model: settings, training, errors."""
+    provenance: dict[str, Any] = (service.done_costmap(costmap_id).summary or {})["provenance"]
+    return provenance
 
 
 @router.delete("/{costmap_id}", status_code=204, responses=problems(404))

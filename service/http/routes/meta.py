@@ -1,18 +1,22 @@
-"""Where to start, and whether the service lives and is ready."""
+"""Where to start, the documentation to click through, and whether the service is alive and ready."""
 
 from __future__ import annotations
 
 from importlib import resources
 
 from fastapi import APIRouter
-from fastapi.responses import HTMLResponse
+from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi.responses import FileResponse, HTMLResponse
 from pydantic import BaseModel, Field
 
+from joulemap.model.errors import NotFoundError
 from joulemap.planner.plan import PLANNERS
 from joulemap.service.http.documents import problems
 from joulemap.service.http.state import ServiceDep
 
 router = APIRouter(tags=["service"])
+_SWAGGER_UI = "fastapi_swagger"  # the package that carries Swagger UI, so that the page needs no address outside
+_SCRIPT, _STYLE, _ICON = "swagger-ui-bundle.js", "swagger-ui.css", "favicon-32x32.png"
 
 
 class Live(BaseModel):
@@ -53,6 +57,7 @@ async def index(service: ServiceDep) -> Index:
         "costmaps": "/v1/costmaps",
         "runs": "/v1/runs",
         "calibrations": "/v1/calibrations",
+        "docs": "/docs",
         "openapi": "/openapi.json",
         "live": "/healthz",
         "ready": "/readyz",
@@ -62,5 +67,26 @@ async def index(service: ServiceDep) -> Index:
 
 @router.get("/", response_class=HTMLResponse, include_in_schema=False)
 def home() -> str:
-    """A page for people who look."""
+    """The start page."""
     return resources.files("joulemap.service").joinpath("web/index.html").read_text(encoding="utf-8")
+
+
+@router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
+def docs() -> HTMLResponse:
+    """Every request with its fields, to read and to try; served without any other server."""
+    return get_swagger_ui_html(
+        openapi_url="openapi.json",
+        title="joulemap: HTTP API",
+        swagger_js_url=f"docs/static/{_SCRIPT}",
+        swagger_css_url=f"docs/static/{_STYLE}",
+        swagger_favicon_url=f"docs/static/{_ICON}",
+        swagger_ui_parameters={"validatorUrl": None},  # which would send the document to swagger.io
+    )
+
+
+@router.get("/docs/static/{name}", include_in_schema=False)
+def docs_file(name: str) -> FileResponse:
+    """A file that the page of the documentation needs."""
+    if name not in (_SCRIPT, _STYLE, _ICON):
+        raise NotFoundError(f"the documentation has no file {name[:80]!r}", name=name[:80])
+    return FileResponse(str(resources.files(_SWAGGER_UI) / "resources" / name))
