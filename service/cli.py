@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from joulemap.service.commands import calibration, distillation, maps, models, reproduction, services, tours
+from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.console import PlainErrors
 
 app = typer.Typer(
@@ -63,7 +64,7 @@ for _panel, _commands in (
     ),
 ):
     for _command in _commands:
-        app.command(rich_help_panel=_panel)(_command)
+        app.command(cls=Command, rich_help_panel=_panel)(_command)
 
 
 def main() -> None:

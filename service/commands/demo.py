@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,8 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_io import load_lattice
 from joulemap.planner.plan import Plan
 from joulemap.planner.route import price_route
-from joulemap.service.commands.console import Answer, write_file
+from joulemap.service.commands.console import Output, write_file
+from joulemap.service.commands.options import Reading
 from joulemap.service.pictures import route_picture
 from joulemap.service.words import energy_words, route_words, saving_words
 
@@ -40,63 +41,107 @@ READY_WITHIN_S = 180.0
 COSTMAP_WITHIN_S = 300
 CHARGE, RESERVE = 0.5, 0.2  # the battery that the demo asks about: half full, a fifth kept back
 
+_EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1"}  # listening at every address includes this one
+
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Ground:
-    """What is sent: the bytes of a file, its name, the same as a value, and where to drive (None: to be chosen)."""
+    """A heightmap as it is sent, and the task on it.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    content : bytes
+        Of the file.
+    heightmap : Heightmap
+        The same as a value.
+    start, goal : tuple of float, optional
+        World x, y [m]. Without them they are chosen.
+    reading : mapping
+        What the file does not say, as query parameters of the service.
+    """
 
     name: str
     content: bytes
     heightmap: Heightmap
     start: Point | None
     goal: Point | None
+    reading: Mapping[str, str]
 
 
 def run_demo(
-    answer: Answer,
+    output: Output,
     *,
     heightmap: Path | None,
     start: Point | None,
     goal: Point | None,
     model: str,
+    host: str,
     port: int,
     out: Path,
     keep: bool,
+    reading: Reading,
 ) -> None:
-    """Run the demo; with `keep`, return when the user stops the service. Raises JoulemapError in its words."""
+    """Run the demo.
+
+    Parameters
+    ----------
+    output : Output
+        Where the answers are said.
+    heightmap : Path, optional
+        Another heightmap than the sample.
+    start, goal : tuple of float, optional
+        World x, y [m]; both or neither.
+    model : str
+        A model that the service has.
+    host, port : str, int
+        Where the service listens; another port where this one is in use.
+    out : Path
+        Folder for the picture and the service's data.
+    keep : bool
+        Let the service run until the user stops it.
+    reading : Reading
+        What the heightmap's file does not say.
+
+    Raises
+    ------
+    JoulemapError
+        In the service's words.
+    """
     if (start is None) != (goal is None):
         raise InputError("give both --start and --goal, or neither")
-    ground = _ground(heightmap, start, goal)
+    ground = _ground(heightmap, start, goal, reading)
     picture = out / "joulemap-demo.png"
-    with _service(port, out) as (process, url):
-        answer.say(f"[bold]joulemap[/] is running at {url}")
+    with _service(host, port, out) as (process, url):
+        output.say(f"[bold]joulemap[/] is running at {url}")
         with httpx.Client(base_url=url, timeout=COSTMAP_WITHIN_S + 60.0) as client:
-            told = _ask(answer, client, ground, model, out)
+            answers = _ask(output, client, ground, model, out)
         title = f"{ground.name}: cheapest and shortest"
-        write_file(picture, route_picture(ground.heightmap, told.plan.route, told.plan.shortest, title=title))
-        answer.say(f"\n[bold]Picture[/]    {escape(str(picture))}")
-        answer.warn(told.document["costmap"]["warnings"])
-        answer.document({"url": url, "picture": str(picture), **told.document})
+        write_file(picture, route_picture(ground.heightmap, answers.plan.route, answers.plan.shortest, title=title))
+        output.say(f"\n[bold]Picture[/]    {escape(str(picture))}")
+        output.warn(answers.document["costmap"]["warnings"])
+        output.document({"url": url, "picture": str(picture), **answers.document})
         if keep:
-            answer.say(f"\nThe service goes on at {url} until you press Ctrl-C.")
+            output.say(f"\nThe service goes on at {url} until you press Ctrl-C.")
             with contextlib.suppress(KeyboardInterrupt):
                 process.wait()
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Answers:
     plan: Plan
     document: dict[str, Any]
 
 
-def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: Path) -> _Told:
-    """Heightmap, cost map, path and verdict over HTTP, each said in words as it comes."""
-    sent = _json(client.post("/v1/heightmaps", params={"name": ground.name}, content=ground.content))
+def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: Path) -> _Answers:
+    """Heightmap, cost map, path and verdict over HTTP, each said in words as soon as it is there."""
+    sent = _json(client.post("/v1/heightmaps", params={"name": ground.name, **ground.reading}, content=ground.content))
     cell = sent["resolution_m"]
     unknown = f", {1.0 - sent['known_share']:.1%} of it unknown" if sent["known_share"] < 1.0 else ""
-    answer.say(
+    output.say(
         f"\n[bold]Heightmap[/]  {escape(sent['name'])}: {sent['cols'] * cell:g} x {sent['rows'] * cell:g} m "
         f"in cells of {cell:g} m, {sent['height_min_m']:.1f} to {sent['height_max_m']:.1f} m high{unknown}"
     )
@@ -110,7 +155,7 @@ def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: 
     frame, price, blocked = costmap["frame"], costmap["energy_per_m"], costmap["blocked"]
     size = f"{frame['cols']} x {frame['rows']} cells of {frame['spacing_m']:g} m, {costmap['headings']} headings"
     reasons = [f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0]
-    answer.say(
+    output.say(
         f"[bold]Cost map[/]   {size}, made in {seconds:.1f} s"
         f" by model {model}; driving costs {price['min']:.0f} to {price['max']:.0f} J/m, {price['mean']:.0f} on average"
         f"\n           ({', '.join(reasons)})"
@@ -124,7 +169,7 @@ def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: 
         start, goal = free_corners(lattice)
     ends = {"start": list(start), "goal": list(goal)}
     path = _json(client.post(f"/v1/costmaps/{costmap['id']}/paths", json=ends))
-    answer.say(
+    output.say(
         f"[bold]Path[/]       from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f})\n"
         f"           cheapest  {route_words(path)}\n"
         f"           shortest  {route_words(path['shortest'])}\n"
@@ -141,7 +186,7 @@ def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: 
         if verdict["feasible"]
         else f"{energy_words(verdict['shortfall_j'])} are missing"
     )
-    answer.say(
+    output.say(
         f"[bold]Battery[/]    there and back on a {capacity_wh:g} Wh battery at {CHARGE:.0%}, keeping {RESERVE:.0%}? "
         f"{mark}\n           {energy_words(verdict['energy_j'])} over {verdict['length_m']:.0f} m; {left}"
     )
@@ -151,14 +196,28 @@ def _ask(answer: Answer, client: httpx.Client, ground: Ground, model: str, out: 
 
     plan = Plan(priced(path["path"]), priced(path["shortest"]["path"]), path["planner"], path["details"])
     document = {"heightmap": sent, "costmap": costmap, "path": path, "feasibility": verdict, **ends}
-    return _Told(plan, document)
+    return _Answers(plan, document)
 
 
 def free_corners(lattice: CostLattice) -> tuple[Point, Point]:
-    """Two places near opposite corners, south-west and north-east, that a route surely joins.
+    """Return two places near opposite corners, south-west and north-east, that a route surely joins.
 
-    They lie in the largest piece of ground whose cells may be driven in every heading. Raises HeightmapError where
-    there is no such ground.
+    They lie in the largest piece of ground whose cells may be driven in every heading.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Of the map.
+
+    Returns
+    -------
+    tuple of tuple of float
+        Start and goal, world x, y [m].
+
+    Raises
+    ------
+    HeightmapError
+        If there is no such ground.
     """
     free = (lattice.blocked_by_heading() == Blocked.FREE).all(axis=2)
     pieces, count = ndimage.label(free)
@@ -171,28 +230,31 @@ def free_corners(lattice: CostLattice) -> tuple[Point, Point]:
     return (float(x0), float(y0)), (float(x1), float(y1))
 
 
-def _ground(file: Path | None, start: Point | None, goal: Point | None) -> Ground:
+def _ground(file: Path | None, start: Point | None, goal: Point | None, reading: Reading) -> Ground:
     if file is not None:
-        known = read_heightmap(file)
-        return Ground(file.name, file.read_bytes(), known, start, goal)
+        known = read_heightmap(file, **reading)
+        given = {key: str(value) for key, value in reading.items() if value is not None}
+        return Ground(file.name, file.read_bytes(), known, start, goal, given)
     sample = sample_terrain()
     content = write_geotiff(None, sample)
     assert content is not None
-    return Ground("joulemap sample", content, sample, start or SAMPLE_START, goal or SAMPLE_GOAL)
+    return Ground("joulemap sample", content, sample, start or SAMPLE_START, goal or SAMPLE_GOAL, {})
 
 
 @contextlib.contextmanager
-def _service(port: int, out: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+def _service(host: str, port: int, out: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """A service of our own on `port` or, where that is taken, a free one; ready when given, ended afterwards."""
     out.mkdir(parents=True, exist_ok=True)
-    port = _free_port(port)
-    url = f"http://127.0.0.1:{port}"
+    port = _free_port(host, port)
+    url = f"http://{_EVERY_ADDRESS.get(host, host)}:{port}"
     log = out / "service.log"
     command = [
         sys.executable,
         "-m",
         "joulemap.service.cli",
         "serve",
+        "--host",
+        host,
         "--port",
         str(port),
         "--data-dir",
@@ -238,22 +300,22 @@ def _await_ready(process: subprocess.Popen[bytes], url: str, log: Path) -> None:
 
 
 def _last_words(log: Path) -> str:
-    """The last error a log tells of, or its last line."""
+    """The last error in a log, or its last line."""
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    return next((line for line in reversed(lines) if "Error" in line), lines[-1] if lines else "no words")
+    return next((line for line in reversed(lines) if "Error" in line), lines[-1] if lines else "nothing")
 
 
-def _free_port(wanted: int) -> int:
+def _free_port(host: str, wanted: int) -> int:
     """`wanted`, or one that the system picks where that is 0 or taken."""
     for port in (wanted, 0):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                probe.bind(("127.0.0.1", port))
+                probe.bind((host, port))
             except OSError:
                 continue
             return int(probe.getsockname()[1])
-    raise JoulemapError("this machine has no free port")
+    raise JoulemapError(f"a service cannot listen at {host}: it is no address of this machine, or has no free port")
 
 
 def _download(client: httpx.Client, costmap_id: str, folder: Path) -> CostLattice:

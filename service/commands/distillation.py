@@ -7,20 +7,23 @@ from typing import Annotated
 
 import typer
 
-from joulemap.service.commands.console import Answer, JsonFile, progress_bar
+from joulemap.service.commands.console import JsonFile, Output, progress_bar
 from joulemap.service.commands.options import (
     HeightmapFile,
     Overwrite,
+    Reading,
     RobotFile,
     Runs,
     find_runs,
     known_model,
+    reads_heightmap,
     refuse_to_replace,
     robot_of,
     there,
 )
 
 
+@reads_heightmap
 def distill(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
     teacher: Annotated[
@@ -45,6 +48,8 @@ def distill(
     seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Distil a slow **ResNet18 into the fast network**: taught by its answers everywhere on the map, fitted to the
     measured segments at the same time. Tells how far the two differ, and how both predict the runs that neither saw.
@@ -58,14 +63,14 @@ def distill(
     from joulemap.model.training.distillation import distil_on_runs
     from joulemap.service.commands.models import folder_of
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
     start = folder_of(start_from)
     if start is None:
         raise typer.BadParameter("a student starts from a compact model, not from none")
     with progress_bar("Distilling") as report:
         model = distil_on_runs(
-            read_heightmap(heightmap),
+            read_heightmap(heightmap, **reading),
             robot_of(robot),
             find_runs(runs),
             teacher=teacher,
@@ -78,12 +83,12 @@ def distill(
             progress=report,
         )
     student, taught = (e["mean_relative_error"] for e in (model.student_held_out, model.teacher_held_out))
-    answer.say(f"[bold]Distilled[/] {teacher} into {out}, version {model.version}")
-    answer.table(
+    output.say(f"[bold]Distilled[/] {teacher} into {out}, version {model.version}")
+    output.table(
         {
             "learned from": f"{model.answers} answers of the teacher and {model.segments} measured segments",
             "differs by": f"{model.difference:.1%} of the energy, where nobody drove",
             "held out": f"{', '.join(model.held_out_runs)}: student {student:.1%}, teacher {taught:.1%} per segment",
         }
     )
-    answer.document({"out": str(out), **asdict(model)})
+    output.document({"out": str(out), **asdict(model)})

@@ -2,21 +2,51 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from joulemap.service.commands.options import ModelName, Overwrite, RobotFile, refuse_to_replace, robot_of, there
+from joulemap.model.errors import TooLargeError
+from joulemap.service.commands.console import (
+    JsonFile,
+    Output,
+    json_text,
+    leaves_nothing_behind,
+    parse_point,
+    progress_bar,
+    write_file,
+)
+from joulemap.service.commands.options import (
+    ModelName,
+    Overwrite,
+    Reading,
+    Reserve,
+    RobotFile,
+    StateOfCharge,
+    reads_heightmap,
+    refuse_to_replace,
+    robot_of,
+    there,
+)
 from joulemap.service.words import route_words, saving_words
+
+if TYPE_CHECKING:
+    from joulemap.model.frames import GridFrame
+
+MOST_VALUES = 400_000_000
+"""Most rows x columns x headings of a cost map unless the user allows more: the limit of `planner.lattice_build` for a
+lattice in memory, so that `joulemap path` can read what was made."""
+
+_BYTES_PER_VALUE = 8  # a price and its uncertainty, float32 each
+_WORTH_SAYING = 20_000_000  # values: more take longer than some seconds
 
 MapFolder = Annotated[
     Path, typer.Argument(metavar="MAP.zarr", callback=there, help="A cost map made by `joulemap costmap`.")
 ]
 
 
+@reads_heightmap
 def costmap(
     heightmap: Annotated[
         Path,
@@ -29,18 +59,15 @@ def costmap(
     model: ModelName = "default",
     spacing: Annotated[float, typer.Option(min=0.01, help="Side of a cell of the cost map [m].")] = 1.0,
     headings: Annotated[int, typer.Option(min=4, max=360, help="Heading bins per cell.")] = 16,
-    resolution: Annotated[
-        float | None, typer.Option(help="Side of a heightmap cell [m], where the file does not say.")
-    ] = None,
-    west: Annotated[float, typer.Option(help="Western edge of the map [m], where the file does not say.")] = 0.0,
-    north: Annotated[
-        float | None, typer.Option(help="Northern edge [m], likewise. [default: the southern edge is at 0]")
-    ] = None,
-    crs: Annotated[str | None, typer.Option(help="Its coordinate system, likewise, e.g. EPSG:32630.")] = None,
-    scale: Annotated[float | None, typer.Option(help="Metres per stored unit (needed for PNG).")] = None,
-    offset: Annotated[float, typer.Option(help="Metres added to every height.")] = 0.0,
-    nodata: Annotated[float | None, typer.Option(help="Stored value that means unknown.")] = None,
-    band: Annotated[int | None, typer.Option(min=1, help="Band of a GeoTIFF with several.")] = None,
+    max_values: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Most values (rows x columns x headings) that the cost map may have; 8 bytes each, at most. A larger "
+            "one than the default does not fit into the memory of a planner.",
+        ),
+    ] = MOST_VALUES,
     geotiff: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a GeoTIFF, a band per heading [J/m].")
     ] = None,
@@ -50,6 +77,8 @@ def costmap(
     ] = None,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Make a **cost map**: energy per metre for every cell and heading, and where the robot cannot go and why.
 
@@ -62,21 +91,12 @@ def costmap(
     from joulemap.model.terrain.readers import open_ground
     from joulemap.service.workflows import write_cost_lattice
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite)
-    ground = open_ground(
-        heightmap,
-        resolution_m=resolution,
-        west_m=west,
-        north_m=north,
-        crs=crs,
-        scale_m=scale,
-        offset_m=offset,
-        nodata=nodata,
-        band=band,
-    )
+    ground = open_ground(heightmap, **reading)
     rover = robot_of(robot)
-    with progress_bar("Cost map") as report:
+    _say_size(output, ground.frame, spacing, headings, max_values)
+    with leaves_nothing_behind(), progress_bar("Cost map") as report:
         made = write_cost_lattice(
             out, ground, rover, model=model, spacing_m=spacing, headings=headings, progress=report
         )
@@ -84,8 +104,8 @@ def costmap(
     frame, warnings = made.frame, made.provenance["warnings"]
     price, blocked = made.figures["energy_per_m"], made.figures["blocked"]
     words = ", ".join(f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0)
-    answer.say(f"[bold]Cost map[/] of {ground.source} for {rover.name}, model {made.provenance['model']['name']}")
-    answer.table(
+    output.say(f"[bold]Cost map[/] of {ground.source} for {rover.name}, model {made.provenance['model']['name']}")
+    output.table(
         {
             "cells": f"{frame.rows} rows x {frame.cols} columns of {frame.resolution_m:g} m, {headings} headings",
             "energy": "{min:.1f} .. {max:.1f} J/m, mean {mean:.1f} J/m".format(**price) if price else "nothing is free",
@@ -93,8 +113,8 @@ def costmap(
             "written": str(out),
         }
     )
-    answer.warn(warnings)
-    answer.document(
+    output.warn(warnings)
+    output.document(
         {
             "heightmap": {**made.provenance["heightmap"], "rows": ground.frame.rows, "cols": ground.frame.cols},
             "rows": frame.rows,
@@ -110,6 +130,27 @@ def costmap(
             **made.figures,
         }
     )
+
+
+def _say_size(output: Output, ground: GridFrame, spacing: float, headings: int, max_values: int) -> None:
+    """Say how large a large cost map will be. Raises TooLargeError above `max_values`."""
+    from joulemap.service.workflows import check_lattice
+
+    tiling = check_lattice(ground, spacing_m=spacing, headings=headings)
+    size = (
+        f"{tiling.frame.rows:,} x {tiling.frame.cols:,} cells of {spacing:g} m with {headings} headings: "
+        f"{tiling.values:,} values, up to {_BYTES_PER_VALUE * tiling.values / 1e9:.1f} GB on disk"
+    )
+    if tiling.values > max_values:
+        coarser = spacing * (tiling.values / max_values) ** 0.5
+        raise TooLargeError(
+            f"{size}. The limit is {max_values:,} values: choose a coarser --spacing (about {coarser:.2g} m), fewer "
+            f"--headings, or allow it with --max-values {tiling.values}",
+            values=tiling.values,
+            limit=max_values,
+        )
+    if tiling.values > _WORTH_SAYING:
+        output.say(size)
 
 
 def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path | None) -> None:
@@ -157,7 +198,7 @@ def path(
     from joulemap.planner.plan import RoutePlanner
     from joulemap.service.schemas.answers import path_geojson, path_out
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     lattice = load_lattice(costmap)
     plan = RoutePlanner(lattice).plan(
         start,
@@ -171,8 +212,8 @@ def path(
     )
     known = lattice.provenance.get("warnings", [])
     found = path_out(plan, None, known).model_dump(mode="json")
-    answer.say(f"[bold]Path[/] for {lattice.robot.name}, planner {plan.planner}")
-    answer.table(
+    output.say(f"[bold]Path[/] for {lattice.robot.name}, planner {plan.planner}")
+    output.table(
         {
             "energy-optimal": route_words(found),
             **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
@@ -180,16 +221,16 @@ def path(
             "saved": saving_words(found, found["shortest"]),
         }
     )
-    answer.warn(found["warnings"])
+    output.warn(found["warnings"])
     if geojson is not None:
-        write_file(geojson, json.dumps(path_geojson(plan, None, known)).encode())
+        write_file(geojson, json_text(path_geojson(plan, None, known)).encode())
     if picture is not None:
         from joulemap.service.pictures import route_picture
 
         ground = Heightmap(lattice.elevation_m, lattice.frame, source=str(costmap))
         title = f"{lattice.robot.name} on {costmap.stem}"
         write_file(picture, route_picture(ground, plan.route, plan.shortest, title=title, alternatives=plan.others))
-    answer.document(found)
+    output.document(found)
 
 
 def feasibility(
@@ -201,15 +242,16 @@ def feasibility(
         typer.Option(
             metavar="FILE",
             callback=there,
-            help="A path instead: GeoJSON, the JSON of `joulemap path`, or CSV with x,y lines.",
+            help="A path instead: GeoJSON, the JSON of `joulemap path` or `tour`, or CSV with lines x,y. Several "
+            "lines are driven one after another.",
         ),
     ] = None,
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
     capacity_wh: Annotated[
         float | None, typer.Option(help="Energy of the full battery [Wh]. [default: the robot's battery_wh]")
     ] = None,
-    charge: Annotated[float, typer.Option(min=0.0, max=1.0, help="State of charge now, 0..1.")] = 1.0,
-    reserve: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share that must remain at the end, 0..1.")] = 0.0,
+    charge: StateOfCharge = 1.0,
+    reserve: Reserve = 0.0,
     json_file: JsonFile = None,
 ) -> None:
     """Tell whether the **battery lasts**, for the best route between two points or for a given path.
@@ -228,7 +270,7 @@ def feasibility(
     from joulemap.service.schemas.answers import feasibility_out
     from joulemap.service.workflows import assess
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     lattice = load_lattice(costmap)
     battery = Battery(
         capacity_wh=capacity_wh if capacity_wh is not None else lattice.robot.battery_wh, charge=charge, reserve=reserve
@@ -236,10 +278,10 @@ def feasibility(
     points = read_path(path) if path is not None else None
     assessment = assess(lattice, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip)
     found = feasibility_out(assessment, lattice.provenance.get("warnings", [])).model_dump(mode="json")
-    answer.say(f"[bold {'green' if found['feasible'] else 'red'}]{found['message']}[/]")
+    output.say(f"[bold {'green' if found['feasible'] else 'red'}]{found['message']}[/]")
     rows = {"way out": route_words(found["out"])}
     if found["back"] is not None:
         rows["way back"] = route_words(found["back"])
-    answer.table(rows)
-    answer.warn(dict.fromkeys(found["warnings"]))
-    answer.document({**found, "round_trip": round_trip})
+    output.table(rows)
+    output.warn(dict.fromkeys(found["warnings"]))
+    output.document({**found, "round_trip": round_trip})

@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from joulemap.service.commands.console import Answer, JsonFile, progress_bar, write_file
+from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
 from joulemap.service.commands.options import (
     HeightmapFile,
     MaybeHeightmap,
     MaybeRuns,
     ModelName,
     Overwrite,
+    Reading,
     RobotFile,
     Runs,
     find_runs,
     known_model,
+    reads_heightmap,
     refuse_to_replace,
     robot_of,
     there,
@@ -77,7 +79,7 @@ def simulate(
     from joulemap.model.terrain.writers import write_geotiff
     from joulemap.model.training.pretraining import level_ground, rolling_resistance_on
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     rng = np.random.default_rng([seed, 1])
     place = random_site(np.random.default_rng(seed)) if site is SiteName.RANDOM else named_site(site.value, seed=seed)
     declared = robot_of(robot)
@@ -102,8 +104,8 @@ def simulate(
             files.append(str(log.write_csv(out / f"run_{number:02d}.csv")))
             metres += driven.length_m
             report(number / runs)
-    answer.say(f"[bold]Simulated[/] {runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}")
-    answer.document(
+    output.say(f"[bold]Simulated[/] {runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}")
+    output.document(
         {
             "heightmap": str(out / "dem.tif"),
             "robot": str(out / "robot.toml"),
@@ -136,6 +138,7 @@ class Architecture(StrEnum):
     RESNET18 = "resnet18"
 
 
+@reads_heightmap
 def train(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
     heightmap: MaybeHeightmap = None,
@@ -184,6 +187,8 @@ def train(
     ] = None,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Train a **model**: without `--runs` the shipped one anew, with them one for your robot on your ground.
 
@@ -195,7 +200,7 @@ def train(
     """
     from joulemap.model.energy.artifact import CONFIG_FILE
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
     if heightmap is None and not runs:
         told = {
@@ -214,8 +219,8 @@ def train(
 
         with progress_bar("Training the shipped network") as report:
             trained = train_default(out, seed=DEFAULT_SEED if seed is None else seed, progress=report)
-        answer.say(f"[bold]Trained[/] {out}: held-out error {trained['held_out']['mean_relative_error']:.1%}")
-        answer.document({"out": str(out), **trained})
+        output.say(f"[bold]Trained[/] {out}: held-out error {trained['held_out']['mean_relative_error']:.1%}")
+        output.document({"out": str(out), **trained})
         return
     if heightmap is None or not runs:
         raise typer.BadParameter("--heightmap and --runs go together")
@@ -226,7 +231,7 @@ def train(
 
     with progress_bar("Training") as report:
         model = train_on_runs(
-            read_heightmap(heightmap),
+            read_heightmap(heightmap, **reading),
             robot_of(robot),
             find_runs(runs),
             out=out,
@@ -240,8 +245,8 @@ def train(
             resume=resume,
             progress=report,
         )
-    answer.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
-    answer.table(
+    output.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
+    output.table(
         {
             "learned from": f"{model.segments} segments of {runs_words(len(model.runs))}",
             "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
@@ -251,10 +256,11 @@ def train(
     )
     if not model.keeps_runs:
         why = "they are too few, or lack a voltage"
-        answer.warn([f"the runs are not kept beside the model ({why}): give them to `calibrate` as --base-runs"])
-    answer.document({"out": str(out), **asdict(model)})
+        output.warn([f"the runs are not kept beside the model ({why}): give them to `calibrate` as --baseline-runs"])
+    output.document({"out": str(out), **asdict(model)})
 
 
+@reads_heightmap
 def evaluate(
     heightmap: HeightmapFile,
     runs: Runs,
@@ -262,6 +268,8 @@ def evaluate(
     robot: RobotFile = None,
     charge: Charge = False,
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
     """Tell how well a **model predicts measured runs**, per 1 m segment and over whole runs.
 
@@ -271,13 +279,15 @@ def evaluate(
     from joulemap.model.training.evaluation import evaluate_on_runs
     from joulemap.service.models import find_predictor
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     rover = robot_of(robot)
-    found = evaluate_on_runs(find_predictor(model), read_heightmap(heightmap), rover, find_runs(runs), charge=charge)
-    answer.say(
+    found = evaluate_on_runs(
+        find_predictor(model), read_heightmap(heightmap, **reading), rover, find_runs(runs), charge=charge
+    )
+    output.say(
         f"[bold]Model {found['model']}[/] on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}"
     )
-    answer.table(
+    output.table(
         {
             "segments": f"{found['segments']} ({found['unknown']} more on unknown ground)",
             "median error": f"{found['median_relative_error']:.1%} of a segment's energy",
@@ -286,8 +296,8 @@ def evaluate(
             "intervals": _coverage_words(found["coverage"]),
         }
     )
-    answer.warn(found["warnings"])
-    answer.document(found)
+    output.warn(found["warnings"])
+    output.document(found)
 
 
 def folder_of(name: str) -> Path | None:

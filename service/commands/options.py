@@ -1,27 +1,63 @@
-"""Options that several commands share. What they name must be there: else a command ends with 5 before it begins."""
+"""Options that several commands share. A file that an option names must exist: else a command ends with 5 at once."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
 
 import typer
 
 from joulemap.model.errors import ConflictError, NotFoundError
+from joulemap.service.commands.console import parse_share
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
 
 
 def there(path: Path | None) -> Path | None:
-    """A callback for files and folders that are read. Raises NotFoundError."""
+    """Return the file or folder that an option names.
+
+    Parameters
+    ----------
+    path : Path, optional
+        As it was typed.
+
+    Returns
+    -------
+    Path or None
+        The same.
+
+    Raises
+    ------
+    NotFoundError
+        If nothing is there.
+    """
     if path is not None and not path.exists():
         raise NotFoundError(f"there is no file {path}", path=str(path))
     return path
 
 
 def known_model(name: str | None) -> str | None:
-    """A callback for models: a name, or a folder that is there. Raises NotFoundError."""
+    """Return the model that an option names.
+
+    Parameters
+    ----------
+    name : str, optional
+        Of a model that is part of the installation, or a folder.
+
+    Returns
+    -------
+    str or None
+        The same.
+
+    Raises
+    ------
+    NotFoundError
+        If there is no such model.
+    """
     from joulemap.model.energy.predictor import MODEL_NAMES
 
     if name is not None and name not in (*MODEL_NAMES, "none") and not Path(name).is_dir():
@@ -34,7 +70,7 @@ def known_model(name: str | None) -> str | None:
 
 _HEIGHTMAP = typer.Option("--heightmap", metavar="FILE", callback=there, help="Heightmap that the runs were driven on.")
 _RUNS = typer.Option(
-    "--runs", metavar="GLOB", help="Runs (CSV, Parquet): file, folder or quoted pattern; may be repeated."
+    "--runs", metavar="FILE...", help="Measured runs (CSV, Parquet): files, folders or patterns like 'logs/*.csv'."
 )
 HeightmapFile = Annotated[Path, _HEIGHTMAP]
 MaybeHeightmap = Annotated[Path | None, _HEIGHTMAP]
@@ -55,22 +91,117 @@ ModelName = Annotated[
         help="`default` (the shipped network), `physics`, or a model's folder.",
     ),
 ]
-BaseRuns = Annotated[
+BaselineRuns = Annotated[
     list[str] | None,
     typer.Option(
-        "--base-runs",
-        metavar="GLOB",
-        help="Runs in which nothing new is at work, to hold the others against. [default: those the model was "
-        "trained on, where its folder keeps them]",
+        "--baseline-runs",
+        metavar="FILE...",
+        help="Earlier runs, without what is looked for; `--runs` are compared with them. [default: those the model "
+        "was trained on, if its folder keeps them]",
     ),
+]
+BaseRuns = BaselineRuns  # until calibration.py uses the new name
+StateOfCharge = Annotated[
+    float,
+    typer.Option(metavar="0..1", parser=parse_share, help="State of charge of the battery at the start, 0..1."),
+]
+Reserve = Annotated[
+    float,
+    typer.Option(metavar="0..1", parser=parse_share, help="Share of a full battery that must remain at the end, 0..1."),
 ]
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is at `--out` already.")]
 
 
+class Reading(TypedDict):
+    """How a heightmap's file is to be read, as `read_heightmap` takes it: what the file itself does not say."""
+
+    resolution_m: float | None
+    west_m: float
+    north_m: float | None
+    crs: str | None
+    scale_m: float | None
+    offset_m: float
+    nodata: float | None
+    band: int | None
+
+
+def _heightmap_option(help: str, **more: Any) -> Any:
+    return typer.Option(help=help, rich_help_panel="What the heightmap file does not say", **more)
+
+
+_READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library calls it, type, default
+    "resolution": ("resolution_m", Annotated[float | None, _heightmap_option("Side of a cell [m].")], None),
+    "west": ("west_m", Annotated[float, _heightmap_option("x of the western edge [m].")], 0.0),
+    "north": (
+        "north_m",
+        Annotated[
+            float | None, _heightmap_option("y of the northern edge [m]. [default: y of the southern edge is 0]")
+        ],
+        None,
+    ),
+    "crs": ("crs", Annotated[str | None, _heightmap_option("Coordinate system in metres, like EPSG:32630.")], None),
+    "scale": (
+        "scale_m",
+        Annotated[float | None, _heightmap_option("Metres per stored unit; a PNG needs it. [default: 1]")],
+        None,
+    ),
+    "offset": ("offset_m", Annotated[float, _heightmap_option("Height of the stored value 0 [m].")], 0.0),
+    "nodata": ("nodata", Annotated[float | None, _heightmap_option("Stored value that means unknown.")], None),
+    "band": ("band", Annotated[int | None, _heightmap_option("Band of a GeoTIFF with several.", min=1)], None),
+}
+
+
+def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options that say how its heightmap's file is to be read.
+
+    Parameters
+    ----------
+    command : callable
+        Its parameter `reading` gets their values as a `Reading`.
+
+    Returns
+    -------
+    callable
+        The command with `--resolution`, `--west`, `--north`, `--crs`, `--scale`, `--offset`, `--nodata`, `--band`.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    parameters = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name == "reading":
+            parameters += [
+                inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=default)
+                for option, (_, kind, default) in _READING.items()
+            ]
+        else:
+            parameters.append(parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @wraps(command)
+    def with_options(**given: Any) -> None:
+        reading = {key: given.pop(option) for option, (key, _, _) in _READING.items()}
+        command(reading=reading, **given)
+
+    with_options.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    with_options.__annotations__ = {p.name: p.annotation for p in parameters}
+    return with_options
+
+
 def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
-    """Asked before anything is computed. mark : the file without which a folder holds nothing whole. Raises
-    ConflictError.
+    """Refuse to replace what is there; asked before anything is computed.
+
+    Parameters
+    ----------
+    out : Path
+        Folder that is to be written.
+    overwrite : bool
+        Whether the user wants it replaced.
+    mark : str
+        File without which the folder holds nothing whole.
+
+    Raises
+    ------
+    ConflictError
+        If the folder is there.
     """
     if not overwrite and (out / mark).exists():
         raise ConflictError(
@@ -79,16 +210,45 @@ def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
 
 
 def robot_of(file: Path | None) -> Robot:
-    """The robot of a file, or the built-in one. Raises RobotError."""
+    """Return the robot of a file, or the built-in one.
+
+    Parameters
+    ----------
+    file : Path, optional
+        TOML.
+
+    Returns
+    -------
+    Robot
+        As the file declares it.
+
+    Raises
+    ------
+    RobotError
+        If the file is no robot file.
+    """
     from joulemap.model.robot import Robot
 
     return Robot.from_toml(file) if file is not None else Robot()
 
 
 def find_runs(patterns: list[str]) -> list[Path]:
-    """The files that patterns name, sorted within each; a folder means every CSV and Parquet file in it.
+    """Return the files that patterns name, each once.
 
-    Raises NotFoundError for none.
+    Parameters
+    ----------
+    patterns : list of str
+        Files, patterns, or folders, of which every CSV and Parquet file is meant.
+
+    Returns
+    -------
+    list of Path
+        In the order of the patterns, sorted within each.
+
+    Raises
+    ------
+    NotFoundError
+        If a pattern names no file.
     """
     from glob import glob
 

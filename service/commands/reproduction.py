@@ -11,8 +11,17 @@ from typing import Annotated
 import typer
 
 from joulemap.model.errors import InputError
-from joulemap.service.commands.console import Answer, JsonFile, progress_bar
-from joulemap.service.commands.options import HeightmapFile, RobotFile, Runs, find_runs, robot_of, there
+from joulemap.service.commands.console import JsonFile, Output, progress_bar
+from joulemap.service.commands.options import (
+    HeightmapFile,
+    Reading,
+    RobotFile,
+    Runs,
+    find_runs,
+    reads_heightmap,
+    robot_of,
+    there,
+)
 from joulemap.service.words import runs_words
 
 
@@ -55,7 +64,7 @@ def reproduce(
         HeightmapFrom, typer.Option(help="A survey, or the surface fitted to the driven positions as in the paper.")
     ] = HeightmapFrom.SURVEY,
     only: Annotated[
-        list[str] | None, typer.Option("--only", metavar="NAME", help="One kind of experiment; may be repeated.")
+        list[str] | None, typer.Option("--only", metavar="NAME...", help="Only these kinds of experiments.")
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes side by side, a core each.")] = 2,
     json_file: JsonFile = None,
@@ -73,69 +82,77 @@ def reproduce(
     from joulemap.model.reproduction.report import publish
     from joulemap.model.reproduction.runner import run_all
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     extent = PROFILES["full" if full else profile.value]
     if seeds is not None:
         extent = replace(extent, seeds=seeds, resnet_seeds=min(seeds, extent.resnet_seeds))
     setting = Setting(out, extent, heightmap_from.value, backbone)
     with progress_bar("Reproducing") as report:
-        run_all(setting, only=only or (), workers=workers, progress=report, said=answer.say)
+        run_all(setting, only=only or (), workers=workers, progress=report, said=output.say)
     document = publish(setting, command=_command(out, extent.name, seeds, backbone, heightmap_from, only))
     missed = [check["wanted"] for check in document["checks"] if not check["holds"]]
-    answer.say(
+    output.say(
         f"[bold]Written[/] {out / 'REPRODUCTION.md'}: {len(document['checks']) - len(missed)} of "
         f"{len(document['checks'])} wanted results hold"
     )
-    answer.document(document)
+    output.document(document)
 
 
+@reads_heightmap
 def baselines(
     heightmap: HeightmapFile,
     runs: Runs,
-    test: Annotated[list[str], typer.Option("--test", metavar="GLOB", help="Runs to judge by, not fitted to.")],
+    test: Annotated[
+        list[str],
+        typer.Option("--test-runs", metavar="FILE...", help="Test set: runs that nothing is fitted to."),
+    ],
     test_heightmap: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", callback=there, help="Heightmap of the tested runs. [default: the same]"),
+        typer.Option(
+            metavar="FILE", callback=there, help="Heightmap of the test runs, read like the other. [default: the same]"
+        ),
     ] = None,
     model: Annotated[
-        list[str] | None, typer.Option("--model", metavar="M", help="A model to judge beside them; may be repeated.")
+        list[str] | None, typer.Option("--model", metavar="M...", help="Models to judge beside them.")
     ] = None,
     robot: RobotFile = None,
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
-    """Tell what **simple methods** make of measured runs: fitted friction, friction over the map, a ridge on shape.
+    """Fit **simple methods** to measured runs: one friction, a friction map, a ridge regression on the terrain's shape.
 
-    What a trained model has to beat. Runs that are in both `--runs` and `--test` are only tested.
+    A trained model has to predict better than these. Runs that are in both `--runs` and `--test-runs` are only tested.
 
-    Example: `joulemap baselines --heightmap dem.tif --runs 'logs/*.csv' --test logs/run_06.csv --model mine`
+    Example: `joulemap baselines --heightmap dem.tif --runs logs/*.csv --test-runs logs/run_06.csv --model mine`
     """
     _need_scikit_learn()
     from joulemap.model.reproduction.comparison import compare
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.service.models import find_predictor
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     rover = robot_of(robot)
     tested = find_runs(test)
     learned = [file for file in find_runs(runs) if file not in tested]
-    elsewhere = read_heightmap(test_heightmap) if test_heightmap is not None else None
+    elsewhere = read_heightmap(test_heightmap, **reading) if test_heightmap is not None else None
     found = compare(
-        read_heightmap(heightmap),
+        read_heightmap(heightmap, **reading),
         rover,
         learned,
         tested,
         tested_heightmap=elsewhere,
         models=[find_predictor(name) for name in model or ()],
     )
-    answer.say(f"[bold]Fitted[/] to {runs_words(len(learned))}, judged on {len(tested)}: mean error per 1 m segment")
-    answer.table(
+    output.say(f"[bold]Fitted[/] to {runs_words(len(learned))}, judged on {len(tested)}: mean error per 1 m segment")
+    output.table(
         {
             name: f"{one['mean_relative_error']:.1%} straight, {one['with_turns']:.1%} with turns, "
             f"{one['route_relative_error']:.1%} of a whole run"
             for name, one in found.items()
         }
     )
-    answer.document({"learned": [str(f) for f in learned], "tested": [str(f) for f in tested], "methods": found})
+    output.document({"learned": [str(f) for f in learned], "tested": [str(f) for f in tested], "methods": found})
 
 
 def _need_scikit_learn() -> None:

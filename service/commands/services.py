@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
-from joulemap.service.commands.options import there
+from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
+from joulemap.service.commands.options import Reading, reads_heightmap, there
 
 if TYPE_CHECKING:
     from joulemap.service.settings import Settings
@@ -18,9 +18,12 @@ if TYPE_CHECKING:
 
 def serve(
     host: Annotated[
-        str | None, typer.Option(help="Address to listen on; 0.0.0.0 for every one. [default: 127.0.0.1]")
+        str | None,
+        typer.Option(help="Address to listen at; 0.0.0.0 for every one. [default: JOULEMAP_HOST, else 127.0.0.1]"),
     ] = None,
-    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen on. [default: 8000]")] = None,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port to listen at. [default: JOULEMAP_PORT, else 8000]")
+    ] = None,
     data_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of everything that is kept. [default: data]")
     ] = None,
@@ -35,7 +38,7 @@ def serve(
 
     from joulemap.service.http.app import create_app
 
-    settings = _settings(host=host, port=port, data_dir=data_dir)
+    settings = _writable(_settings(host=host, port=port, data_dir=data_dir))
     uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
 
 
@@ -58,7 +61,7 @@ def worker(
     from joulemap.service.storage.store import Store
     from joulemap.service.workflows import warm_up
 
-    settings = _settings(data_dir=data_dir)
+    settings = _writable(_settings(data_dir=data_dir))
     store = Store(settings.data_dir, settings.resolved_database_url)
     store.open(as_service=False)
     makers = make_makers(store, settings)
@@ -72,45 +75,54 @@ def worker(
 
 
 def _settings(**given: Any) -> Settings:
-    """Of the options that are given, and of the environment. A wrong one is wrong usage; raises OSError where the data
-    folder cannot be written.
-    """
+    """The settings of the options that are given, and of the environment. A wrong one is wrong usage."""
     from pydantic import ValidationError
     from pydantic_settings import SettingsError
 
     from joulemap.service.settings import Settings
 
     try:
-        settings = Settings(**{key: value for key, value in given.items() if value is not None})
+        return Settings(**{key: value for key, value in given.items() if value is not None})
     except ValidationError as error:
         wrong = [f"JOULEMAP_{e['loc'][0]!s}".upper() + f" is {e['input']!r}: {e['msg']}" for e in error.errors()]
         raise typer.BadParameter("; ".join(wrong)) from error
     except SettingsError as error:
         raise typer.BadParameter(f"{error}: it is a list in JSON") from error
+
+
+def _writable(settings: Settings) -> Settings:
+    """The same settings, with a data folder. Raises OSError where it cannot be written."""
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     if not os.access(settings.data_dir, os.W_OK):
         raise PermissionError(errno.EACCES, "no right to write there", str(settings.data_dir))
     return settings
 
 
+@reads_heightmap
 def demo(
     exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service and end by itself.")] = False,
     heightmap: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            callback=there,
-            help="Another heightmap than the sample (any format that says its cell size).",
-        ),
+        typer.Option(metavar="FILE", callback=there, help="Another heightmap than the sample."),
     ] = None,
     start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m].")] = None,
     goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m].")] = None,
     model: Annotated[str, typer.Option(metavar="M", help="`default` or `physics`.")] = "default",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; a free one is taken where it is in use.")] = 8000,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen at. [default: JOULEMAP_HOST, else 127.0.0.1]")
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=65535, help="Port; another one is taken if it is in use. [default: JOULEMAP_PORT, else 8000]"
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the picture and the service's data.")] = Path(
         "demo"
     ),
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
     """See it **work in a minute**: a service, a heightmap sent to it, a cost map, a path, a verdict and a picture.
 
@@ -120,19 +132,31 @@ def demo(
     """
     from joulemap.service.commands.demo import run_demo
 
-    answer = Answer(json_file)
-    run_demo(answer, heightmap=heightmap, start=start, goal=goal, model=model, port=port, out=out, keep=not exit_after)
+    output = Output(json_file)
+    settings = _settings(host=host, port=port)
+    run_demo(
+        output,
+        heightmap=heightmap,
+        start=start,
+        goal=goal,
+        model=model,
+        host=settings.host,
+        port=settings.port,
+        out=out,
+        keep=not exit_after,
+        reading=reading,
+    )
 
 
 def warmup(json_file: JsonFile = None) -> None:
     """Compile every kernel **once and keep it**, so that no request waits for a compiler (part of the installation)."""
     from joulemap.service.workflows import warm_up
 
-    answer = Answer(json_file)
+    output = Output(json_file)
     with progress_bar("Compiling") as _:
         seconds = warm_up()
-    answer.say(f"ready: kernels and the default model loaded in {seconds:.1f} s")
-    answer.document({"seconds": seconds})
+    output.say(f"ready: kernels and the default model loaded in {seconds:.1f} s")
+    output.document({"seconds": seconds})
 
 
 def openapi(

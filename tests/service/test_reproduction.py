@@ -86,7 +86,7 @@ def test_baselines_on_any_runs(reproduced: Path) -> None:
             str(field / "robot.toml"),
             "--runs",
             str(field / "a_lawnmower_*.csv"),
-            "--test",
+            "--test-runs",
             str(field / "a_lawnmower_06.csv"),
             "--model",
             "physics",

@@ -1,0 +1,134 @@
+"""How a command line is read: several values after one option, names of older versions, option names in messages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+RENAMED: Mapping[str, str] = {
+    "--base-runs": "--baseline-runs",
+    "--keep-aside": "--test-runs",
+    "--test": "--test-runs",
+}
+"""Options of older versions -> their names today. Each is still accepted by the commands that have the new one."""
+
+_NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
+_POINT = re.compile(rf"\s*{_NUMBER}\s*,\s*{_NUMBER}\s*")
+_NAME = re.compile(r"`([a-z][a-z0-9_]*)`")
+_UNITS = ("_m", "_s", "_wh")
+
+
+class Command(TyperCommand):
+    """A command whose list options take every value up to the next option: `--runs a.csv b.csv --out found`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse `args` as typer does, once they have one value for each option.
+
+        Parameters
+        ----------
+        ctx : typer.Context
+            Of this command.
+        args : list of str
+            What was typed after the command's name.
+
+        Returns
+        -------
+        list of str
+            What is left over.
+        """
+        options = [option for option in self.params if option.param_type_name == "option"]
+        names = {name for option in options for name in option.opts}
+        known = {old: new for old, new in RENAMED.items() if new in names and old not in names}
+        for old in sorted({word.partition("=")[0] for word in args} & known.keys()):
+            typer.echo(f"note: {old} is now called {known[old]}", err=True)
+        return super().parse_args(
+            ctx,
+            one_value_each(
+                [_renamed(word, known) for word in args],
+                lists={name for option in options if option.multiple for name in option.opts},
+                singles={n for o in options if not (o.multiple or o.is_flag or o.count) for n in o.opts},
+                only_points=len(options) < len(self.params),
+            ),
+        )
+
+
+def _renamed(word: str, known: Mapping[str, str]) -> str:
+    name, equals, value = word.partition("=")
+    return f"{known.get(name, name)}{equals}{value}"
+
+
+def one_value_each(args: Iterable[str], *, lists: set[str], singles: set[str], only_points: bool = False) -> list[str]:
+    """Return a command line in which an option of several values is repeated before each of them.
+
+    Parameters
+    ----------
+    args : iterable of str
+        As they were typed, or as the shell expanded them.
+    lists : set of str
+        Options that may be repeated, each with one value.
+    singles : set of str
+        Other options with one value.
+    only_points : bool
+        Take only texts like `12.5,40` as further values: the command has a positional argument, which may come after
+        the option.
+
+    Returns
+    -------
+    list of str
+        `--runs a b` is now `--runs a --runs b`.
+    """
+    words, out = list(args), []
+    option, wants_value = "", False
+    for k, word in enumerate(words):
+        if word == "--" and not wants_value:
+            return [*out, *words[k:]]
+        is_option = len(word) > 1 and word.startswith("-") and not _begins_a_number(word)
+        if wants_value:
+            out.append(word)
+            wants_value = False
+        elif is_option:
+            name, equals, _ = word.partition("=")
+            option = name if name in lists else ""
+            wants_value = not equals and name in lists | singles
+            out.append(word)
+        elif option and (not only_points or _POINT.fullmatch(word)):
+            out += [option, word]
+        else:
+            option = ""
+            out.append(word)
+    return out
+
+
+def _begins_a_number(word: str) -> bool:
+    return word[1:2].isdigit() or (word[1:2] == "." and word[2:3].isdigit())
+
+
+def with_option_names(message: str, parameters: Iterable[Any]) -> str:
+    """Return a message of the library in which parameters have the names of a command's options.
+
+    The library writes a parameter's name in backticks, with its unit: `resolution_m` becomes --resolution.
+
+    Parameters
+    ----------
+    message : str
+        Of an error or a warning.
+    parameters : iterable of typer.core.TyperOption and TyperArgument
+        Those of the command that runs.
+
+    Returns
+    -------
+    str
+        Names that are no parameter of the command are left as they are.
+    """
+    options = {p.name: max(p.opts, key=len) if p.param_type_name == "option" else p.metavar for p in parameters}
+
+    def option_of(match: re.Match[str]) -> str:
+        name = match[1]
+        short = next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)
+        return str(options.get(name) or options.get(short) or match[0])
+
+    return _NAME.sub(option_of, message)

@@ -1,0 +1,240 @@
+"""How the command line is read: shared options, several values after one option, limits, and what a user may type."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.lattice_build import MAX_LATTICE_VALUES
+from joulemap.service.cli import app
+from joulemap.service.commands.arguments import RENAMED, one_value_each, with_option_names
+from joulemap.service.commands.maps import MOST_VALUES
+
+READING = {"--resolution", "--west", "--north", "--crs", "--scale", "--offset", "--nodata", "--band"}
+COMMANDS = get_command(app).commands  # type: ignore[attr-defined]
+
+
+def joulemap(*arguments: object) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr (without frames) of a command in this process."""
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, " ".join(result.stderr.replace("│", " ").split())
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated site with three runs, and its heightmap once more as a bare array of centimetres."""
+    folder = tmp_path_factory.mktemp("field")
+    made = ("simulate", "--out", folder, "--site", "random", "--drive", "waypoints", "--runs", "3", "--seed", "3")
+    assert joulemap(*made)[0] == 0
+    np.save(folder / "bare.npy", 100.0 * read_heightmap(folder / "dem.tif").heights)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def costmap(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cost map of 30 x 40 m of gentle waves."""
+    folder = tmp_path_factory.mktemp("costmap")
+    row, col = np.mgrid[0:30, 0:40]
+    heights = (0.3 * np.sin(0.3 * col) + 0.02 * row).astype(np.float32)
+    write_geotiff(folder / "dem.tif", Heightmap(heights, GridFrame(0.0, 30.0, 1.0, 30, 40, "EPSG:32630")))
+    made = ("costmap", folder / "dem.tif", "--model", "physics", "--out", folder / "dem.zarr")
+    assert joulemap(*made)[0] == 0
+    return folder / "dem.zarr"
+
+
+def options_of(name: str) -> set[str]:
+    return {option for parameter in COMMANDS[name].params for option in parameter.opts}
+
+
+def test_every_command_that_reads_a_heightmap_can_be_given_what_the_file_does_not_say() -> None:
+    readers = {name for name in COMMANDS if "--heightmap" in options_of(name)} | {"costmap"}
+    assert readers >= {"train", "evaluate", "baselines", "distill", "calibrate", "suggest-drive", "demo"}
+    assert {name: READING - options_of(name) for name in readers} == {name: set() for name in readers}
+
+
+def test_a_bare_array_is_read_as_the_options_say(field: Path) -> None:
+    frame = read_heightmap(field / "dem.tif").frame
+    place = ("--resolution", frame.resolution_m, "--west", frame.west_m, "--north", frame.north_m, "--scale", "0.01")
+    asked = ("evaluate", "--model", "physics", "--robot", field / "robot.toml", "--runs", field, "--json", "-")
+    code, words, errors = joulemap(*asked, "--heightmap", field / "bare.npy", *place)
+    assert code == 0, errors
+    placed = json.loads(joulemap(*asked, "--heightmap", field / "dem.tif")[1])
+    assert json.loads(words)["mean_relative_error"] == pytest.approx(placed["mean_relative_error"], rel=1e-3)
+
+
+@pytest.mark.parametrize("command", ["evaluate", "train", "calibrate", "suggest-drive", "baselines", "distill"])
+def test_a_message_names_the_option_of_the_command(command: str, field: Path, tmp_path: Path) -> None:
+    more: dict[str, tuple[object, ...]] = {
+        "train": ("--out", tmp_path / "out"),
+        "calibrate": ("--out", tmp_path / "out"),
+        "baselines": ("--test-runs", field / "run_01.csv"),
+        "distill": ("--out", tmp_path / "out", "--teacher", field),
+    }
+    asked = (command, "--heightmap", field / "bare.npy", "--runs", field, *more.get(command, ()))
+    code, _, errors = joulemap(*asked)
+    assert code == 3
+    assert "--resolution" in errors
+    assert "resolution_m" not in errors
+
+
+def test_names_of_the_library_become_options_of_the_command() -> None:
+    costmap = COMMANDS["costmap"].params
+    assert with_option_names("give `resolution_m`, or `nodata`", costmap) == "give --resolution, or --nodata"
+    assert with_option_names("a smaller `spacing_m` of `heightmap`", costmap) == "a smaller --spacing of HEIGHTMAP"
+    assert with_option_names("`mass_kg` is no option", costmap) == "`mass_kg` is no option"
+    assert with_option_names("`joulemap costmap`", costmap) == "`joulemap costmap`"
+    assert with_option_names("`time_limit_s`", COMMANDS["path"].params) == "--time-limit"
+
+
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [
+        ("--runs a b c --out o", "--runs a --runs b --runs c --out o"),
+        ("--runs=a b --out o c", "--runs=a --runs b --out o c"),
+        ("--runs a --flag b", "--runs a --flag b"),
+        ("--runs a --runs b c", "--runs a --runs b --runs c"),
+        ("--stop -1,2 -3.5,4 --out o", "--stop -1,2 --stop -3.5,4 --out o"),
+        ("--out --runs x", "--out --runs x"),
+        ("--runs a -- b", "--runs a -- b"),
+        ("--json - --runs a b", "--json - --runs a --runs b"),
+    ],
+)
+def test_an_option_takes_every_value_up_to_the_next(typed: str, read: str) -> None:
+    singles = {"--out", "--json"}
+    assert one_value_each(typed.split(), lists={"--runs", "--stop"}, singles=singles) == read.split()
+
+
+def test_runs_as_the_shell_expands_them(field: Path) -> None:
+    files = sorted(field.glob("run_*.csv"))
+    asked = ("evaluate", "--heightmap", field / "dem.tif", "--robot", field / "robot.toml", "--json", "-")
+    code, words, errors = joulemap(*asked, "--runs", *files, "--model", "physics")
+    assert code == 0, errors
+    assert set(json.loads(words)["route_relative_errors"]) == {file.name for file in files}
+
+
+def test_stops_after_one_option_and_a_map_after_them(costmap: Path) -> None:
+    pytest.importorskip("ortools")
+    stops = ("5.5,5.5", "30.5,8.5", "20.5,25.5")
+    code, words, errors = joulemap("tour", "--stop", *stops, costmap, "--json", "-")
+    assert code == 0, errors
+    repeated = [word for stop in stops for word in ("--stop", stop)]
+    assert json.loads(joulemap("tour", costmap, *repeated, "--json", "-")[1]) == json.loads(words)
+
+
+@pytest.mark.parametrize(("old", "new"), RENAMED.items())
+def test_an_option_of_an_older_version_is_accepted(old: str, new: str, field: Path) -> None:
+    users = [name for name in COMMANDS if new in options_of(name)]
+    assert users
+    for name in users:
+        assert old not in options_of(name)  # help has only the name of today
+        code, _, errors = joulemap(name, old, field / "nothing.csv", "--help")
+        assert (code, f"{old} is now called {new}" in errors) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ("60", "60 is not a share of 0..1: for 60 % write 0.6"),
+        ("60%", "for 60 % write 0.6"),
+        ("-0.2", "-0.2 is not a share of 0..1"),
+        ("half", "'half' is not a number of 0..1"),
+        ("nan", "nan is not a share of 0..1"),
+    ],
+)
+@pytest.mark.parametrize("option", ["--charge", "--reserve"])
+def test_a_percentage_is_answered_with_the_share_to_type(option: str, typed: str, words: str, costmap: Path) -> None:
+    asked = ("feasibility", costmap, "--start", "3.5,4.5", "--goal", "30.5,20.5")
+    code, _, errors = joulemap(*asked, option, typed)
+    assert code == 2
+    assert words in errors
+    assert joulemap(*asked, option, "0.6")[0] == 0
+
+
+def test_a_cost_map_too_large_is_refused_at_once(costmap: Path, tmp_path: Path) -> None:
+    assert MOST_VALUES == MAX_LATTICE_VALUES  # what `joulemap path` can hold in memory
+    dem, out = costmap.with_name("dem.tif"), tmp_path / "fine.zarr"
+    asked = ("costmap", dem, "--model", "physics", "--out", out, "--spacing")
+    code, words, errors = joulemap(*asked, "0.01", "--headings", "36")
+    assert (code, words) == (7, "")
+    assert "3,000 x 4,000 cells of 0.01 m with 36 headings: 432,000,000 values, up to 3.5 GB on disk" in errors
+    assert "The limit is 400,000,000" in errors
+    assert "--max-values 432000000" in errors
+    code, _, errors = joulemap(*asked, "0.5", "--max-values", "1000")
+    assert (code, "coarser --spacing" in errors) == (7, True)
+    assert list(tmp_path.iterdir()) == []
+    assert joulemap(*asked, "0.5", "--max-values", str(60 * 80 * 16))[0] == 0
+
+
+def test_ctrl_c_leaves_nothing_behind(costmap: Path, tmp_path: Path) -> None:
+    """The size is said before the work begins; then the command is stopped in the middle of it."""
+    command = [sys.executable, "-m", "joulemap.service.cli", "costmap", str(costmap.with_name("dem.tif"))]
+    command += ["--model", "physics", "--spacing", "0.02", "--out", str(tmp_path / "fine.zarr")]
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    deadline = time.monotonic() + 120.0
+    while not list(tmp_path.iterdir()) and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    said, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "1,500 x 2,000 cells of 0.02 m with 16 headings: 48,000,000 values, up to 0.4 GB on disk" in said
+    assert errors.splitlines()[-1] == "stopped: nothing is left behind"
+    assert "Traceback" not in errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def _tour(costmap: Path, folder: Path) -> dict[str, object]:
+    pytest.importorskip("ortools")
+    asked = ("tour", costmap, "--stop", "5.5,5.5", "30.5,8.5", "20.5,25.5", "--geojson", folder / "tour.geojson")
+    code, words, errors = joulemap(*asked, "--json", "-")
+    assert code == 0, errors
+    (folder / "tour.json").write_text(words)
+    legs = [leg["path"] for leg in json.loads(words)["legs"]]
+    (folder / "legs.json").write_text(json.dumps({"legs": [{"path": leg} for leg in legs]}))
+    (folder / "lines.geojson").write_text(json.dumps({"type": "MultiLineString", "coordinates": legs}))
+    return json.loads(words)
+
+
+@pytest.mark.parametrize("name", ["tour.geojson", "tour.json", "legs.json", "lines.geojson"])
+def test_all_legs_of_a_tour_are_judged(name: str, costmap: Path, tmp_path: Path) -> None:
+    whole = _tour(costmap, tmp_path)
+    code, words, errors = joulemap("feasibility", costmap, "--path", tmp_path / name, "--json", "-")
+    assert code == 0, errors
+    assert json.loads(words)["energy_j"] == pytest.approx(whole["energy_j"], rel=1e-6)
+
+
+def test_lines_that_do_not_touch_are_no_path(costmap: Path, tmp_path: Path) -> None:
+    lines = [[[5.5, 5.5], [10.5, 5.5]], [[10.5, 7.5], [20.5, 9.5]]]
+    (tmp_path / "two.geojson").write_text(json.dumps({"type": "MultiLineString", "coordinates": lines}))
+    code, _, errors = joulemap("feasibility", costmap, "--path", tmp_path / "two.geojson")
+    assert code == 3
+    assert "line 1 ends at (10.50, 5.50), but line 2 begins at (10.50, 7.50), 2.00 m away" in errors
+
+
+def test_of_the_lines_of_a_path_the_energy_optimal_one_is_judged(costmap: Path, tmp_path: Path) -> None:
+    asked = ("path", costmap, "--start", "3.5,4.5", "--goal", "36.5,22.5", "--alternatives", "2")
+    code, words, errors = joulemap(*asked, "--geojson", tmp_path / "path.geojson", "--json", "-")
+    assert code == 0, errors
+    _, judged, _ = joulemap("feasibility", costmap, "--path", tmp_path / "path.geojson", "--json", "-")
+    assert json.loads(judged)["energy_j"] == pytest.approx(json.loads(words)["energy_j"], rel=1e-6)
