@@ -1,1 +1,98 @@
-"""Energy planner for ground robots."""
+"""joulemap: what driving costs a ground robot on uneven terrain, which way takes least energy, and whether the battery
+lasts.
+
+    import joulemap as jm
+
+    hill = jm.read_heightmap("hill.tif")
+    costmap = jm.costmap(hill, robot="rover.toml")
+    route = costmap.plan((366990, 4064310), (367128, 4064400))
+    print(route)
+    print(costmap.feasibility(route, charge=0.6))
+
+Names are loaded when they are first used: importing joulemap loads neither torch nor numba nor OMPL.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from joulemap.model.errors import JoulemapError
+    from joulemap.model.robot import Battery, Robot
+    from joulemap.model.terrain.heightmap import Heightmap
+    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.service.library.costmaps import CostMap, costmap, open_costmap
+    from joulemap.service.library.heightmaps import heightmap
+    from joulemap.service.library.learning import (
+        CalibrationResult,
+        Evaluation,
+        Model,
+        Runs,
+        calibrate,
+        evaluate,
+        read_runs,
+        train,
+    )
+    from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
+
+__all__ = [
+    "Battery",
+    "CalibrationResult",
+    "CostMap",
+    "Evaluation",
+    "Feasibility",
+    "Heightmap",
+    "JoulemapError",
+    "Model",
+    "PlannedRoute",
+    "PlannedTour",
+    "Robot",
+    "Runs",
+    "calibrate",
+    "costmap",
+    "evaluate",
+    "heightmap",
+    "open_costmap",
+    "read_heightmap",
+    "read_runs",
+    "train",
+]
+
+_HOMES = {
+    "joulemap.model.errors": ("JoulemapError",),
+    "joulemap.model.robot": ("Battery", "Robot"),
+    "joulemap.model.terrain.heightmap": ("Heightmap",),
+    "joulemap.model.terrain.readers": ("read_heightmap",),
+    "joulemap.service.library.costmaps": ("CostMap", "costmap", "open_costmap"),
+    "joulemap.service.library.heightmaps": ("heightmap",),
+    "joulemap.service.library.learning": (
+        "CalibrationResult",
+        "Evaluation",
+        "Model",
+        "Runs",
+        "calibrate",
+        "evaluate",
+        "read_runs",
+        "train",
+    ),
+    "joulemap.service.library.routes": ("Feasibility", "PlannedRoute", "PlannedTour"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("joulemap")
+    if name in ("model", "planner", "service"):
+        return import_module(f"joulemap.{name}")
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(home), name)
+            return value
+    raise AttributeError(f"module 'joulemap' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__, "__version__"])

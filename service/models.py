@@ -1,4 +1,4 @@
-"""Models by name: the shipped ones, trained ones and calibrated ones, and what they know of a robot."""
+"""Models by name: shipped, trained and calibrated ones, and what they know about a robot."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from joulemap.model.energy.domain import Learned
-from joulemap.model.energy.predictor import MODEL_NAMES, Predictor, load_predictor
+from joulemap.model.energy.predictor import MODEL_NAMES, SHIPPED_WEIGHTS, Predictor, load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.calibrated import CALIBRATION_FILE, CalibratedPredictor, read_calibrated
 from joulemap.model.robot import Robot
@@ -18,10 +18,25 @@ _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Predictor:
-    """The predictor called `model`: "physics", "default", or a trained one.
+    """Return the predictor of this name.
 
-    With `models_dir` a trained model is an id inside that folder and nothing else (what a stranger may ask for);
-    without, it is the path of a model's folder. Raises ModelError.
+    Parameters
+    ----------
+    model : str or Path
+        ``physics``, ``default``, or a trained model: its id where `models_dir` is given, else its folder.
+    models_dir : Path, optional
+        Folder of the trained models. With it no other folder can be named, so that a request over HTTP cannot read
+        other files.
+
+    Returns
+    -------
+    Predictor
+        Ready to be asked.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or its files do not fit together.
     """
     if models_dir is None or model in MODEL_NAMES:
         return load_model(model)
@@ -35,7 +50,23 @@ def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Pred
 
 
 def load_model(spec: str | Path) -> Predictor:
-    """`load_predictor`, or the calibrated model of a folder. Raises ModelError."""
+    """Return a shipped model, or the trained or calibrated model of a folder.
+
+    Parameters
+    ----------
+    spec : str or Path
+        ``physics``, ``default``, or a folder.
+
+    Returns
+    -------
+    Predictor
+        Ready to be asked.
+
+    Raises
+    ------
+    ModelError
+        If the files cannot be read or do not fit together, or if the model that was calibrated has changed since.
+    """
     if spec in MODEL_NAMES or not (Path(spec) / CALIBRATION_FILE).is_file():
         return load_predictor(spec)
     folder = Path(spec)
@@ -50,11 +81,53 @@ def load_model(spec: str | Path) -> Predictor:
 
 
 def model_name(folder: Path) -> str:
-    """What a calibrated model is called: its folder's name, and that of the folder it was written to beside it."""
+    """Return the name of a calibrated model: that of its folder, or of the report's folder and its own.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the model.
+
+    Returns
+    -------
+    str
+        For example ``found/model``.
+    """
     own = folder.resolve()
     return f"{own.parent.name}/{own.name}" if own.name == CALIBRATED_FOLDER else own.name
 
 
 def planning_robot(predictor: Predictor, robot: Robot) -> Robot:
-    """The robot with what the model found its turns to cost."""
+    """Return the robot with the energy of turning that the model learned.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        The model.
+    robot : Robot
+        As it was described.
+
+    Returns
+    -------
+    Robot
+        The same one where the model learned nothing about turning.
+    """
     return predictor.robot_with_turning(robot) if isinstance(predictor, CalibratedPredictor | Learned) else robot
+
+
+def start_folder(name: str | Path) -> Path | None:
+    """Return the folder of the model that a training starts from.
+
+    Parameters
+    ----------
+    name : str or Path
+        "default" (the shipped network), "none", or a folder.
+
+    Returns
+    -------
+    Path or None
+        None for "none": training starts from random weights.
+    """
+    if name == "none":
+        return None
+    return Path(str(SHIPPED_WEIGHTS)) if name == "default" else Path(name)

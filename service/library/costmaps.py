@@ -1,0 +1,450 @@
+"""The cost map of a Python user: made of a heightmap, asked for routes and verdicts, drawn, saved and exported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from joulemap.model.errors import ConflictError, InputError
+from joulemap.model.robot import Battery, Robot
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice_build import DEFAULT_HEADINGS
+from joulemap.planner.lattice_io import export_geotiff, load_lattice, save_lattice
+from joulemap.planner.plan import RoutePlanner
+from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
+from joulemap.service.library.html import html_table, text_table
+from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
+from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.workflows import PointCosts, assess, costs_at, judge_routes, make_cost_lattice, summarise
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from xarray import Dataset
+
+    from joulemap.service.library.learning import Model
+
+Point = Sequence[float]
+"""World x, y [m] in the CRS of the map."""
+
+
+class CostMap:
+    """What driving costs at every place and in every direction, for one robot on one heightmap.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The prices, limits and heights.
+
+    Attributes
+    ----------
+    lattice : CostLattice
+        The prices, limits and heights, for the functions of `joulemap.planner`.
+    """
+
+    def __init__(self, lattice: CostLattice) -> None:
+        self.lattice = lattice
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that the map is made for, with what its model found its turns to cost."""
+        return self.lattice.robot
+
+    @property
+    def crs(self) -> str | None:
+        """Coordinate system of the map, None where the heightmap did not name one."""
+        return self.lattice.frame.crs
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north [m]."""
+        return self.lattice.frame.bounds
+
+    @property
+    def warnings(self) -> list[str]:
+        """Where map or robot lie outside what the model learned."""
+        return list(self.lattice.provenance.get("warnings", []))
+
+    @cached_property
+    def planner(self) -> RoutePlanner:
+        """The planner of this map. It keeps what repeated questions share."""
+        return RoutePlanner(self.lattice)
+
+    def plan(
+        self,
+        start: Point,
+        goal: Point,
+        *,
+        planner: str = "astar",
+        neighbours: int = 16,
+        refine: bool = True,
+        alternatives: int = 0,
+        snap: bool = False,
+        time_limit_s: float = 5.0,
+        seed: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> PlannedRoute:
+        """Find the route of least energy, and the shortest one beside it.
+
+        Parameters
+        ----------
+        start, goal : sequence of float
+            World x, y [m].
+        planner : str, optional
+            One of `joulemap.planner.plan.PLANNERS`.
+        neighbours : int, optional
+            Directions of a step on the grid: 8, 16 or 32.
+        refine : bool, optional
+            Whether the grid's path is improved to any angle.
+        alternatives : int, optional
+            Most other routes to look for.
+        snap : bool, optional
+            Whether a start or goal on blocked ground is moved to the nearest free place.
+        time_limit_s : float, optional
+            For the sampling planners [s].
+        seed : int, optional
+            For the sampling planners.
+        progress : callable, optional
+            Called with the share done, 0..1.
+
+        Returns
+        -------
+        PlannedRoute
+            Energies in J.
+
+        Raises
+        ------
+        PointError
+            If a point lies outside the map.
+        BlockedError
+            If a point lies on blocked ground, and `snap` is false.
+        NoRouteError
+            If no route joins the two.
+        """
+        found = self.planner.plan(
+            _point(start, "start"),
+            _point(goal, "goal"),
+            planner=planner,
+            neighbours=neighbours,
+            refine=refine,
+            alternatives=alternatives,
+            snap=snap,
+            time_limit_s=time_limit_s,
+            seed=seed,
+            progress=progress,
+        )
+        return PlannedRoute(found, self.lattice)
+
+    def tour(self, stops: Sequence[Point], *, neighbours: int = 16, time_limit_s: float = 10.0) -> PlannedTour:
+        """Visit all stops and come home to the first one, in the order that takes least energy.
+
+        Parameters
+        ----------
+        stops : sequence of points
+            World x, y [m]; the first is home.
+        neighbours : int, optional
+            Directions of a step on the grid: 8, 16 or 32.
+        time_limit_s : float, optional
+            For the search of the order [s].
+
+        Returns
+        -------
+        PlannedTour
+            Legs with energies in J. Needs the extra `tours`.
+
+        Raises
+        ------
+        PointError, BlockedError, NoRouteError
+            As `plan`; the two stops are named.
+        """
+        places = [_point(stop, f"stop {k}") for k, stop in enumerate(stops)]
+        return PlannedTour(self.planner.tour(places, neighbours=neighbours, time_limit_s=time_limit_s), self.lattice)
+
+    def feasibility(
+        self,
+        route: PlannedRoute | PlannedTour | Sequence[Point],
+        *,
+        charge: float = 1.0,
+        reserve: float = 0.0,
+        capacity_wh: float | None = None,
+        round_trip: bool = False,
+    ) -> Feasibility:
+        """Say whether the battery lasts for a route.
+
+        Parameters
+        ----------
+        route : PlannedRoute, PlannedTour or sequence of points
+            What is driven; points are world x, y [m].
+        charge : float, optional
+            State of charge at the start, 0..1.
+        reserve : float, optional
+            Share of the capacity that must remain, 0..1.
+        capacity_wh : float, optional
+            Energy of the full battery [Wh]. By default that of the robot.
+        round_trip : bool, optional
+            Whether the way back is driven too: the best one back to the start of a planned route, the same points in
+            reverse otherwise.
+
+        Returns
+        -------
+        Feasibility
+            True in a condition exactly when the battery lasts.
+
+        Raises
+        ------
+        InputError
+            If charge or reserve lie outside 0..1, or a tour, which comes home already, is to be a round trip.
+        BlockedError
+            If points cross blocked ground.
+        """
+        full = self.robot.battery_wh if capacity_wh is None else capacity_wh
+        battery = Battery(full, charge=charge, reserve=reserve)
+        if isinstance(route, PlannedTour):
+            if round_trip:
+                raise InputError("a tour comes home already: leave out `round_trip`")
+            return Feasibility(judge_routes(self.lattice, route.legs, battery), route.legs[0])
+        if isinstance(route, PlannedRoute):
+            routes = [route.route]
+            if round_trip:
+                here, there = ((float(p[0]), float(p[1])) for p in (route.points[0], route.points[-1]))
+                routes.append(self.planner.plan(there, here).route)
+            return Feasibility(judge_routes(self.lattice, routes, battery), *routes)
+        points = [_point(point, f"point {k}") for k, point in enumerate(route)]
+        judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
+        return Feasibility(judged.verdict, judged.route_out, judged.route_back)
+
+    def at(self, x: float, y: float) -> PointCosts:
+        """Say what driving costs at one place, in every direction.
+
+        Parameters
+        ----------
+        x, y : float
+            World x, y [m].
+
+        Returns
+        -------
+        PointCosts
+            Energy per metre [J/m] by heading, and the reason where a heading is blocked.
+
+        Raises
+        ------
+        PointError
+            If the place lies outside the map.
+        """
+        return costs_at(self.lattice, x, y)
+
+    def plot(self, ax: Axes | None = None, *, view: str = "mean", heading_deg: float | None = None) -> Axes:
+        """Draw the energy per metre in colour.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. By default a new figure is made with pyplot.
+        view : str, optional
+            "mean" over the headings, "directionality" (dearest minus cheapest heading), or "heading".
+        heading_deg : float, optional
+            The heading of the view "heading", clockwise from north.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The map, in metres of its CRS, with a colour bar.
+
+        Raises
+        ------
+        InputError
+            On another view, or without a heading where one is needed.
+        """
+        from joulemap.service.library.routes import _axes
+        from joulemap.service.map_drawing import draw_costmap, price_label
+
+        ax = _axes(ax)
+        scale, title, handles = draw_costmap(ax, self.lattice, view=view, heading_deg=heading_deg)
+        ax.figure.colorbar(scale, ax=ax, label=price_label(view), extend=scale.colorbar_extend)
+        ax.set_title(title)
+        if handles:
+            ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
+        return ax
+
+    def to_xarray(self) -> Dataset:
+        """Return prices, heights and what is blocked with coordinates and units.
+
+        Returns
+        -------
+        xarray.Dataset
+            Dimensions y, x, heading; energy per metre [J/m] is NaN where that heading is blocked.
+        """
+        from joulemap.planner.lattice_xarray import lattice_dataset
+
+        return lattice_dataset(self.lattice)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the map as a folder in zarr format, which `open_costmap` and `xarray.open_zarr` open.
+
+        Parameters
+        ----------
+        path : str or Path
+            Usually NAME.zarr.
+        overwrite : bool, optional
+            Whether a cost map that is there already is replaced.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        ConflictError
+            If something is there already, and `overwrite` is false.
+        """
+        folder = Path(path)
+        if folder.exists() and not overwrite:
+            raise ConflictError(
+                f"{folder} is there already: choose another name, or say overwrite=True", path=str(path)
+            )
+        save_lattice(self.lattice, folder)
+        return folder
+
+    def write_geotiff(self, path: str | Path) -> Path:
+        """Write a GeoTIFF with a band of energy per metre [J/m] for each heading.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; one that is there is replaced.
+
+        Returns
+        -------
+        Path
+            The file.
+        """
+        file = Path(path)
+        file.write_bytes(export_geotiff(self.lattice))
+        return file
+
+    def summary(self) -> dict[str, Any]:
+        """Return least, mean and greatest price [J/m], and the share that is blocked, by reason.
+
+        Returns
+        -------
+        dict
+            As the service answers it.
+        """
+        return summarise(self.lattice)
+
+    def _title(self) -> str:
+        rows, cols = self.lattice.frame.shape
+        spacing = self.lattice.frame.resolution_m
+        return f"Cost map of {cols} x {rows} cells of {spacing:g} m, {self.lattice.headings} headings"
+
+    def _rows(self) -> dict[str, str]:
+        mean = self.lattice.mean_energy_per_m()
+        known = mean[mean == mean]
+        shares = self.lattice.blocked_shares()
+        west, south, east, north = self.bounds
+        blocked = ", ".join(f"{share:.1%} {reason}" for reason, share in shares.items() if reason != "free" and share)
+        rows = {
+            "area": f"x {west:.1f} to {east:.1f}, y {south:.1f} to {north:.1f} m, {self.crs or 'CRS not known'}",
+            "robot": f"{self.robot.name}, {self.robot.mass_kg:g} kg, {self.robot.speed_mps:g} m/s",
+            "model": str(self.lattice.provenance.get("model", {}).get("name", "not known")),
+            "energy per metre": f"{known.mean():.1f} J/m in the mean over places and headings"
+            if known.size
+            else "none",
+            "blocked": blocked.replace("_", " ") or "nothing",
+        }
+        return rows | ({"warning": "; ".join(self.warnings)} if self.warnings else {})
+
+    def __repr__(self) -> str:
+        return f"<{self._title()}, robot {self.robot.name}>"
+
+    def __str__(self) -> str:
+        return text_table(self._title(), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), self._rows())
+
+
+def costmap(
+    ground: GroundLike,
+    robot: RobotLike = None,
+    *,
+    model: str | Path | Model = DEFAULT_MODEL,
+    spacing_m: float = 1.0,
+    headings: int = DEFAULT_HEADINGS,
+    progress: Callable[[float], None] | None = None,
+) -> CostMap:
+    """Make the cost map of a heightmap for a robot.
+
+    Parameters
+    ----------
+    ground : Heightmap, str or Path
+        The heightmap, or its file.
+    robot : Robot, mapping, str, Path or None, optional
+        The robot, its fields, its TOML file, or None for the built-in 35 kg rover.
+    model : str, Path or Model, optional
+        "default" (the shipped network), "physics", the folder of a trained or calibrated model, or what `train` and
+        `calibrate` return.
+    spacing_m : float, optional
+        Side of a cell [m].
+    headings : int, optional
+        Number of heading bins, 4 to 360.
+    progress : callable, optional
+        Called with the share done, 0..1.
+
+    Returns
+    -------
+    CostMap
+        In memory. For maps that do not fit there is the command `joulemap costmap`, which writes tile by tile.
+
+    Raises
+    ------
+    HeightmapError, RobotError, ModelError
+        If a file cannot be used.
+    TooLargeError
+        If the map would not fit into memory.
+
+    Examples
+    --------
+    >>> import numpy as np, joulemap as jm
+    >>> slope = np.tile(np.linspace(0.0, 3.0, 60), (40, 1))
+    >>> costs = jm.costmap(jm.heightmap(slope, resolution_m=0.5), model="physics")
+    >>> costs.plan((3.0, 10.0), (27.0, 10.0)).energy_j > costs.plan((27.0, 10.0), (3.0, 10.0)).energy_j
+    True
+    """
+    folder = getattr(model, "folder", model)
+    lattice = make_cost_lattice(
+        ground_of(ground), robot_of(robot), model=folder, spacing_m=spacing_m, headings=headings, progress=progress
+    )
+    return CostMap(lattice)
+
+
+def open_costmap(path: str | Path) -> CostMap:
+    """Open a cost map that `CostMap.save` or the command `joulemap costmap` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its folder, usually NAME.zarr.
+
+    Returns
+    -------
+    CostMap
+        The same to the bit.
+
+    Raises
+    ------
+    InputError
+        If the folder is no cost map.
+    """
+    return CostMap(load_lattice(path))
+
+
+def _point(point: Point, name: str) -> tuple[float, float]:
+    """The pair of a point. Raises InputError."""
+    try:
+        x, y = (float(value) for value in point)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {point!r}: give x and y in metres") from None
+    return x, y

@@ -1,0 +1,399 @@
+"""What a plan is to a Python user: a route with its numbers, its picture and its files; and the verdict on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import InputError
+from joulemap.planner.budget import Verdict
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.plan import Plan, RoundTrip
+from joulemap.planner.route import Profile, Route, geojson
+from joulemap.service.library.html import html_table, text_table
+from joulemap.service.words import duration_words, energy_words, route_words, saving_words, verdict_words
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlannedRoute:
+    """The energy-optimal route between two places, and the shortest one beside it.
+
+    Attributes
+    ----------
+    found : Plan
+        The planner's answer.
+    lattice : CostLattice
+        The cost map that it was planned on.
+    """
+
+    found: Plan
+    lattice: CostLattice
+
+    @property
+    def route(self) -> Route:
+        """The route of least energy."""
+        return self.found.route
+
+    @property
+    def shortest(self) -> Route:
+        """The shortest route within the same limits, at the same prices."""
+        return self.found.shortest
+
+    @property
+    def alternatives(self) -> tuple[Route, ...]:
+        """Other good routes, cheapest first."""
+        return self.found.others
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """World x, y, z of the corners, (n, 3) [m]."""
+        return self.route.points
+
+    @property
+    def profile(self) -> Profile:
+        """Distance, height, heading and energy, piece by piece."""
+        return self.route.profile
+
+    @property
+    def energy_j(self) -> float:
+        """Energy drawn from the battery [J]."""
+        return self.route.energy_j
+
+    @property
+    def length_m(self) -> float:
+        """Horizontal length [m]."""
+        return self.route.length_m
+
+    @property
+    def duration_s(self) -> float:
+        """Driving time at the robot's cruising speed, without turns on the spot [s]."""
+        return self.route.duration_s
+
+    @property
+    def saving_j(self) -> float:
+        """Energy saved against the shortest route [J], never negative."""
+        return self.found.saving_j
+
+    @property
+    def notes(self) -> list[str]:
+        """What the user should know about this route."""
+        return self.route.notes
+
+    def plot(self, ax: Axes | None = None, *, shortest: bool = True) -> Axes:
+        """Draw the route on the terrain.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. By default a new figure is made with pyplot.
+        shortest : bool, optional
+            Whether the shortest route is drawn beside it.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The map, in metres of its CRS.
+        """
+        from joulemap.service.map_drawing import blocked_everywhere, draw_ground, draw_routes
+
+        ax = _axes(ax)
+        patches = draw_ground(
+            ax, self.lattice.elevation_m, self.lattice.frame, blocked=blocked_everywhere(self.lattice)
+        )
+        draw_routes(ax, self.route, self.shortest if shortest else None, alternatives=self.alternatives)
+        handles = [*ax.get_legend_handles_labels()[0], *patches]
+        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False, fontsize=9)
+        return ax
+
+    def plot_profile(self, ax: Axes | None = None, *, quantity: str = "energy") -> Axes:
+        """Draw energy or height over the distance along the route.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. By default a new figure is made with pyplot.
+        quantity : str, optional
+            "energy" [kJ] since the start, or "elevation" [m].
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The profile, in metres along the path.
+
+        Raises
+        ------
+        InputError
+            On another quantity.
+        """
+        from joulemap.service.map_drawing import OPTIMAL, SHORTEST, draw_profile
+
+        if quantity not in ("energy", "elevation"):
+            raise InputError(f"`quantity` is {quantity!r}: give 'energy' or 'elevation'", quantity=quantity)
+        ax = _axes(ax)
+        for route, colour, name in ((self.shortest, SHORTEST, "shortest"), (self.route, OPTIMAL, "energy-optimal")):
+            draw_profile(ax, route, quantity=quantity, colour=colour, label=name)
+        ax.set_xlabel("distance along the path [m]")
+        ax.legend(frameon=False)
+        return ax
+
+    def to_geojson(self) -> dict[str, Any]:
+        """Return both routes, and the alternatives, as GeoJSON.
+
+        Returns
+        -------
+        dict
+            A FeatureCollection of lines with heights, in the CRS of the map, which its member `crs` names.
+        """
+        return route_collection(
+            [
+                (self.route, {"kind": "energy_optimal", "planner": self.found.planner, "saving_j": self.saving_j}),
+                (self.shortest, {"kind": "shortest"}),
+                *((other, {"kind": "alternative"}) for other in self.alternatives),
+            ]
+        )
+
+    def to_geodataframe(self) -> GeoDataFrame:
+        """Return the routes as a table with a geometry, a row each. Needs the extra `geo`.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Columns `kind`, `energy_j` [J], `length_m` [m], `duration_s` [s] and `geometry` in the CRS of the map.
+
+        Raises
+        ------
+        InputError
+            If geopandas is not installed.
+        """
+        return _geodataframe(
+            [
+                ("energy_optimal", self.route),
+                ("shortest", self.shortest),
+                *(("alternative", other) for other in self.alternatives),
+            ],
+            self.route.crs,
+        )
+
+    def _rows(self) -> dict[str, str]:
+        route = _numbers(self.route)
+        rows = {"energy-optimal": route_words(route), "shortest": route_words(_numbers(self.shortest))}
+        rows |= {f"alternative {k}": route_words(_numbers(r)) for k, r in enumerate(self.alternatives, 1)}
+        rows["saved"] = saving_words(route, _numbers(self.shortest))
+        return rows | ({"note": "; ".join(self.notes)} if self.notes else {})
+
+    def __repr__(self) -> str:
+        return f"<PlannedRoute: {route_words(_numbers(self.route))}>"
+
+    def __str__(self) -> str:
+        return text_table(f"Route, found by {self.found.planner}", self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Route, found by {self.found.planner}", self._rows())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlannedTour:
+    """A round trip over several stops in the order that takes least energy.
+
+    Attributes
+    ----------
+    found : RoundTrip
+        The planner's answer.
+    lattice : CostLattice
+        The cost map that it was planned on.
+    """
+
+    found: RoundTrip
+    lattice: CostLattice
+
+    @property
+    def legs(self) -> tuple[Route, ...]:
+        """From each stop to the next, and home from the last."""
+        return self.found.legs
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Which stop is visited when, home (0) first."""
+        return self.found.order
+
+    @property
+    def energy_j(self) -> float:
+        """Energy of all legs [J]."""
+        return self.found.energy_j
+
+    @property
+    def length_m(self) -> float:
+        """Horizontal length of all legs [m]."""
+        return sum(leg.length_m for leg in self.legs)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the tour on the terrain.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. By default a new figure is made with pyplot.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The map, in metres of its CRS.
+        """
+        from joulemap.service.map_drawing import OPTIMAL, blocked_everywhere, draw_ground
+
+        ax = _axes(ax)
+        draw_ground(ax, self.lattice.elevation_m, self.lattice.frame, blocked=blocked_everywhere(self.lattice))
+        for leg in self.legs:
+            ax.plot(*leg.points[:, :2].T, color=OPTIMAL, lw=2.5, zorder=3)
+        for number, (leg, stop) in enumerate(zip(self.legs, self.order, strict=True)):
+            ax.plot(*leg.points[0, :2], "o", ms=15, mfc="white", mec=OPTIMAL, zorder=4)
+            name = "home" if number == 0 else str(stop)
+            ax.annotate(name, leg.points[0, :2], ha="center", va="center", fontsize=7, zorder=5)
+        return ax
+
+    def to_geojson(self) -> dict[str, Any]:
+        """Return the legs as GeoJSON.
+
+        Returns
+        -------
+        dict
+            A FeatureCollection with a line for each leg, in the CRS of the map.
+        """
+        return route_collection(
+            [
+                (leg, {"kind": "leg", "number": k, "from_stop": a, "to_stop": b})
+                for k, (leg, a, b) in enumerate(
+                    zip(self.legs, self.order, (*self.order[1:], self.order[0]), strict=True), 1
+                )
+            ]
+        )
+
+    def to_geodataframe(self) -> GeoDataFrame:
+        """Return the legs as a table with a geometry, a row each. Needs the extra `geo`.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Columns `kind`, `energy_j` [J], `length_m` [m], `duration_s` [s] and `geometry` in the CRS of the map.
+
+        Raises
+        ------
+        InputError
+            If geopandas is not installed.
+        """
+        return _geodataframe([("leg", leg) for leg in self.legs], self.legs[0].crs)
+
+    def __repr__(self) -> str:
+        return f"<PlannedTour: {len(self.order)} stops, {self.length_m:.1f} m, {energy_words(self.energy_j)}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Feasibility:
+    """Whether the battery lasts for a task. It is true in a condition exactly when it does.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        Energy, margin and charge at the end.
+    route_out : Route
+        The way there.
+    route_back : Route or None
+        The way back of a round trip.
+    """
+
+    verdict: Verdict
+    route_out: Route
+    route_back: Route | None = None
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the battery lasts, with its reserve."""
+        return self.verdict.feasible
+
+    @property
+    def energy_j(self) -> float:
+        """Energy that the task takes [J]."""
+        return self.verdict.energy_j
+
+    @property
+    def margin_j(self) -> float:
+        """Energy that is left above the reserve [J]; negative when it does not last."""
+        return self.verdict.margin_j - self.verdict.shortfall_j
+
+    @property
+    def charge_at_end(self) -> float:
+        """State of charge after the task, 0..1."""
+        return self.verdict.charge_at_end
+
+    @property
+    def probability(self) -> float | None:
+        """Probability that the battery lasts, 0.01..0.99; None where the model does not know its own uncertainty."""
+        return self.verdict.probability
+
+    def __bool__(self) -> bool:
+        return self.verdict.feasible
+
+    def __repr__(self) -> str:
+        return f"<Feasibility: {verdict_words(self.verdict)}>"
+
+    def __str__(self) -> str:
+        return verdict_words(self.verdict)
+
+    def _repr_html_(self) -> str:
+        routes = {"way out": self.route_out, "way back": self.route_back}
+        rows = {name: route_words(_numbers(route)) for name, route in routes.items() if route is not None}
+        rows["time"] = duration_words(sum(r.duration_s for r in routes.values() if r is not None))
+        return html_table(verdict_words(self.verdict), rows)
+
+
+def route_collection(routes: Sequence[tuple[Route, dict[str, Any]]]) -> dict[str, Any]:
+    """Return routes as one GeoJSON document.
+
+    Parameters
+    ----------
+    routes : sequence of (Route, dict)
+        Each with the properties that are added to its own.
+
+    Returns
+    -------
+    dict
+        A FeatureCollection; the CRS of the map is named once, in its member `crs`.
+    """
+    features = [geojson(route, **properties) for route, properties in routes]
+    named = [feature.pop("crs", None) for feature in features]
+    collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    return collection | ({"crs": named[0]} if named and named[0] is not None else {})
+
+
+def _numbers(route: Route) -> dict[str, float]:
+    return {"energy_j": route.energy_j, "length_m": route.length_m, "duration_s": route.duration_s}
+
+
+def _geodataframe(routes: Sequence[tuple[str, Route]], crs: str | None) -> GeoDataFrame:
+    try:
+        from geopandas import GeoDataFrame
+        from shapely import LineString
+    except ImportError as error:
+        raise InputError("a GeoDataFrame needs geopandas: pip install 'joulemap[geo]'") from error
+    rows = [{"kind": kind, **_numbers(route)} for kind, route in routes]
+    lines = []
+    for _, route in routes:  # a line has two points at least
+        points = route.points if len(route.points) > 1 else np.repeat(route.points, 2, axis=0)
+        lines.append(LineString(points))
+    return GeoDataFrame(rows, geometry=lines, crs=crs)
+
+
+def _axes(ax: Axes | None) -> Axes:
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=(8.0, 6.0), layout="constrained")[1]
