@@ -1,4 +1,4 @@
-"""The one table from errors to HTTP statuses and exit codes, and the RFC 9457 bodies that carry them."""
+"""The one table from errors to HTTP statuses and exit codes, and the RFC 9457 problem bodies."""
 
 from __future__ import annotations
 
@@ -33,7 +33,17 @@ _MAX_ERRORS = 20
 
 
 class Row(NamedTuple):
-    """How one branch of the error tree is answered."""
+    """How one branch of the error tree is answered.
+
+    Attributes
+    ----------
+    status : int
+        HTTP status.
+    exit_code : int
+        Of the command line.
+    title : str
+        Of the problem body.
+    """
 
     status: int
     exit_code: int
@@ -48,22 +58,58 @@ TABLE: dict[type[JoulemapError], Row] = {
     TooLargeError: Row(413, 7, "Too large"),
     BusyError: Row(503, 8, "Come back later"),
 }
-"""Branches of the tree; a leaf is answered as its nearest branch. Exit code 2 is left to wrong usage of a command."""
+"""By branch of the tree; a leaf is answered as its nearest branch. Exit code 2 means wrong usage of a command."""
 
 
 def row_of(error: type[JoulemapError]) -> Row | None:
-    """The row of an error class, that of its nearest ancestor in the table; None where there is none."""
+    """Return the row of an error class: that of its nearest ancestor in the table.
+
+    Parameters
+    ----------
+    error : type
+        Class of the error tree.
+
+    Returns
+    -------
+    Row or None
+        None where no ancestor is in the table.
+    """
     return next((TABLE[cls] for cls in error.__mro__ if cls in TABLE), None)
 
 
 def exit_code(error: BaseException) -> int:
-    """What a command ends with: the table's code, 1 for anything that is our own bug."""
+    """Return the exit code of a command that ended with an error.
+
+    Parameters
+    ----------
+    error : BaseException
+        Any.
+
+    Returns
+    -------
+    int
+        The table's code; 1 for anything outside the error tree, which is our bug.
+    """
     row = row_of(type(error)) if isinstance(error, JoulemapError) else None
     return row.exit_code if row is not None else INTERNAL_EXIT_CODE
 
 
 def jsonable(value: Any, *, depth: int = 6) -> Any:
-    """`value` as plain JSON: non-finite numbers as text, NumPy as Python, long texts cut, the unknown as its repr."""
+    """Return a value as plain JSON.
+
+    Parameters
+    ----------
+    value : object
+        Anything. Numbers that are not finite become text, NumPy values Python values; long texts and lists are cut;
+        everything else becomes its ``repr``.
+    depth : int, optional
+        How many levels of nesting are kept.
+
+    Returns
+    -------
+    object
+        Of the types that ``json.dumps`` takes.
+    """
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, (bool, int)):
@@ -84,7 +130,28 @@ def jsonable(value: Any, *, depth: int = 6) -> Any:
 def problem(
     status: int, code: str, title: str, detail: str, request_id: str | None, context: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """An RFC 9457 body: type, title, status, detail, and as extensions code, request_id and context."""
+    """Return an RFC 9457 problem body, with the extensions code, request_id and context.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    code : str
+        Of the error class; the type is made from it.
+    title : str
+        The same for all errors of a branch.
+    detail : str
+        What is wrong this time, in words.
+    request_id : str or None
+        By which the log can be searched.
+    context : mapping, optional
+        The offending value and the limit.
+
+    Returns
+    -------
+    dict
+        JSON-able.
+    """
     return {
         "type": f"urn:joulemap:problem:{code}",
         "title": title,
@@ -97,7 +164,20 @@ def problem(
 
 
 def problem_of(error: BaseException, request_id: str | None = None) -> dict[str, Any]:
-    """The body for an exception; anything outside the tree is our bug, of which only the request id is told."""
+    """Return the problem body of an exception.
+
+    Parameters
+    ----------
+    error : BaseException
+        Anything outside the error tree is our bug: the body then gives nothing but the request id.
+    request_id : str, optional
+        By which the log can be searched.
+
+    Returns
+    -------
+    dict
+        JSON-able.
+    """
     row = row_of(type(error)) if isinstance(error, JoulemapError) else None
     if row is None or not isinstance(error, JoulemapError):
         detail = "something went wrong inside the service; its log has the details under this request id"
@@ -106,7 +186,20 @@ def problem_of(error: BaseException, request_id: str | None = None) -> dict[str,
 
 
 def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """A problem as an HTTP response, with Retry-After where the context says so."""
+    """Return a problem as an HTTP response.
+
+    Parameters
+    ----------
+    body : mapping
+        As `problem` returns it.
+    headers : mapping, optional
+        Further headers.
+
+    Returns
+    -------
+    JSONResponse
+        With ``Retry-After`` where the context has ``retry_after_s``.
+    """
     extra = dict(headers or {})
     retry = body["context"].get("retry_after_s")
     if retry is not None:
@@ -117,22 +210,39 @@ def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) 
 
 
 def request_id(request: Request) -> str | None:
-    """The id that `joulemap.service.http.limits` gave the request."""
+    """Return the id that `joulemap.service.http.limits` gave the request.
+
+    Parameters
+    ----------
+    request : Request
+        The request at hand.
+
+    Returns
+    -------
+    str or None
+        None where the middleware is not installed.
+    """
     return request.scope.get("state", {}).get("request_id")
 
 
 def install(app: FastAPI) -> None:
-    """Answer every error of `app` with a problem."""
+    """Answer every error of an app with a problem body.
+
+    Parameters
+    ----------
+    app : FastAPI
+        Gets the handlers.
+    """
 
     @app.exception_handler(JoulemapError)
-    async def tree(request: Request, error: JoulemapError) -> JSONResponse:
+    async def _tree(request: Request, error: JoulemapError) -> JSONResponse:
         body = problem_of(error, request_id(request))
         if body["status"] >= 500 and not isinstance(error, BusyError):
             _LOG.error("request %s failed", request_id(request), exc_info=error)
         return response(body)
 
     @app.exception_handler(RequestValidationError)
-    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+    async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
         found = [_field_error(e) for e in error.errors()[:_MAX_ERRORS]]
         detail = "; ".join(f"{e['field']}: {e['message']}" for e in found[:5])
         return response(
@@ -140,20 +250,20 @@ def install(app: FastAPI) -> None:
         )
 
     @app.exception_handler(HTTPException)
-    async def http(request: Request, error: HTTPException) -> JSONResponse:
+    async def _http(request: Request, error: HTTPException) -> JSONResponse:
         title = HTTPStatus(error.status_code).phrase
         code = re.sub(r"[^a-z]+", "_", title.lower())
         detail = f"{request.method} {request.url.path[:200]}: {error.detail}"
         return response(problem(error.status_code, code, title, detail, request_id(request)), error.headers)
 
     @app.exception_handler(Exception)
-    async def bug(request: Request, error: Exception) -> JSONResponse:
+    async def _bug(request: Request, error: Exception) -> JSONResponse:
         _LOG.error("request %s failed", request_id(request), exc_info=error)
         return response(problem_of(error, request_id(request)))
 
 
 def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
-    """One finding of pydantic in our words: which field, what is wrong, and the value that was sent."""
+    """One of pydantic's findings: which field, what is wrong with it, and the value that was sent."""
     place = [str(part) for part in error["loc"]] or ["body"]
     field = ".".join(place[1:] or place)  # the first says where: body, query, path, header, or a form field
     message = str(error["msg"]).removeprefix("Value error, ")

@@ -1,4 +1,4 @@
-"""How far off the energy of routes may be: a lattice's standard deviations joined with what its model says of runs."""
+"""The uncertainty of a route's energy: the lattice's standard deviations joined with the model's error per run."""
 
 from __future__ import annotations
 
@@ -14,11 +14,25 @@ from joulemap.planner.route import Route
 
 
 def std_along(lattice: CostLattice, routes: Sequence[Route]) -> NDArray[np.float64] | None:
-    """Standard deviation [J] of the energy up to the end of each piece of routes driven one after another, (n,) over
-    the pieces of all their profiles; None where the lattice's model does not know it.
+    """Return the standard deviation of the energy along routes that are driven one after another.
 
-    What a whole run is off by goes over all of them; the rest goes together over the model's correlation length, and
-    within a metre wholly.
+    Parameters
+    ----------
+    lattice : CostLattice
+        That all routes were priced with.
+    routes : sequence of Route
+        In the order of driving.
+
+    Returns
+    -------
+    ndarray of float64, (n,), or None
+        Standard deviation [J] of the energy from the start to the end of each of the n pieces of all profiles; None
+        where the lattice's model does not know its uncertainty.
+
+    Notes
+    -----
+    The error that a whole run has in common is fully correlated over all pieces. The rest is fully correlated within a
+    metre, and beyond that over the model's correlation length (see `Spread.route_std`).
     """
     spread = lattice.provenance.get("model", {}).get("spread")
     if spread is None or lattice.std_j is None:

@@ -1,4 +1,4 @@
-"""What an operator can set, from the environment (JOULEMAP_...), read when a service is made and never at import."""
+"""What an operator can set, from the environment (JOULEMAP_...), read when a service is made, never at import."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from joulemap.service.models import DEFAULT_MODEL
 
 
 class Settings(BaseSettings):
-    """Every field is read from JOULEMAP_<FIELD> where it is not given."""
+    """Settings of a service and its workers; a field that is not given is read from ``JOULEMAP_<FIELD>``."""
 
     model_config = SettingsConfigDict(env_prefix="JOULEMAP_", extra="ignore")
 
@@ -27,32 +27,34 @@ class Settings(BaseSettings):
     max_json_mb: float = Field(default=16.0, gt=0, description="largest other request body [MB]")
     max_cells: int = Field(default=100_000_000, gt=0, description="most cells a heightmap may have")
     max_lattice_values: int = Field(default=100_000_000, gt=0, description="most rows * cols * headings of a cost map")
-    queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or are being done at a time")
+    queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or run at a time")
     max_run_mb: float = Field(default=64.0, gt=0, description="largest file of one measured run [MB]")
     max_run_cells: int = Field(default=20_000_000, gt=0, description="most rows * columns of one measured run")
     max_run_km: float = Field(default=200.0, gt=0, description="longest measured run [km]")
-    max_runs: int = Field(default=100, gt=0, description="most files of runs that are sent together")
+    max_runs: int = Field(default=100, gt=0, description="most runs in one upload")
     max_calibration_rows: int = Field(default=1_000_000, gt=0, description="most rows of all runs of a calibration")
     max_calibration_segments: int = Field(default=200_000, gt=0, description="most 1 m segments of all its runs")
-    build_here: bool = Field(default=True, description="do jobs in the service; else only in `joulemap worker`")
+    build_here: bool = Field(default=True, description="do jobs in the service too; else only in `joulemap worker`")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
     warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
 
     @field_validator("data_dir", mode="before")
     @classmethod
     def _folder_of_url(cls, value: str | Path) -> Path:
-        """file:///srv/joulemap is /srv/joulemap; what several machines share must be a folder on each of them."""
+        """The folder of file:///srv/joulemap is /srv/joulemap; several machines share one that each of them mounts."""
         scheme, colon, rest = str(value).partition(":")
         if not colon or len(scheme) < 2:
             return Path(value)
         if scheme != "file":
-            raise ValueError(f"data lies in a folder, given by its path or a file:// URL, not by {scheme}:")
+            raise ValueError(f"data is kept in a folder: give its path or a file:// URL, not {scheme}:")
         return Path(unquote(rest if not rest.startswith("//") else "/" + rest.lstrip("/")))
 
     @property
     def resolved_database_url(self) -> str:
+        """The database's URL: SQLite in the data directory where none was given."""
         return self.database_url or f"sqlite:///{self.data_dir.resolve() / 'joulemap.db'}"
 
     @property
     def resolved_models_dir(self) -> Path:
+        """The folder of trained models: ``models`` in the data directory where none was given."""
         return self.models_dir or self.data_dir / "models"

@@ -1,4 +1,4 @@
-"""Joins a predictor to a lattice, and a lattice to a question: what HTTP, jobs and the command line all call."""
+"""Joins a predictor to a lattice, and a lattice to a question: HTTP, jobs, command line and Python all call this."""
 
 from __future__ import annotations
 
@@ -33,10 +33,32 @@ from joulemap.service.route_uncertainty import std_along
 
 
 def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> Tiling:
-    """The tiles of the cost lattice over a heightmap's `frame`, without building it.
+    """Return the tiles of the cost lattice over a heightmap, without building it.
 
-    Raises HeightmapError where the spacing does not fit the map, InputError on a bad number of headings, TooLargeError
-    above `max_values` (rows * cols * headings).
+    Parameters
+    ----------
+    frame : GridFrame
+        Frame of the heightmap.
+    spacing_m : float
+        Side of a cell of the lattice [m].
+    headings : int
+        Number of heading bins.
+    max_values : int, optional
+        Most values (rows * cols * headings) that the lattice may have. Without it any number is allowed.
+
+    Returns
+    -------
+    Tiling
+        The lattice's frame, cut into tiles.
+
+    Raises
+    ------
+    HeightmapError
+        If the spacing does not fit the map.
+    InputError
+        If the number of headings is out of range.
+    TooLargeError
+        If the lattice has more than `max_values` values.
     """
     tiling = Tiling.of(frame, spacing_m=spacing_m, headings=headings)
     if max_values is not None and tiling.values > max_values:
@@ -59,9 +81,44 @@ def prepare_build(
     models_dir: Path | None = None,
     max_values: int | None = None,
 ) -> tuple[Robot, Predictor, Tiling]:
-    """What a cost lattice is built of: the robot as the model knows it, the model of that name, the tiles.
+    """Return what a cost lattice is built from: the robot, the model and the tiles.
 
-    Arguments and what is raised as `make_cost_lattice`.
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap.
+    robot : Robot
+        The robot that drives.
+    model : str or Path, optional
+        Name, id or folder of the model, see `find_predictor`.
+    spacing_m : float, optional
+        Side of a cell [m].
+    headings : int, optional
+        Number of heading bins.
+    models_dir : Path, optional
+        Folder of trained models, see `find_predictor`.
+    max_values : int, optional
+        Most values of the lattice, see `check_lattice`.
+
+    Returns
+    -------
+    robot : Robot
+        With the energy of turning that the model learned, where it learned one.
+    predictor : Predictor
+        The model.
+    tiling : Tiling
+        The tiles of the lattice.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or its files do not fit together.
+    HeightmapError
+        If the spacing does not fit the map.
+    InputError
+        If the number of headings is out of range.
+    TooLargeError
+        If the lattice has more than `max_values` values.
     """
     tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
@@ -78,10 +135,40 @@ def make_cost_lattice(
     models_dir: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> CostLattice:
-    """The cost lattice of a heightmap for a robot, by the model of that name (see `find_predictor`), in memory.
+    """Return the cost lattice of a heightmap for a robot, in memory.
 
-    spacing_m : side of a cell [m]; headings : number of bins; progress : called with 0..1. Raises ModelError,
-    HeightmapError, InputError, TooLargeError.
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap.
+    robot : Robot
+        The robot that drives.
+    model : str or Path, optional
+        Name, id or folder of the model, see `find_predictor`.
+    spacing_m : float, optional
+        Side of a cell [m].
+    headings : int, optional
+        Number of heading bins.
+    models_dir : Path, optional
+        Folder of trained models, see `find_predictor`.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    CostLattice
+        Prices [J/m] and limits of every cell in every heading.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or its files do not fit together.
+    HeightmapError
+        If the spacing does not fit the map.
+    InputError
+        If the number of headings is out of range.
+    TooLargeError
+        If the lattice does not fit into memory.
     """
     robot, predictor, _ = prepare_build(
         ground, robot, model=model, spacing_m=spacing_m, headings=headings, models_dir=models_dir
@@ -91,7 +178,19 @@ def make_cost_lattice(
 
 @dataclass(frozen=True)
 class Written:
-    """A cost lattice on disk. robot : as it was built for; figures : as `summarise`."""
+    """A cost lattice that was written to disk.
+
+    Attributes
+    ----------
+    frame : GridFrame
+        Where its cells lie.
+    robot : Robot
+        The robot that it was built for, with the energy of turning that the model learned.
+    provenance : dict
+        How it was made, JSON-able.
+    figures : dict
+        As `summarise` returns them.
+    """
 
     frame: GridFrame
     robot: Robot
@@ -109,7 +208,39 @@ def write_cost_lattice(
     headings: int = DEFAULT_HEADINGS,
     progress: Callable[[float], None] | None = None,
 ) -> Written:
-    """`make_cost_lattice` of any size into the folder `path`, tile by tile, never holding the whole."""
+    """Write a cost lattice of any size into a folder, tile by tile.
+
+    Parameters
+    ----------
+    path : Path
+        The folder to write (Zarr).
+    ground : Ground
+        The heightmap.
+    robot : Robot
+        The robot that drives.
+    model : str or Path, optional
+        Name or folder of the model, see `find_predictor`.
+    spacing_m : float, optional
+        Side of a cell [m].
+    headings : int, optional
+        Number of heading bins.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    Written
+        What was written. The lattice itself is never held in memory as a whole.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or its files do not fit together.
+    HeightmapError
+        If the spacing does not fit the map.
+    InputError
+        If the number of headings is out of range.
+    """
     robot, predictor, tiling = prepare_build(ground, robot, model=model, spacing_m=spacing_m, headings=headings)
     parts: list[dict[str, Any]] = []
     provenance = write_lattice(
@@ -119,13 +250,37 @@ def write_cost_lattice(
 
 
 def summarise(lattice: CostLattice) -> dict[str, Any]:
-    """`joined_figures` of a lattice in memory."""
+    """Return the figures that describe a lattice as a whole.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        In memory.
+
+    Returns
+    -------
+    dict
+        ``energy_per_m`` (min, mean and max [J/m], or None where nothing may be driven) and ``blocked`` (share of
+        (cell, heading) pairs by reason).
+    """
     return joined_figures([figures_of(lattice)])
 
 
 @dataclass(frozen=True, eq=False)
 class PointCosts:
-    """What driving costs at one place. energy_per_m : (K,) [J/m], NaN where blocked; reasons : (K,) labels or None."""
+    """What driving costs at one place.
+
+    Attributes
+    ----------
+    headings_rad : ndarray of float64, (K,)
+        Clockwise from north [rad].
+    energy_per_m : ndarray of float64, (K,)
+        Energy per metre [J/m], NaN where driving is not allowed.
+    reasons : list of str or None, (K,)
+        Why driving is not allowed in a heading; None where it is.
+    elevation_m : float
+        Height of the cell [m], NaN where unknown.
+    """
 
     headings_rad: np.ndarray
     energy_per_m: np.ndarray
@@ -134,10 +289,27 @@ class PointCosts:
 
 
 def costs_at(lattice: CostLattice, x: float, y: float) -> PointCosts:
-    """Energy per metre over all headings at a world point, and the reason where it may not be driven.
+    """Return the energy per metre in all headings at one place, and why some headings are blocked.
 
-    The energy is the interpolated one that paths are priced with. It leans on up to four cells: the reason is that of
-    the nearest of them that is blocked. Raises PointError outside the map.
+    The energy is interpolated as for the price of a path, between up to four cells. The reason is that of the nearest
+    of these cells that is blocked.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    x, y : float
+        World coordinates [m].
+
+    Returns
+    -------
+    PointCosts
+        Energy and reason by heading.
+
+    Raises
+    ------
+    PointError
+        If the place lies outside the map.
     """
     row, col = lattice.frame.cell_of(x, y)
     headings = heading_bins(lattice.headings)
@@ -162,7 +334,17 @@ def costs_at(lattice: CostLattice, x: float, y: float) -> PointCosts:
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """Whether a battery lasts for a task, and the routes it was judged by. route_back : None unless a round trip."""
+    """Whether a battery lasts for a task, and the routes that this was decided with.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        For all routes together.
+    route_out : Route
+        The way there.
+    route_back : Route or None
+        The way back of a round trip.
+    """
 
     verdict: Verdict
     route_out: Route
@@ -178,11 +360,39 @@ def assess(
     goal: Sequence[float] | None = None,
     round_trip: bool = False,
 ) -> Assessment:
-    """The verdict for driving a given `path` ((n, 2) world points [m]), or the best route from start to goal.
+    """Return whether a battery lasts for a given path, or for the best route from start to goal.
 
-    round_trip : and back; a given path in the opposite direction, each leg at its reversed heading; start and goal by
-    the best route back, which on a slope need not be the same. Raises InputError unless exactly one of `path` and
-    `start` with `goal` is given; PointError, BlockedError, NoRouteError.
+    Give either `path`, or `start` and `goal`.
+
+    Parameters
+    ----------
+    planner : RoutePlanner or CostLattice
+        The map to drive on.
+    battery : Battery
+        Its capacity, charge and reserve.
+    path : array_like, (n, 2), optional
+        World points [m], in the order of driving.
+    start, goal : sequence of float, optional
+        World x, y [m].
+    round_trip : bool, optional
+        Judge the way back too. A given path is driven back in the opposite direction, each leg at its reversed
+        heading. From goal to start the best route is searched anew: on a slope it need not be the same.
+
+    Returns
+    -------
+    Assessment
+        The verdict and its routes.
+
+    Raises
+    ------
+    InputError
+        If not exactly one of `path`, and `start` with `goal`, is given.
+    PointError
+        If a point lies outside the map.
+    BlockedError
+        If start or goal is blocked, or a leg of the path is.
+    NoRouteError
+        If no route joins start and goal.
     """
     if (path is None) == (start is None and goal is None) or (start is None) != (goal is None):
         raise InputError("give either `path`, or `start` and `goal`")
@@ -206,17 +416,48 @@ def assess(
 
 
 def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:
-    """The verdict for routes of one lattice driven one after another, with a probability where its model knows how far
-    off it may be.
+    """Return the verdict for routes that are driven one after another.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        That all routes were priced with.
+    routes : sequence of Route
+        In the order of driving.
+    battery : Battery
+        Its capacity, charge and reserve.
+
+    Returns
+    -------
+    Verdict
+        With a probability where the lattice's model knows its own uncertainty.
     """
     pieces = np.concatenate([route.profile.energy_j for route in routes])
     return judge_along(pieces, battery, std_j=std_along(lattice, routes))
 
 
 def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:
-    """Seconds spent on loading every compiled kernel (compiling it where no cache has it) and the named models.
+    """Load every compiled kernel and the named models, and return how long it took.
 
-    Runs the whole way once on a tiny map: lattice, every planner with and without turning, verdicts, a measured run.
+    Runs everything once on a tiny map: lattice, every planner with and without turning, verdicts, a measured run. A
+    kernel that is in no cache is compiled.
+
+    Parameters
+    ----------
+    models : sequence of str, optional
+        Names of models to load.
+    models_dir : Path, optional
+        Folder of trained models, see `find_predictor`.
+
+    Returns
+    -------
+    float
+        Seconds that it took.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or its files do not fit together.
     """
     began = time.perf_counter()
     rows = np.arange(12.0)

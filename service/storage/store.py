@@ -52,9 +52,16 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
 class Store:
-    """Heightmaps, cost maps, runs and calibrations that survive a restart; `open`, then `close`.
+    """Heightmaps, cost maps, runs and calibrations that survive a restart; `open` it first, `close` it at the end.
 
     A data directory has one service and any number of workers, which share its database.
+
+    Parameters
+    ----------
+    data_dir : Path
+        Folder of all files.
+    database_url : str
+        SQLAlchemy URL.
     """
 
     def __init__(self, data_dir: Path, database_url: str) -> None:
@@ -64,7 +71,18 @@ class Store:
         self._lock: IO[str] | None = None
 
     def open(self, *, as_service: bool = True) -> None:
-        """Create what is missing. Raises ConflictError when another service has the data directory."""
+        """Create the folders and tables that are missing.
+
+        Parameters
+        ----------
+        as_service : bool, optional
+            Whether this is the one service of the data directory, and not a worker.
+
+        Raises
+        ------
+        ConflictError
+            If another service uses the data directory.
+        """
         for name in ("heightmaps", "costmaps", "runs", "calibrations", "uploads"):
             (self._dir / name).mkdir(parents=True, exist_ok=True)
         if as_service:
@@ -80,7 +98,7 @@ class Store:
 
     @property
     def sessions(self) -> sessionmaker[Session]:
-        """Of an open store's database."""
+        """Sessions of the database of an open store."""
         return self._sessions
 
     def _lock_directory(self) -> None:
@@ -99,6 +117,7 @@ class Store:
                 left.unlink()
 
     def close(self) -> None:
+        """Let go of the database and the data directory."""
         if self._engine is not None:
             self._engine.dispose()
         if self._lock is not None:
@@ -106,7 +125,13 @@ class Store:
 
     @contextlib.contextmanager
     def upload_file(self) -> Iterator[Path]:
-        """A path for an upload while it is read; gone afterwards."""
+        """Lend a path for an upload while it is read; the file is removed afterwards.
+
+        Yields
+        ------
+        Path
+            Of no file yet.
+        """
         path = self._dir / "uploads" / secrets.token_hex(8)
         try:
             yield path
@@ -116,7 +141,22 @@ class Store:
     # heightmaps
 
     def add_heightmap(self, heightmap: Heightmap, *, name: str, stats: dict[str, Any]) -> HeightmapRow:
-        """Keep a heightmap: the file first, so that no row ever lacks one."""
+        """Keep a heightmap: the file first, so that no row is ever without one.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            What to keep.
+        name : str
+            Its name for people.
+        stats : dict
+            What a listing says about it, JSON-able.
+
+        Returns
+        -------
+        HeightmapRow
+            The new row.
+        """
         row = HeightmapRow(id=f"hm-{secrets.token_hex(6)}", created_at=_now(), name=name, stats=stats)
         write_geotiff(self.heightmap_path(row.id), heightmap)
         with self._sessions.begin() as session:
@@ -124,19 +164,79 @@ class Store:
         return row
 
     def heightmap(self, heightmap_id: str) -> HeightmapRow:
-        """The row. Raises NotFoundError."""
+        """Return the row of a heightmap.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Returns
+        -------
+        HeightmapRow
+            As it is in the database.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
         return self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id)
 
     def open_heightmap(self, heightmap_id: str) -> Ground:
-        """The heightmap, read by windows. Raises NotFoundError."""
+        """Open a heightmap to read it by windows.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Returns
+        -------
+        Ground
+            Whose heights are read as they are needed.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
         return open_ground(self.heightmap_path(heightmap_id), filename=self.heightmap(heightmap_id).name)
 
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
-        """One page, newest first, and how many there are."""
+        """Return one page of the heightmaps, newest first.
+
+        Parameters
+        ----------
+        limit : int
+            Most rows of a page.
+        offset : int
+            Rows to skip.
+
+        Returns
+        -------
+        rows : list
+            Those of the page.
+        total : int
+            How many there are in all.
+        """
         return self._page(HeightmapRow, limit, offset)
 
     def delete_heightmap(self, heightmap_id: str) -> None:
-        """Raises NotFoundError, and ConflictError with their ids while something was made from it."""
+        """Delete a heightmap from which nothing was made.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        ConflictError
+            If cost maps or calibrations were made from it; their ids are in the context.
+        """
         row = self.heightmap(heightmap_id)
         try:
             with self._sessions.begin() as session:
@@ -159,7 +259,20 @@ class Store:
     # runs
 
     def add_runs(self, files: Sequence[tuple[str, Path]], stats: list[dict[str, Any]]) -> RunsRow:
-        """Keep runs that were sent together: (name, file) of each. The files first, so that no row ever lacks one."""
+        """Keep runs that were sent together: the files first, so that no row is ever without one.
+
+        Parameters
+        ----------
+        files : sequence of (str, Path)
+            Name and file of each.
+        stats : list of dict
+            What was read of each, JSON-able.
+
+        Returns
+        -------
+        RunsRow
+            The new row.
+        """
         row = RunsRow(id=f"runs-{secrets.token_hex(6)}", created_at=_now(), stats=stats)
         folder = self._runs_folder(row.id)
         folder.mkdir()
@@ -170,19 +283,79 @@ class Store:
         return row
 
     def runs(self, runs_id: str) -> RunsRow:
-        """The row. Raises NotFoundError."""
+        """Return the row of runs that were sent together.
+
+        Parameters
+        ----------
+        runs_id : str
+            Their id.
+
+        Returns
+        -------
+        RunsRow
+            As it is in the database.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
         return self._row(RunsRow, "are no runs", runs_id=runs_id)
 
     def run_files(self, runs_id: str) -> list[Path]:
-        """The files of runs that were sent together. Raises NotFoundError."""
+        """Return the files of runs that were sent together.
+
+        Parameters
+        ----------
+        runs_id : str
+            Their id.
+
+        Returns
+        -------
+        list of Path
+            Sorted by name.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
         return sorted(self._runs_folder(self.runs(runs_id).id).iterdir())
 
     def all_runs(self, *, limit: int, offset: int) -> tuple[list[RunsRow], int]:
-        """One page, newest first, and how many there are."""
+        """Return one page of the uploads of runs, newest first.
+
+        Parameters
+        ----------
+        limit : int
+            Most rows of a page.
+        offset : int
+            Rows to skip.
+
+        Returns
+        -------
+        rows : list
+            Those of the page.
+        total : int
+            How many there are in all.
+        """
         return self._page(RunsRow, limit, offset)
 
     def delete_runs(self, runs_id: str) -> None:
-        """Raises NotFoundError, and ConflictError with their ids while calibrations were made from them."""
+        """Delete runs that no calibration uses.
+
+        Parameters
+        ----------
+        runs_id : str
+            Their id.
+
+        Raises
+        ------
+        NotFoundError
+            If there are none.
+        ConflictError
+            If calibrations use them; their ids are in the context.
+        """
         row = self.runs(runs_id)
         with self._sessions.begin() as session:
             made = session.execute(select(CalibrationRow.id, CalibrationRow.request)).all()
@@ -200,11 +373,47 @@ class Store:
     # jobs: cost maps and calibrations
 
     def add_costmap(self, heightmap_id: str, request: dict[str, Any]) -> CostmapRow:
-        """A queued cost map. Raises NotFoundError when the heightmap has gone."""
+        """Add a cost map to the queue.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Id of the heightmap that it is made from.
+        request : dict
+            Robot, model, spacing and headings, JSON-able.
+
+        Returns
+        -------
+        CostmapRow
+            The new row.
+
+        Raises
+        ------
+        NotFoundError
+            If the heightmap was deleted.
+        """
         return self._add(CostmapRow(**_asked(COSTMAP, heightmap_id, request)))
 
     def add_calibration(self, heightmap_id: str | None, request: dict[str, Any]) -> CalibrationRow:
-        """A queued calibration. Raises NotFoundError when the heightmap has gone."""
+        """Add a calibration to the queue.
+
+        Parameters
+        ----------
+        heightmap_id : str or None
+            Id of the heightmap that the runs were driven on; None for runs without positions.
+        request : dict
+            Runs, model, robot and settings, JSON-able.
+
+        Returns
+        -------
+        CalibrationRow
+            The new row.
+
+        Raises
+        ------
+        NotFoundError
+            If the heightmap was deleted.
+        """
         return self._add(CalibrationRow(**_asked(CALIBRATION, heightmap_id, request)))
 
     def _add(self, row: Any) -> Any:
@@ -218,40 +427,150 @@ class Store:
         return row
 
     def costmap(self, costmap_id: str) -> CostmapRow:
-        """The row. Raises NotFoundError."""
+        """Return the row of a cost map.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Returns
+        -------
+        CostmapRow
+            As it is in the database.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
         return self._row(CostmapRow, "is no cost map", costmap_id=costmap_id)
 
     def calibration(self, calibration_id: str) -> CalibrationRow:
-        """The row. Raises NotFoundError."""
+        """Return the row of a calibration.
+
+        Parameters
+        ----------
+        calibration_id : str
+            Its id.
+
+        Returns
+        -------
+        CalibrationRow
+            As it is in the database.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
         return self._row(CalibrationRow, "is no calibration", calibration_id=calibration_id)
 
     def costmaps(self, *, limit: int, offset: int) -> tuple[list[CostmapRow], int]:
-        """One page, newest first, and how many there are."""
+        """Return one page of the cost maps, newest first.
+
+        Parameters
+        ----------
+        limit : int
+            Most rows of a page.
+        offset : int
+            Rows to skip.
+
+        Returns
+        -------
+        rows : list
+            Those of the page.
+        total : int
+            How many there are in all.
+        """
         return self._page(CostmapRow, limit, offset)
 
     def calibrations(self, *, limit: int, offset: int) -> tuple[list[CalibrationRow], int]:
-        """One page, newest first, and how many there are."""
+        """Return one page of the calibrations, newest first.
+
+        Parameters
+        ----------
+        limit : int
+            Most rows of a page.
+        offset : int
+            Rows to skip.
+
+        Returns
+        -------
+        rows : list
+            Those of the page.
+        total : int
+            How many there are in all.
+        """
         return self._page(CalibrationRow, limit, offset)
 
     def status(self, job_id: str) -> str | None:
-        """The status of a job; None where there is none."""
+        """Return the status of a job.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+
+        Returns
+        -------
+        str or None
+            None where there is no such job.
+        """
         table = JOBS[kind_of(job_id)]
         with self._sessions() as session:
             return session.scalar(select(table.status).where(table.id == job_id))
 
     def unfinished(self, kind: str = COSTMAP) -> list[str]:
-        """Ids of jobs that wait or are being made, oldest first."""
+        """Return the ids of jobs that wait or run, oldest first.
+
+        Parameters
+        ----------
+        kind : str, optional
+            COSTMAP or CALIBRATION.
+
+        Returns
+        -------
+        list of str
+            Ids.
+        """
         table = JOBS[kind]
         with self._sessions() as session:
             query = select(table.id).where(table.status.in_([QUEUED, RUNNING]))
             return list(session.scalars(query.order_by(table.created_at)))
 
     def finish(self, job_id: str, summary: dict[str, Any]) -> bool:
-        """Say that what was asked for is there; False when it was deleted meanwhile."""
+        """Mark a job as done.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        summary : dict
+            What came out, JSON-able.
+
+        Returns
+        -------
+        bool
+            False where the job was deleted meanwhile.
+        """
         return self._end(job_id, status=DONE, progress=1.0, summary=summary)
 
     def fail(self, job_id: str, problem: dict[str, Any]) -> bool:
-        """Keep why it cannot be made; False when it was deleted or is over already."""
+        """Mark a job as failed.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        problem : dict
+            The problem body that says why.
+
+        Returns
+        -------
+        bool
+            False where the job was deleted or has ended already.
+        """
         return self._end(job_id, status=FAILED, problem=problem)
 
     def _end(self, job_id: str, **values: Any) -> bool:
@@ -263,15 +582,51 @@ class Store:
             return bool(session.execute(ended).rowcount)  # type: ignore[attr-defined]
 
     def load_lattice(self, costmap_id: str) -> CostLattice:
+        """Load the lattice of a cost map.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Id of a cost map that is done.
+
+        Returns
+        -------
+        CostLattice
+            In memory.
+        """
         return load_lattice(self.lattice_path(costmap_id))
 
     def delete_costmap(self, costmap_id: str) -> None:
-        """The row first: a job that still computes it finds it gone. Raises NotFoundError."""
+        """Delete a cost map: the row first, so that a job that still makes it stops.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
         self._delete(self.costmap(costmap_id))
         LatticeFolder(self.lattice_path(costmap_id)).discard()
 
     def delete_calibration(self, calibration_id: str) -> None:
-        """The row alone. Raises NotFoundError, and ConflictError with their ids while cost maps use its model."""
+        """Delete the row of a calibration; its files are the caller's to delete.
+
+        Parameters
+        ----------
+        calibration_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        ConflictError
+            If cost maps use its model; their ids are in the context.
+        """
         row = self.calibration(calibration_id)
         with self._sessions() as session:
             query = select(CostmapRow.id).where(CostmapRow.request["model"].as_string() == calibration_id)
@@ -290,13 +645,48 @@ class Store:
             session.delete(row)
 
     def lattice_path(self, costmap_id: str) -> Path:
+        """Return the folder of a cost map's lattice.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Returns
+        -------
+        Path
+            Whether it exists or not.
+        """
         return self._dir / "costmaps" / f"{costmap_id}.zarr"
 
     def calibration_folder(self, calibration_id: str) -> Path:
-        """Where report.json and report.html of a calibration lie."""
+        """Return the folder of a calibration's report.
+
+        Parameters
+        ----------
+        calibration_id : str
+            Its id.
+
+        Returns
+        -------
+        Path
+            Of report.json and report.html, whether it exists or not.
+        """
         return self._dir / "calibrations" / calibration_id
 
     def heightmap_path(self, heightmap_id: str) -> Path:
+        """Return the file of a heightmap.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Returns
+        -------
+        Path
+            Of a GeoTIFF, whether it exists or not.
+        """
         return self._dir / "heightmaps" / f"{heightmap_id}.tif"
 
     def _runs_folder(self, runs_id: str) -> Path:
@@ -318,7 +708,18 @@ class Store:
 
 
 def safe_name(name: str) -> str:
-    """A name as that of a file in a folder of ours."""
+    """Return a name that a file of the data directory may have.
+
+    Parameters
+    ----------
+    name : str
+        As the sender calls it.
+
+    Returns
+    -------
+    str
+        Letters, digits, dots, hyphens and underscores; at most 100.
+    """
     return _UNSAFE.sub("_", name).lstrip(".")[-100:] or "run"
 
 

@@ -14,11 +14,11 @@ LAY_OUT = 0
 
 
 class Base(DeclarativeBase):
-    """The tables."""
+    """Base of all tables."""
 
 
 class HeightmapRow(Base):
-    """A heightmap that was sent; its heights lie in heightmaps/{id}.tif. `stats` is what a listing tells about it."""
+    """A heightmap that was sent; its heights are in heightmaps/{id}.tif, `stats` is what a listing says about it."""
 
     __tablename__ = "heightmaps"
 
@@ -29,7 +29,7 @@ class HeightmapRow(Base):
 
 
 class RunsRow(Base):
-    """Measured runs that were sent together; their files lie in runs/{id}/. `stats` is what was read of each."""
+    """Measured runs that were sent together; their files are in runs/{id}/, `stats` is what was read of each."""
 
     __tablename__ = "runs"
 
@@ -39,7 +39,7 @@ class RunsRow(Base):
 
 
 class JobRow(Base):
-    """What was asked for, and how far it is. summary : once it is done; problem : once it failed."""
+    """What was asked for and how far it is; `summary` is set once it is done, `problem` once it has failed."""
 
     __abstract__ = True
 
@@ -54,7 +54,7 @@ class JobRow(Base):
 
 
 class CostmapRow(JobRow):
-    """A cost map that was asked for; its lattice lies in costmaps/{id}.zarr once `status` is done."""
+    """A cost map that was asked for; its lattice is in costmaps/{id}.zarr once `status` is done."""
 
     __tablename__ = "costmaps"
 
@@ -62,14 +62,15 @@ class CostmapRow(JobRow):
 
     @property
     def robot(self) -> dict[str, Any]:
-        """As it was asked for; once it is done, with what the model found its turns to cost."""
+        """The robot that was asked for; once the map is done, with the energy of turning that the model learned."""
         made: dict[str, Any] = (self.summary or {}).get("robot", self.request["robot"])
         return made
 
 
 class CalibrationRow(JobRow):
-    """A calibration that was asked for; its report lies in calibrations/{id}/ once `status` is done. Runs without
-    positions lie on no heightmap.
+    """A calibration that was asked for; its report is in calibrations/{id}/ once `status` is done.
+
+    Runs without positions belong to no heightmap.
     """
 
     __tablename__ = "calibrations"
@@ -84,14 +85,44 @@ WORDS = {COSTMAP: "cost map", CALIBRATION: "calibration"}
 
 
 def kind_of(job_id: str) -> str:
-    """COSTMAP or CALIBRATION."""
+    """Return the kind of a job.
+
+    Parameters
+    ----------
+    job_id : str
+        Its id.
+
+    Returns
+    -------
+    str
+        COSTMAP or CALIBRATION.
+    """
     return job_id.partition("-")[0]
 
 
 class StepRow(Base):
-    """One step of a job, see `jobs.steps`. created_at : of the job; number : LAY_OUT, a tile's + 1, or that of
-    the last; last : waits for all others; worker, lease_until : who is at it, until when [s since 1970, the workers'
-    common clock]; result : what it found, once done.
+    """One step of a job, see `jobs.steps`.
+
+    Attributes
+    ----------
+    job_id : str
+        Id of the job.
+    number : int
+        LAY_OUT, a tile's number + 1, or that of the last step.
+    kind : str
+        Of the job, see `kind_of`.
+    created_at : datetime
+        When the job was added, UTC.
+    last : bool
+        Whether it waits for all other steps.
+    done : bool
+        A step that is done is never done again.
+    worker : str
+        Name of the worker that does it.
+    lease_until : float
+        Until when this worker has it [s since 1970, by the clock that all workers share].
+    result : object
+        What it found, JSON-able, once it is done.
     """
 
     __tablename__ = "job_steps"
@@ -108,6 +139,17 @@ class StepRow(Base):
 
     @classmethod
     def first(cls, job: JobRow) -> StepRow:
-        """The step that a job begins with; a calibration has no other."""
+        """Return the step that a job begins with; a calibration has no other.
+
+        Parameters
+        ----------
+        job : JobRow
+            The job.
+
+        Returns
+        -------
+        StepRow
+            Not yet added to the database.
+        """
         kind = kind_of(job.id)
         return cls(job_id=job.id, number=LAY_OUT, kind=kind, created_at=job.created_at, last=kind == CALIBRATION)
