@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.bench.timing import Row
 
 RUNS, SAMPLES = 10, 2000
-_JOULEMAP = (sys.executable, "-c", "from service.cli import main; main()")
+_JOULEMAP = (sys.executable, "-c", "from joulemap.service.cli import main; main()")
 
 
 def bench_calibration() -> list[Row]:

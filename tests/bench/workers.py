@@ -42,7 +42,7 @@ def bench_workers() -> list[Row]:
 def _seconds(store: Store, folder: Path, url: str | None, heightmap_id: str, count: int) -> float:
     one_thread = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     place = {"JOULEMAP_DATA_DIR": str(folder), **({"JOULEMAP_DATABASE_URL": url} if url else {})}
-    command = [sys.executable, "-c", "from service.cli import main; main()", "worker"]
+    command = [sys.executable, "-c", "from joulemap.service.cli import main; main()", "worker"]
     with ExitStack() as stack:
         workers = []
         for _ in range(count):

@@ -37,7 +37,8 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 def test_the_same_seed_gives_the_same_terrain_in_another_process() -> None:
     code = (
-        "import numpy as np; from joulemap.model.frames import GridFrame; from joulemap.model.terrain.synthesis import *;"
+        "import numpy as np; from joulemap.model.frames import GridFrame;"
+        "from joulemap.model.terrain.synthesis import *;"
         "frame = GridFrame(0.0, 40.0, 0.1, 400, 600);"
         "print(*(make_terrain(r, frame, np.random.default_rng(5)).data_hash for r in RECIPES.values()))"
     )
