@@ -1,4 +1,4 @@
-"""What a calibration job does: `calibrate_on_runs` in a process of its own, which can be stopped at any moment."""
+"""What a calibration job does: it runs `calibrate_on_runs` in another process, which can be stopped at any moment."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.rerouting import Task
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import CalibrationRow
+from joulemap.service.storage.tables import CalibrationRow, named_test_runs
 
 REPORT, PAGE = "report.json", "report.html"
 _LOOK_S = 0.5  # between looks whether the job is still wanted
@@ -36,28 +36,51 @@ _LOOK_S = 0.5  # between looks whether the job is still wanted
 
 @dataclass(frozen=True)
 class _Work:
-    """What the process is told. ground : the heightmap's file and name, or how runs without positions are read."""
+    """What the process gets. ground : the heightmap's file and name, or how runs without positions are read."""
 
     model: str | Path
     ground: tuple[Path, str] | Odometry
     robot: Robot
     files: list[Path]
     base_files: list[Path]
-    aside_files: list[Path]
+    test_files: list[Path]
     task: Task | None
     seed: int
     out: Path
 
 
 class Calibrator:
-    """Does calibrations. models_dir : where their models are put, each under the id of its calibration."""
+    """Does calibrations.
+
+    Parameters
+    ----------
+    store : Store
+        Open.
+    models_dir : Path
+        Folder of trained models; a calibrated model is put there under the id of its calibration.
+    """
 
     def __init__(self, store: Store, *, models_dir: Path) -> None:
         self._store = store
         self._models_dir = models_dir
 
     def do(self, step: Step, steps: Steps, report: Callable[[float], None]) -> None:
-        """Do the one step of a calibration and say that it is done; begun again, it leaves the same."""
+        """Do the one step of a calibration and mark it as done; a step that is begun again has the same result.
+
+        Parameters
+        ----------
+        step : Step
+            The step, taken by this worker.
+        steps : Steps
+            The steps of this worker.
+        report : callable
+            Is given the share that is done, 0..1, again and again; raises Interrupted where the job is to stop.
+
+        Raises
+        ------
+        JoulemapError
+            As the calibration raised it.
+        """
         row = self._store.calibration(step.job_id)
         self.discard(row.id)  # what an earlier try left
         folder = self._store.calibration_folder(row.id)
@@ -69,7 +92,7 @@ class Calibrator:
             robot=Robot.from_mapping(asked["robot"]),
             files=self._files(asked["runs"]),
             base_files=self._files(asked["base_runs"]),
-            aside_files=self._files(asked.get("aside_runs", [])),
+            test_files=self._files(named_test_runs(asked)),
             task=None if asked["start"] is None else (tuple(asked["start"][:2]), tuple(asked["goal"][:2])),
             seed=asked["seed"],
             out=out,
@@ -98,10 +121,16 @@ class Calibrator:
         return [file for runs in sent for file in self._store.run_files(runs)]
 
     def rest(self) -> None:
-        """Nothing is held between jobs."""
+        """Do nothing: nothing is kept between jobs."""
 
     def discard(self, calibration_id: str) -> None:
-        """Throw away what was made of a calibration: its report and its model, finished or not."""
+        """Delete what was made of a calibration: its report and its model, finished or not.
+
+        Parameters
+        ----------
+        calibration_id : str
+            Its id.
+        """
         folder = self._store.calibration_folder(calibration_id)
         for place in (folder, *folder.parent.glob(f"{calibration_id}.*.partial"), self._models_dir / calibration_id):
             shutil.rmtree(place, ignore_errors=True)
@@ -114,15 +143,15 @@ def _in_a_process(work: _Work, report: Callable[[float], None]) -> None:
     process = context.Process(target=_work, args=(work, there), daemon=True)
     process.start()
     there.close()
-    told: Any = 0.0
+    message: Any = 0.0
     with closing(here):
         try:
-            while told is not None:
-                report(told)
+            while message is not None:
+                report(message)
                 if here.poll(_LOOK_S):
-                    told = here.recv()
-                    if isinstance(told, JoulemapError):
-                        raise told
+                    message = here.recv()
+                    if isinstance(message, JoulemapError):
+                        raise message
         except EOFError:
             process.join()
             raise RuntimeError(f"the calibration's process ended with {process.exitcode}; see its output") from None
@@ -144,7 +173,7 @@ def _work(work: _Work, there: Connection) -> None:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        more = {"base_files": work.base_files, "aside_files": work.aside_files}
+        more = {"base_files": work.base_files, "aside_files": work.test_files}
         if isinstance(work.ground, Odometry):
             runs, heightmap = read_odometry_runs(work.files, work.ground, **more)
         else:

@@ -1,4 +1,4 @@
-"""What a step of a cost map does: lay the lattice out, build one tile, or finish it."""
+"""What a step of a cost map does: it lays the lattice out, builds one tile, or finishes the lattice."""
 
 from __future__ import annotations
 
@@ -35,10 +35,18 @@ class _Job:
 
 
 class Builder:
-    """Does steps of cost maps; holds what the steps of the latest one share.
+    """Does the steps of cost maps; keeps what the steps of the latest one share.
 
-    models_dir : of trained models; max_values : most rows * cols * headings; on_done : is given a finished cost map
-    that is ready for questions.
+    Parameters
+    ----------
+    store : Store
+        Open.
+    models_dir : Path
+        Folder of trained models.
+    max_values : int
+        Most values (rows * cols * headings) of a cost map.
+    on_done : callable, optional
+        Is given the id and the planner of every cost map that is done.
     """
 
     def __init__(
@@ -56,7 +64,17 @@ class Builder:
         self._open: tuple[str, _Job] | None = None
 
     def do(self, step: Step, steps: Steps, report: Callable[[float], None] | None = None) -> None:
-        """Do one step and say that it is done; done again, it leaves the same. A tile is too short to report."""
+        """Do one step and mark it as done; a step that is done twice has the same result.
+
+        Parameters
+        ----------
+        step : Step
+            The step, taken by this worker.
+        steps : Steps
+            Where it is marked as done.
+        report : callable, optional
+            Not called: a tile takes too little time.
+        """
         job = self._job(step.job_id)
         if step.number == LAY_OUT:
             job.folder.lay_out(job.tiling, job.robot, with_std=knows_spread(job.source, job.robot))
@@ -73,11 +91,17 @@ class Builder:
             self.discard(step.job_id)
 
     def rest(self) -> None:
-        """Nothing is to be done: let go of what was held."""
+        """Let go of what was kept, because there is nothing to do."""
         self._open = None
 
     def discard(self, costmap_id: str) -> None:
-        """Throw away what was made of a cost map."""
+        """Delete what was made of a cost map.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+        """
         self._open = None
         LatticeFolder(self._store.lattice_path(costmap_id)).discard()
 

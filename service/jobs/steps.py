@@ -1,10 +1,10 @@
-"""The steps of the jobs, in the service's database: any process that shares it may take one, and does it for all.
+"""The steps of the jobs, in the service's database: any process that shares the database may take one and do it.
 
 A cost map is made in steps: one that lays it out, one per tile, and a last one that finishes it when all others are
 done. A calibration is a single step.
 
-A worker takes a step for a while (its *lease*) and renews the lease as it works; a worker that is killed stops
-renewing, and its step goes to whoever asks next. A step that is done is never done again.
+A worker takes a step for a short time (its *lease*) and renews the lease while it works. A worker that is killed renews
+no more, and its step goes to the next worker that asks. A step that is done is never done again.
 """
 
 from __future__ import annotations
@@ -20,11 +20,21 @@ from sqlalchemy.orm import Session, aliased, sessionmaker
 from joulemap.service.storage.tables import COSTMAP, FAILED, JOBS, QUEUED, RUNNING, StepRow, kind_of
 
 LEASE_S = 15.0
-"""A step whose worker has not been heard of for so long goes to another."""
+"""A step whose worker has not renewed it for so long goes to another worker [s]."""
 
 
 class Step(NamedTuple):
-    """A step that a worker has taken. number : LAY_OUT, a tile's number + 1, or that of the last."""
+    """A step that a worker has taken.
+
+    Attributes
+    ----------
+    job_id : str
+        Id of the job.
+    number : int
+        LAY_OUT, a tile's number + 1, or that of the last step.
+    last : bool
+        Whether it is the last step.
+    """
 
     job_id: str
     number: int
@@ -32,7 +42,17 @@ class Step(NamedTuple):
 
 
 class Steps:
-    """The steps of jobs of some kinds of one database, as seen by one worker. worker : its name, unlike any other's."""
+    """The steps of jobs in one database, as one worker sees them.
+
+    Parameters
+    ----------
+    sessions : sessionmaker
+        Of the database.
+    worker : str
+        Name of the worker, which no other worker has.
+    kinds : iterable of str, optional
+        Kinds of jobs that this worker does.
+    """
 
     def __init__(self, sessions: sessionmaker[Session], worker: str, kinds: Iterable[str] = (COSTMAP,)) -> None:
         self._sessions = sessions
@@ -40,7 +60,7 @@ class Steps:
         self._kinds = tuple(kinds)
 
     def add_missing(self) -> None:
-        """A first step for every unfinished job that has none."""
+        """Add the first step of every unfinished job that has no step."""
         with self._sessions.begin() as session:
             known = select(StepRow.job_id)
             for table in (JOBS[kind] for kind in self._kinds):
@@ -48,7 +68,13 @@ class Steps:
                 session.add_all([StepRow.first(job) for job in session.scalars(unfinished).all()])
 
     def take(self) -> Step | None:
-        """The next step of the oldest job that nobody is at; None when there is none."""
+        """Take the next free step of the oldest job.
+
+        Returns
+        -------
+        Step or None
+            None where there is nothing to do.
+        """
         other = aliased(StepRow)
         waits = select(other.number).where(
             other.job_id == StepRow.job_id, other.number < StepRow.number, other.done.is_(False)
@@ -73,23 +99,60 @@ class Steps:
                     return step
 
     def renew(self, step: Step) -> bool:
-        """Keep a step; False when it is no longer ours or its job has gone."""
+        """Keep a step for another lease.
+
+        Parameters
+        ----------
+        step : Step
+            The step, taken by this worker.
+
+        Returns
+        -------
+        bool
+            False where another worker has it by now, or where its job was deleted.
+        """
         with self._at() as (session, now):
             mine = update(StepRow).where(_is(step), StepRow.worker == self.worker, StepRow.done.is_(False))
             return bool(session.execute(mine.values(lease_until=now + LEASE_S)).rowcount)  # type: ignore[attr-defined]
 
     def report(self, step: Step, progress: float) -> bool:
-        """Tell how far a job of a single step is, 0..1; False when it has gone or is another worker's by now."""
+        """Report the progress of a job that has a single step.
+
+        Parameters
+        ----------
+        step : Step
+            The step, taken by this worker.
+        progress : float
+            Share that is done, 0..1.
+
+        Returns
+        -------
+        bool
+            False where another worker has it by now, or where its job was deleted.
+        """
         if not self.renew(step):
             return False
         table = JOBS[kind_of(step.job_id)]
         with self._sessions.begin() as session:
-            told = update(table).where(table.id == step.job_id, table.status == RUNNING).values(progress=progress)
-            return bool(session.execute(told).rowcount)  # type: ignore[attr-defined]
+            said = update(table).where(table.id == step.job_id, table.status == RUNNING).values(progress=progress)
+            return bool(session.execute(said).rowcount)  # type: ignore[attr-defined]
 
     def complete(self, step: Step, result: Any, *, tiles: int = 0) -> bool:
-        """The step is done, with what it found; with `tiles`, add as many steps and the last one. False when the job
-        was deleted or failed meanwhile.
+        """Mark a step as done.
+
+        Parameters
+        ----------
+        step : Step
+            The step, taken by this worker.
+        result : object
+            What it found, JSON-able.
+        tiles : int, optional
+            Add a step for each of so many tiles, and the last step.
+
+        Returns
+        -------
+        bool
+            False where the job was deleted or has failed meanwhile.
         """
         with self._sessions.begin() as session:
             job = session.get(JOBS[kind_of(step.job_id)], step.job_id, with_for_update=True)
@@ -97,25 +160,42 @@ class Steps:
                 return False
             mine = update(StepRow).where(_is(step), StepRow.done.is_(False))
             if not session.execute(mine.values(done=True, result=result)).rowcount:  # type: ignore[attr-defined]
-                return True  # by another worker, who took us for dead
+                return True  # done by another worker after our lease ended
             if tiles:
                 shared = {"job_id": step.job_id, "kind": kind_of(step.job_id), "created_at": job.created_at}
                 rows = [{**shared, "number": n, "last": n == tiles + 1} for n in range(1, tiles + 2)]
                 session.execute(insert(StepRow), rows)
             every = select(func.count()).where(StepRow.job_id == step.job_id)
             done = session.scalar(every.where(StepRow.done)) or 0
-            if not step.last:  # laying out is no part of the progress that is told
+            if not step.last:  # laying out is no part of the progress
                 job.progress = (done - 1) / max((session.scalar(every) or 0) - 1, 1)
             return True
 
     def release(self, steps_of: str | None = None) -> None:
-        """Let go of every step of this worker (or of all whose names begin so) at once."""
+        """Give back every step of a worker at once.
+
+        Parameters
+        ----------
+        steps_of : str, optional
+            Beginning of the names of the workers; without it this worker.
+        """
         prefix = StepRow.worker == self.worker if steps_of is None else StepRow.worker.startswith(steps_of)
         with self._sessions.begin() as session:
             session.execute(update(StepRow).where(prefix, StepRow.done.is_(False)).values(lease_until=0.0))
 
     def results(self, job_id: str) -> list[Any]:
-        """What the steps of a job have found, in their order."""
+        """Return what the finished steps of a job found.
+
+        Parameters
+        ----------
+        job_id : str
+            Id of the job.
+
+        Returns
+        -------
+        list
+            In the order of the steps.
+        """
         with self._sessions() as session:
             query = select(StepRow.result).where(StepRow.job_id == job_id, StepRow.done)
             return list(session.scalars(query.order_by(StepRow.number)))

@@ -1,4 +1,4 @@
-"""A calibrated model's base need not be asked for what a finished cost map of the same ground holds already."""
+"""Reuses a finished cost map: a calibrated model reads its base's answers from it instead of computing them anew."""
 
 from __future__ import annotations
 
@@ -21,7 +21,21 @@ from joulemap.service.storage.tables import DONE, CostmapRow
 
 
 class StoredBase:
-    """A base model whose answers for cells of `tiling` are read from a finished cost map; in all else it is itself."""
+    """A base model that reads its answers for the cells of a lattice from a finished cost map.
+
+    Everything else is asked of the base model itself.
+
+    Parameters
+    ----------
+    base : Predictor
+        The base model.
+    store : Store
+        Where the cost map is kept.
+    costmap_id : str
+        Id of a cost map that was made with the base model.
+    tiling : Tiling
+        Its cells.
+    """
 
     def __init__(self, base: Predictor, store: Store, costmap_id: str, tiling: Tiling) -> None:
         self._base, self._store, self._costmap_id, self._tiling = base, store, costmap_id, tiling
@@ -32,7 +46,28 @@ class StoredBase:
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """As the base's, to the bit; the base's own where `frame` is no part of the lattice or that was deleted."""
+        """Return the base's answer, bit by bit the same.
+
+        Read from the cost map; computed where `frame` is not a part of it, or where it was deleted.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            The robot.
+        frame : GridFrame
+            Cells to answer for.
+        headings_rad : ndarray of float64, (K,)
+            Clockwise from north [rad].
+
+        Returns
+        -------
+        traction_per_m : ndarray of float32, (rows, cols, K)
+            Traction [J/m].
+        std_j : ndarray of float32, (rows, cols, K), or None
+            Standard deviation [J] of a segment of 1 m, where the base knows it.
+        """
         place = _place_in(self._tiling.frame, frame)
         if place is not None:
             try:
@@ -47,7 +82,24 @@ class StoredBase:
 
 
 def with_stored_base(store: Store, row: CostmapRow, source: Predictor, tiling: Tiling) -> Predictor:
-    """The model of a cost map that is to be made; a calibrated one reads its base's answers where they are stored."""
+    """Return the model of a cost map that is to be made, reading its base's answers where they are stored.
+
+    Parameters
+    ----------
+    store : Store
+        Open.
+    row : CostmapRow
+        The cost map that is to be made.
+    source : Predictor
+        Its model.
+    tiling : Tiling
+        Its cells.
+
+    Returns
+    -------
+    Predictor
+        `source` itself where it is not calibrated, or where no finished cost map fits.
+    """
     if not isinstance(source, CalibratedPredictor):
         return source
     base = json.loads(json.dumps(source.base.provenance()))
@@ -61,7 +113,7 @@ def with_stored_base(store: Store, row: CostmapRow, source: Predictor, tiling: T
 
 
 def _place_in(whole: GridFrame, part: GridFrame) -> tuple[slice, slice] | None:
-    """The cells of a grid that another is made of; None where it is no part of it."""
+    """The rows and columns of a part within the whole grid; None where it is not a part of it."""
     row, col = (round(float(at)) for at in whole.rowcol(*(float(c[0]) for c in part.centres())))
     inside = row >= 0 and col >= 0 and row + part.rows <= whole.rows and col + part.cols <= whole.cols
     if not inside or whole.window(row, row + part.rows, col, col + part.cols) != part:

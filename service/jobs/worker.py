@@ -1,4 +1,4 @@
-"""A worker: takes steps of jobs one after another and does them, in the service or in a process of its own."""
+"""A worker takes steps of jobs one after another and does them, in the service or in its own process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import COSTMAP, FAILED, JOBS, QUEUED, RUNNING, WORDS, kind_of
 
 SERVICE = "service:"
-"""How the names of workers inside a service begin; a data directory has one service, so they die with it."""
+"""Beginning of the names of workers inside a service; a data directory has one service, so they end with it."""
 
 _LOG = logging.getLogger("joulemap.jobs")
 _LOOK_S = 1.0  # between looks for a step that somebody else left or added
@@ -30,15 +30,30 @@ class Maker(Protocol):
     """Does the steps of jobs of one kind."""
 
     def do(self, step: Step, steps: Steps, report: Callable[[float], None]) -> None:
-        """Do one step and say that it is done. report : is told now and then how far a long one is, 0..1; it raises
-        Interrupted where nobody wants the step any more.
+        """Do one step and mark it as done.
+
+        Parameters
+        ----------
+        step : Step
+            The step, taken by this worker.
+        steps : Steps
+            Where it is marked as done.
+        report : callable
+            To be called again and again in a long step with the share that is done, 0..1; raises Interrupted where
+            the job is to stop.
         """
 
     def rest(self) -> None:
-        """Nothing is to be done."""
+        """Let go of what is kept between steps, because there is nothing to do."""
 
     def discard(self, job_id: str) -> None:
-        """Throw away what was made of a job."""
+        """Delete what was made of a job.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        """
 
 
 class Interrupted(Exception):
@@ -46,10 +61,18 @@ class Interrupted(Exception):
 
 
 class Worker:
-    """Does steps until stopped. A step that raises marks its job as failed.
+    """Does steps until it is stopped; a step that raises marks its job as failed.
 
-    makers : by kind of job; ready : called before a step; it may wait until kernels are warm, and raises BusyError
-    where that takes too long.
+    Parameters
+    ----------
+    store : Store
+        Open.
+    makers : mapping of str to Maker
+        By kind of job.
+    name : str
+        Beginning of the worker's name; a random part is added.
+    ready : callable
+        Called before each step. It may wait until the kernels are loaded, and raises BusyError if that takes too long.
     """
 
     def __init__(self, store: Store, makers: Mapping[str, Maker], *, name: str, ready: Callable[[], object]) -> None:
@@ -61,23 +84,23 @@ class Worker:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Work in a thread."""
+        """Begin to work, in a thread."""
         self._thread = threading.Thread(target=self.work, name="jobs")
         self._thread.start()
 
     def wake(self) -> None:
-        """There may be a step: look at once."""
+        """Look for a step now, not at the next regular time."""
         self._wake.set()
 
     def stop(self) -> None:
-        """Return when the step at hand is done, or a long one given up; what is left stays for the next start."""
+        """Stop after the current step, or within a long one; the rest of the job waits for the next start."""
         self._stopping.set()
         self._wake.set()
         if self._thread is not None:
             self._thread.join()
 
     def work(self) -> None:
-        """Do steps in this thread until stopped."""
+        """Work in this thread until `stop` is called."""
         steps = Steps(self._store.sessions, self._name, self._makers)
         while not self._stopping.is_set():
             self._wake.clear()
@@ -106,7 +129,7 @@ class Worker:
         with _Lease(steps, step):
             try:
                 self._ready()
-            except BusyError as error:  # no fault of the job: later
+            except BusyError as error:  # not the job's fault: later
                 _LOG.info("not ready: %s", error.message)
                 steps.release()
                 return False
@@ -134,7 +157,7 @@ class Worker:
 
 
 class _Lease:
-    """Renews a step's lease while it is worked at."""
+    """Renews the lease of a step while it is done."""
 
     def __init__(self, steps: Steps, step: Step) -> None:
         self._steps, self._step = steps, step
@@ -153,12 +176,22 @@ class _Lease:
             try:
                 if not self._steps.renew(self._step):
                     return
-            except OperationalError as error:  # the next try may do; if none does, another worker takes the step
+            except OperationalError as error:  # the next try may succeed; if none does, another worker takes the step
                 _LOG.warning("a lease could not be renewed: %s", error.orig)
 
 
 class Jobs:
-    """The jobs of one service: how many wait, when one is over, and the service's own workers."""
+    """The jobs of one service: how many wait, when one has ended, and the workers of the service itself.
+
+    Parameters
+    ----------
+    store : Store
+        Open once `resume` is called.
+    workers : sequence of Worker
+        Those in this process.
+    queue_size : int
+        Most jobs of a kind that wait or run.
+    """
 
     def __init__(self, store: Store, workers: Sequence[Worker], *, queue_size: int) -> None:
         self._store = store
@@ -166,7 +199,7 @@ class Jobs:
         self._queue_size = queue_size
 
     def resume(self) -> None:
-        """Go on with what an earlier process left unfinished."""
+        """Start the workers, and go on with what an earlier process left unfinished."""
         steps = Steps(self._store.sessions, SERVICE, JOBS)
         steps.release(SERVICE)
         steps.add_missing()
@@ -174,23 +207,42 @@ class Jobs:
             worker.start()
 
     def check_room(self, kind: str = COSTMAP) -> None:
-        """Raises BusyError when the queue of jobs of this kind is full."""
+        """Check that one more job may be added.
+
+        Parameters
+        ----------
+        kind : str, optional
+            COSTMAP or CALIBRATION.
+
+        Raises
+        ------
+        BusyError
+            If the queue of this kind is full.
+        """
         waiting = len(self._store.unfinished(kind))
         if waiting >= self._queue_size:
             raise BusyError(
-                f"{waiting} {WORDS[kind]}s wait already, the limit is {self._queue_size}: try again in a while",
+                f"the queue is full: {WORDS[kind]}s that wait or run: {waiting}, limit: {self._queue_size}",
                 waiting=waiting,
                 limit=self._queue_size,
                 retry_after_s=10,
             )
 
     def submit(self) -> None:
-        """A job was added."""
+        """Wake the workers, because a job was added."""
         for worker in self._workers:
             worker.wake()
 
     async def wait(self, job_id: str, timeout_s: float) -> None:
-        """Return when the job is over, whoever does it, or after `timeout_s`."""
+        """Wait until a job has ended, whichever worker does it.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        timeout_s : float
+            Longest time to wait [s].
+        """
         pause, longest = _WAIT_S
         deadline = time.monotonic() + timeout_s
         while await asyncio.to_thread(self._store.status, job_id) in (QUEUED, RUNNING):
@@ -201,5 +253,6 @@ class Jobs:
             pause = min(1.3 * pause, longest)
 
     def stop(self) -> None:
+        """Stop the workers of this process."""
         for worker in self._workers:
             worker.stop()

@@ -42,6 +42,7 @@ from joulemap.service.storage.tables import (
     RunsRow,
     StepRow,
     kind_of,
+    named_test_runs,
 )
 
 Row = TypeVar("Row", bound=Base)
@@ -359,8 +360,11 @@ class Store:
         row = self.runs(runs_id)
         with self._sessions.begin() as session:
             made = session.execute(select(CalibrationRow.id, CalibrationRow.request)).all()
-            kinds = ("runs", "base_runs", "aside_runs")
-            users = sorted(job_id for job_id, asked in made if any(runs_id in asked.get(kind, []) for kind in kinds))
+            users = sorted(
+                job_id
+                for job_id, asked in made
+                if runs_id in (*asked["runs"], *asked.get("base_runs", []), *named_test_runs(asked))
+            )
             if users:
                 raise ConflictError(
                     f"runs {runs_id} are used by {len(users)} calibration(s), {', '.join(users[:5])}: "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy import JSON, ForeignKey, Text
@@ -98,6 +99,23 @@ def kind_of(job_id: str) -> str:
         COSTMAP or CALIBRATION.
     """
     return job_id.partition("-")[0]
+
+
+def named_test_runs(request: Mapping[str, Any]) -> list[str]:
+    """Return the ids of the runs that a calibration was only tested with.
+
+    Parameters
+    ----------
+    request : mapping
+        As it was stored with the calibration; older ones name these runs ``aside_runs``.
+
+    Returns
+    -------
+    list of str
+        Empty where none were named.
+    """
+    named: list[str] = request.get("test_runs", request.get("aside_runs", []))
+    return named
 
 
 class StepRow(Base):

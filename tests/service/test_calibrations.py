@@ -300,7 +300,7 @@ def test_a_full_queue_is_told(tmp_path: Path) -> None:
         asked = {"heightmap_id": ground, "runs": [send(client, GOOD).json()["id"]], "model": "physics"}
         assert client.post("/v1/calibrations", json=asked).status_code == 202
         refused = client.post("/v1/calibrations", json=asked)
-        check_problem(refused, 503, "busy", "1 calibrations wait already, the limit is 1")
+        check_problem(refused, 503, "busy", "calibrations that wait or run: 1, limit: 1")
         assert refused.headers["retry-after"] == "10"
 
 
