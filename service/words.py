@@ -5,44 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from joulemap.planner.words import duration_words, energy_words
+
 if TYPE_CHECKING:
     from joulemap.planner.budget import Verdict
 
-
-def energy_words(energy_j: float) -> str:
-    """Say an energy as a person reads it, with watt-hours from one kilojoule on.
-
-    Parameters
-    ----------
-    energy_j : float
-        Energy [J].
-
-    Returns
-    -------
-    str
-        Such as "12.30 kJ (3.42 Wh)".
-    """
-    if abs(energy_j) < 1000.0:
-        return f"{energy_j:.0f} J"
-    return f"{energy_j / 1000.0:.2f} kJ ({energy_j / 3600.0:.2f} Wh)"
-
-
-def duration_words(seconds: float) -> str:
-    """Say a duration in minutes and seconds, or hours and minutes.
-
-    Parameters
-    ----------
-    seconds : float
-        Duration [s].
-
-    Returns
-    -------
-    str
-        Such as "3 min 20 s".
-    """
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+__all__ = ["duration_words", "energy_words", "route_words", "runs_words", "saving_words", "verdict_words"]
 
 
 def runs_words(count: int) -> str:
@@ -113,19 +81,4 @@ def verdict_words(verdict: Verdict) -> str:
     str
         One sentence without a full stop.
     """
-    spread = "" if verdict.energy_std_j is None else f" +- {verdict.energy_std_j / 3600:.2f}"
-    need = f"{verdict.energy_j / 3600:.2f}{spread} Wh needed, "
-    need += f"{verdict.available_j / 3600:.2f} Wh available above the reserve"
-    if verdict.probability is not None:
-        need += f", lasts with {_probability_words(verdict.probability)}"
-    if verdict.feasible:
-        spare = f"{verdict.margin_j / 3600:.2f} Wh to spare"
-        return f"feasible: {need}, {spare}; charge at the end {verdict.charge_at_end:.1%}"
-    return f"not feasible: {need}, {verdict.shortfall_j / 3600:.2f} Wh short"
-
-
-def _probability_words(probability: float) -> str:
-    """A probability as far as it is worth saying: nobody knows the tails."""
-    if probability > 0.99:
-        return "more than 99 %"
-    return "less than 1 %" if probability < 0.01 else f"{probability:.0%}".replace("%", " %")
+    return str(verdict)
