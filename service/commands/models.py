@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from joulemap.model.energy.architectures import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
 from joulemap.service.commands.options import (
     HeightmapFile,
@@ -48,6 +50,28 @@ class DriveName(StrEnum):
     WAYPOINTS = "waypoints"
 
 
+class HiddenEffect(StrEnum):
+    """Effects that may be at work in simulated runs without being declared."""
+
+    TURNING = "turning"
+    TURNING_UPHILL = "turning_uphill"
+    PAYLOAD = "payload"
+    SPEED = "speed"
+    ACCELERATION = "acceleration"
+    BRAKING = "braking"
+    WIND = "wind"
+    TEMPERATURE = "temperature"
+    MOTOR_TEMPERATURE = "motor_temperature"
+    HOTEL_LOAD = "hotel_load"
+    BATTERY = "battery"
+    SENSOR_GAIN = "sensor_gain"
+    DRIFT = "drift"
+    TERRAIN_CLASS = "terrain_class"
+    LOCAL_FRICTION = "local_friction"
+    CROSS_SLOPE = "cross_slope"
+    HEADING = "heading"
+
+
 def simulate(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for dem.tif, robot.toml and run_NN.csv.")],
     site: Annotated[
@@ -58,7 +82,26 @@ def simulate(
     ] = DriveName.LAWNMOWER,
     runs: Annotated[int, typer.Option(min=1, max=99, help="Number of runs.")] = 4,
     robot: RobotFile = None,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same files.")] = 0,
+    hidden: Annotated[
+        list[HiddenEffect] | None,
+        typer.Option(
+            metavar="EFFECT...",
+            help=f"Effects at work in the runs that no file declares: {', '.join(HiddenEffect)}. Their strength is "
+            "drawn by the seed.",
+        ),
+    ] = None,
+    day: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Another day has other drives and other weather; site, survey and robot stay the same. "
+            "[default: 1, with `--hidden` 2]",
+        ),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="The same seed gives the same site and robot, and on the same day the same runs.")
+    ] = 0,
     json_file: JsonFile = None,
 ) -> None:
     """Simulate **measured runs**: a robot driven over a site, its battery, and a logger at 10 Hz with all its faults.
@@ -66,14 +109,19 @@ def simulate(
     The robot's true mass and losses are drawn around what its file declares, as they are in life. Without `--robot`,
     robot.toml declares the rolling resistance that its owner would measure on smooth level ground of that site.
 
-    Example: `joulemap simulate --out field --site dirt --drive waypoints --runs 6`
+    Examples:
+
+    `joulemap simulate --out field --site dirt --drive waypoints --runs 6`
+
+    `joulemap simulate --out new --hidden turning` (the site and the robot of `joulemap simulate --out base`)
     """
     from dataclasses import replace
 
     import numpy as np
 
-    from joulemap.model.field.drives import drive_along, lawnmower, random_waypoints
-    from joulemap.model.field.logger import simulate_run
+    from joulemap.model.field.days import simulate_day
+    from joulemap.model.field.drives import Drive, drive_along, lawnmower, random_waypoints
+    from joulemap.model.field.logger import RunLog, simulate_run
     from joulemap.model.field.robot_dynamics import FieldRobot
     from joulemap.model.field.sites import named_site, random_site
     from joulemap.model.terrain.writers import write_geotiff
@@ -90,20 +138,34 @@ def simulate(
     out.mkdir(parents=True, exist_ok=True)
     write_geotiff(out / "dem.tif", place.survey)
     write_file(out / "robot.toml", _toml(declared).encode())
-    files, metres = [], 0.0
+    today = day or (2 if hidden else 1)
+    if today > 1 or hidden:
+        rng = np.random.default_rng([seed, 2, today])
+    files, drives = [], list[Drive]()
     west, south, east, north = place.drivable
-    with progress_bar("Driving") as report:
+
+    def driven() -> Iterator[Drive]:
         for number in range(1, runs + 1):
             if drive is DriveName.LAWNMOWER:  # each run its own strip of the site, as a day in the field is shared out
                 strip = west + (east - west) * (number - 1) / runs, south, west + (east - west) * number / runs, north
                 points = lawnmower(strip, spacing_m=2.0)
             else:
                 points = random_waypoints(place.drivable, 20, rng)
-            driven = drive_along(points, speed_mps=declared.speed_mps, rng=rng)
-            log = simulate_run(place, truth, driven, rng=rng, start_s=3600.0 * number)
+            drives.append(drive_along(points, speed_mps=declared.speed_mps, rng=rng))
+            yield drives[-1]
+
+    def logged() -> Iterator[RunLog]:
+        if today > 1 or hidden:
+            yield from simulate_day(place, truth, driven(), day=today, hidden=hidden or (), rng=rng)
+        else:
+            for number, one in enumerate(driven(), start=1):
+                yield simulate_run(place, truth, one, rng=rng, start_s=3600.0 * number)
+
+    with progress_bar("Driving") as report:
+        for number, log in enumerate(logged(), start=1):
             files.append(str(log.write_csv(out / f"run_{number:02d}.csv")))
-            metres += driven.length_m
             report(number / runs)
+    metres = sum(one.length_m for one in drives)
     output.say(f"[bold]Simulated[/] {runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}")
     output.document(
         {
@@ -112,6 +174,8 @@ def simulate(
             "runs": files,
             "length_m": metres,
             "seed": seed,
+            "day": today,
+            "hidden": [str(name) for name in hidden or ()],
         }
     )
 
@@ -131,11 +195,8 @@ Charge = Annotated[
 ]
 
 
-class Architecture(StrEnum):
-    """The networks that can be trained."""
-
-    COMPACT = "compact"
-    RESNET18 = "resnet18"
+Architecture = StrEnum("Architecture", {name.upper(): name for name in ARCHITECTURES})  # type: ignore[misc]
+_DEFAULT = Architecture(DEFAULT_ARCHITECTURE)
 
 
 @reads_heightmap
@@ -149,7 +210,7 @@ def train(
         typer.Option(
             "--arch", "--architecture", help="`compact` is fast and dense; `resnet18` is the paper's network."
         ),
-    ] = Architecture.COMPACT,
+    ] = _DEFAULT,
     start_from: Annotated[
         str | None,
         typer.Option(
@@ -211,7 +272,7 @@ def train(
             "--epochs": epochs,
             "--charge": charge,
             "--resume": resume,
-            "--arch": architecture is Architecture.RESNET18,
+            "--arch": architecture is not _DEFAULT,
         }
         if idle := [name for name, value in told.items() if value]:
             raise typer.BadParameter(f"{', '.join(idle)}: only with --heightmap and --runs")
@@ -236,7 +297,7 @@ def train(
             find_runs(runs),
             out=out,
             architecture=architecture.value,
-            start_from=folder_of(start_from or ("default" if architecture is Architecture.COMPACT else "none")),
+            start_from=folder_of(start_from or ("default" if architecture is _DEFAULT else "none")),
             backbone=weights,
             patch_size=patch_size,
             epochs=epochs,
