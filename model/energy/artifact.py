@@ -1,4 +1,4 @@
-"""A model as a folder: weights.safetensors and config.json, saved, found again and checked."""
+"""A model as a folder of weights.safetensors and config.json: how it is written, read and checked."""
 
 from __future__ import annotations
 
@@ -13,12 +13,9 @@ from typing import Any
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
-from joulemap.model.energy.compact import CompactConfig, CompactNet
-from joulemap.model.energy.dense import CompactPredictor
-from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.resnet import ResNetEnergy, ResNetPredictor
-from joulemap.model.energy.tensors import Network
-from joulemap.model.energy.tracks import PIXEL_M, SQUARE
+from joulemap.model.energy.architectures import ARCHITECTURES, find_architecture
+from joulemap.model.energy.architectures.contract import Network
+from joulemap.model.energy.domain import Domain, Learned
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
 
@@ -31,44 +28,69 @@ FORMAT = 2
 class Artifact:
     """A trained network and how it was made.
 
-    domain : what it learned. size : rows and columns of what it reads. spread : how far off it was on runs it had not
-    seen. turn_j_per_rad : what its runs took for turning beyond straight driving. training : JSON-able facts: seed,
-    data_hash, held_out (errors of whole runs that were not trained on), command, parent (the version it was fine-tuned
-    from).
+    Attributes
+    ----------
+    net : Network
+        The network.
+    domain : Domain
+        Ranges of what it was trained on.
+    size : int
+        Rows and columns of its input; 0 is replaced by the architecture's usual size.
+    spread : Spread
+        Its errors on runs that it had not seen.
+    turn_j_per_rad : float
+        Energy of turning in its runs, beyond straight driving [J/rad].
+    training : mapping
+        JSON-able facts: seed, data_hash, runs and run_hashes, held_out (errors on whole runs that were not trained on),
+        command, started_from.
     """
 
     net: Network
     domain: Domain
-    size: int = SQUARE
+    size: int = 0
     spread: Spread = field(default_factory=Spread)
     turn_j_per_rad: float = 0.0
     training: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if not self.size:
+            object.__setattr__(self, "size", find_architecture(self.architecture).input_size(None))
+
     @property
     def architecture(self) -> str:
-        return "compact" if isinstance(self.net, CompactNet) else "resnet18"
+        """Name of the network's architecture."""
+        return self.net.architecture
 
 
 def save_artifact(folder: str | Path, artifact: Artifact) -> str:
-    """Write the folder (created where needed; config.json last, so that it marks a whole model). Returns the version.
+    """Write a model's folder.
 
-    The version is the first 16 hex digits of the SHA-256 of the weights file.
+    config.json is written last, so that it marks a complete model.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Created where needed.
+    artifact : Artifact
+        What to write.
+
+    Returns
+    -------
+    str
+        The version: the first 16 hex digits of the SHA-256 of the weights file.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     state = {key: value.detach().cpu().contiguous().clone() for key, value in artifact.net.state_dict().items()}
     data = save(state)
     digest = hashlib.sha256(data).hexdigest()[:16]
-    network: dict[str, Any] = {"pixel_m": PIXEL_M} if isinstance(artifact.net, CompactNet) else {}
-    if isinstance(artifact.net, CompactNet):
-        network |= artifact.net.config.as_dict()
     config = {
         "format": FORMAT,
         "architecture": artifact.architecture,
         "version": digest,
         "joulemap": _own_version(),
         "size": artifact.size,
-        "network": network,
+        "network": find_architecture(artifact.architecture).config_of(artifact.net),
         "domain": artifact.domain.as_dict(),
         "spread": artifact.spread.as_dict(),
         "turn_j_per_rad": artifact.turn_j_per_rad,
@@ -81,7 +103,23 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
 
 
 def read_artifact(folder: str | Path) -> Artifact:
-    """The network of a folder. Raises ModelError where a file is missing, broken or not the other's partner."""
+    """Read a model's folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        As `save_artifact` wrote it.
+
+    Returns
+    -------
+    Artifact
+        With the network in evaluation mode.
+
+    Raises
+    ------
+    ModelError
+        If a file is missing or broken, or the two files do not belong together.
+    """
     folder = Path(folder)
     config = _read_config(folder)
     try:
@@ -96,33 +134,46 @@ def read_artifact(folder: str | Path) -> Artifact:
             version=digest,
             expected=config.get("version"),
         )
-    architecture = config.get("architecture")
-    network = dict(config.get("network") or {})
-    if architecture == "compact":
-        pixel = network.pop("pixel_m", None)
-        if pixel != PIXEL_M or config.get("size") != SQUARE:
-            raise ModelError(
-                f"{folder} reads {config.get('size')} pixels of {pixel} m, this version {SQUARE} of {PIXEL_M}"
-            )
-        net: Network = CompactNet(CompactConfig.from_dict(network))
-    elif architecture == "resnet18":
-        net = ResNetEnergy()
-    else:
-        raise ModelError(f"{folder} is of an unknown architecture {architecture!r}", architecture=architecture)
+    name, size = str(config.get("architecture")), config.get("size")
+    if name not in ARCHITECTURES:
+        raise ModelError(
+            f"{folder} is of an unknown architecture {name!r}: known are {', '.join(ARCHITECTURES)}", architecture=name
+        )
+    if not isinstance(size, int):
+        raise ModelError(f"{folder / CONFIG_FILE} does not say the size of the network's input", size=str(size))
+    try:
+        net: Network = find_architecture(name).build(dict(config.get("network") or {}), size=size)
+    except ModelError as error:
+        raise ModelError(f"{folder}: {error.message}", **error.context) from error
     try:
         net.load_state_dict(load(data), strict=True)
     except (RuntimeError, SafetensorError) as error:
         raise ModelError(f"the weights of {folder} do not fit its network: {error}") from error
-    size = config.get("size")
-    if not isinstance(size, int):
-        raise ModelError(f"{folder / CONFIG_FILE} does not say the size of a patch", size=str(size))
     domain, spread = Domain.from_dict(config.get("domain") or {}), Spread.from_dict(config.get("spread") or {})
     turn = float(config.get("turn_j_per_rad", 0.0))
     return Artifact(net.eval(), domain, size, spread, turn, config.get("training") or {})
 
 
-def load_artifact(folder: str | Path, *, name: str | None = None) -> CompactPredictor | ResNetPredictor:
-    """The predictor of a folder, called by the folder's name unless told otherwise. Raises ModelError."""
+def load_artifact(folder: str | Path, *, name: str | None = None) -> Learned:
+    """Return the predictor of a model's folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        As `save_artifact` wrote it.
+    name : str, optional
+        What the model is called; the folder's name by default.
+
+    Returns
+    -------
+    Learned
+        The predictor.
+
+    Raises
+    ------
+    ModelError
+        As `read_artifact`.
+    """
     folder = Path(folder)
     artifact = read_artifact(folder)
     config = _read_config(folder)
@@ -131,12 +182,32 @@ def load_artifact(folder: str | Path, *, name: str | None = None) -> CompactPred
     return predictor_of(artifact, provenance, name=name)
 
 
-def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str) -> CompactPredictor | ResNetPredictor:
-    """The predictor that an artifact's network is."""
-    known: dict[str, Any] = {"name": name, "spread": artifact.spread, "turn_j_per_rad": artifact.turn_j_per_rad}
-    if isinstance(artifact.net, CompactNet):
-        return CompactPredictor(artifact.net, artifact.domain, provenance, **known)
-    return ResNetPredictor(artifact.net, artifact.domain, provenance, size=artifact.size, **known)
+def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str) -> Learned:
+    """Make a predictor of an artifact.
+
+    Parameters
+    ----------
+    artifact : Artifact
+        A trained network.
+    provenance : mapping
+        What the predictor says of itself, JSON-able.
+    name : str
+        What the model is called.
+
+    Returns
+    -------
+    Learned
+        The predictor.
+    """
+    return find_architecture(artifact.architecture).predictor(
+        artifact.net,
+        artifact.domain,
+        provenance,
+        size=artifact.size,
+        name=name,
+        spread=artifact.spread,
+        turn_j_per_rad=artifact.turn_j_per_rad,
+    )
 
 
 def _read_config(folder: Path) -> dict[str, Any]:

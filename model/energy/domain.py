@@ -1,4 +1,4 @@
-"""What a model has learned, as ranges, and the words for a map or robot outside of them."""
+"""The ranges that a model has learned, warnings for maps and robots outside of them, and the base of predictors."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT_KEYS = ("mass_kg", "width_m", "length_m", "wheel_radius_m", "speed_mps", "rolling_resistance")
-"""What a network is told of a robot in the robot file's own words; the hotel load over the weight comes on top."""
+"""Fields of the robot file that a network knows; the hotel load over the weight is added to them."""
 
 _TOLERANCE = 0.005  # of a limit: a value on the edge is inside
-_SHARE_TOLD = 0.001  # of the map that must be too steep before it is worth a word
+_SHARE_WARNED = 0.001  # of the map that must be too steep before a warning is given
 _SAMPLE_CELLS = 4_000_000  # a larger map's slopes are judged on every n-th row and column
 
 
@@ -29,10 +29,20 @@ _SAMPLE_CELLS = 4_000_000  # a larger map's slopes are judged on every n-th row 
 class Domain:
     """Ranges (low, high) of what a model was trained on.
 
-    robot : by the keys of `ROBOT_KEYS` and "hotel_over_weight" (idle energy per metre over m g). resolution_m : of the
-    heightmaps. max_slope_deg : steepest ground. payload_kg : logged on top of the robot's mass; a model accounts for a
-    logged payload as far as this range, and beyond it only when a calibration has found it to matter. turned_rad : mean
-    turn of its own straight segments: nobody drives quite straight, and what that took is in its prices.
+    Attributes
+    ----------
+    robot : dict of str to (float, float)
+        By the keys of `ROBOT_KEYS` and "hotel_over_weight" (idle energy per metre over m g).
+    resolution_m : (float, float)
+        Metres per pixel of the heightmaps.
+    max_slope_deg : float
+        Steepest ground [degrees].
+    payload_kg : (float, float)
+        Logged load on top of the robot's mass [kg]. A model accounts for a logged load inside this range, and beyond it
+        only when a calibration has found an effect of it.
+    turned_rad : float
+        Mean turn of its own straight segments [rad]: nobody drives perfectly straight, and the energy of these small
+        turns is in the model's prices.
     """
 
     robot: dict[str, tuple[float, float]]
@@ -42,11 +52,28 @@ class Domain:
     turned_rad: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
+        """Return the ranges, JSON-able."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Domain:
-        """Raises ModelError where a range is missing."""
+        """Make a domain of what `as_dict` wrote.
+
+        Parameters
+        ----------
+        values : dict
+            Ranges by name.
+
+        Returns
+        -------
+        Domain
+            The domain.
+
+        Raises
+        ------
+        ModelError
+            If a range is missing or is none.
+        """
         try:
             robot = {str(k): (float(v[0]), float(v[1])) for k, v in values["robot"].items()}
             low, high = values["resolution_m"]
@@ -62,7 +89,18 @@ class Domain:
             raise ModelError(f"the model does not say what it learned from: {error!r}") from error
 
     def joined(self, other: Domain) -> Domain:
-        """The ranges that cover both: what a fine-tuned model knows."""
+        """Return the ranges that cover both: what a fine-tuned model knows.
+
+        Parameters
+        ----------
+        other : Domain
+            Of the runs that it was fine-tuned on.
+
+        Returns
+        -------
+        Domain
+            With the `turned_rad` of this one.
+        """
         robot = dict(self.robot)
         for key, (low, high) in other.robot.items():
             mine = robot.get(key, (low, high))
@@ -75,7 +113,20 @@ class Domain:
         return Domain(robot, resolution, max(self.max_slope_deg, other.max_slope_deg), payload, self.turned_rad)
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """One sentence for every value outside: the value, and the limits."""
+        """Return one sentence for every value outside the ranges, with the value and the limits.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+
+        Returns
+        -------
+        list of str
+            Empty where everything is inside.
+        """
         found = []
         values = {key: getattr(robot, key) for key in ROBOT_KEYS}
         values["hotel_over_weight"] = robot.hotel_per_m / robot.weight_n
@@ -91,7 +142,7 @@ class Domain:
                 "the network learned"
             )
         share = steep_share(heightmap, self.max_slope_deg)
-        if share > _SHARE_TOLD:
+        if share > _SHARE_WARNED:
             digits = 0 if share > 0.1 else 1
             found.append(
                 f"{100.0 * share:.{digits}f} % of the map is steeper than the {self.max_slope_deg:.3g} degrees "
@@ -101,8 +152,20 @@ class Domain:
 
 
 class Learned(ABC):
-    """The part that all predictors of a trained network share: a name, its record, where it may be believed, what its
-    held-out runs said of it, and what its runs took for turning [J/rad] beyond straight driving.
+    """The part that all predictors of a trained network share.
+
+    Parameters
+    ----------
+    name : str
+        What the model is called.
+    domain : Domain
+        Ranges of what it was trained on.
+    provenance : mapping
+        What the predictor says of itself, JSON-able.
+    spread : Spread, optional
+        Its errors on held-out runs.
+    turn_j_per_rad : float, optional
+        Energy of turning in its runs, beyond straight driving [J/rad].
     """
 
     def __init__(
@@ -121,44 +184,142 @@ class Learned(ABC):
         self._provenance = dict(provenance)
 
     def provenance(self) -> dict[str, Any]:
-        """What the predictor is, JSON-able."""
+        """Return what the predictor is, JSON-able."""
         return {"name": self.name, "spread": self.spread.as_dict(), **self._provenance}
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """In words, every way in which this map or robot lies outside what the network learned."""
+        """Return one sentence for every way in which a map or robot is outside of what the network learned.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+
+        Returns
+        -------
+        list of str
+            As `Domain.warnings`.
+        """
         return self.domain.warnings(heightmap, robot)
 
     def robot_with_turning(self, robot: Robot) -> Robot:
-        """The robot with what turning took in the model's runs."""
+        """Return the robot with the energy of turning that the model's runs showed.
+
+        Parameters
+        ----------
+        robot : Robot
+            As its file declares it.
+
+        Returns
+        -------
+        Robot
+            With more `turn_j_per_rad`.
+        """
         return replace(robot, turn_j_per_rad=robot.turn_j_per_rad + self.turn_j_per_rad)
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """(rows, cols, headings) [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
+        """Return the traction demand at the cell centres of a lattice.
+
+        Parameters
+        ----------
+        heightmap, robot, frame, headings_rad : Heightmap, Robot, GridFrame, ndarray
+            As `traction_and_std`.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols, K)
+            Traction demand [J/m]; NaN where the map is unknown.
+        """
         return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> NDArray[np.float64]:
-        """(n,) [J/m] of 1 m segments centred at (x, y); NaN where the map is unknown."""
+        """Return the traction demand of 1 m segments.
+
+        Parameters
+        ----------
+        heightmap, robot, x, y, heading_rad : Heightmap, Robot, array_like
+            As `segment_traction_and_std`.
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Traction demand [J/m]; NaN where the map is unknown.
+        """
         return self.segment_traction_and_std(heightmap, robot, x, y, heading_rad)[0]
 
     @abstractmethod
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return traction and uncertainty at the cell centres of a lattice.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        frame : GridFrame
+            Cells of the lattice.
+        headings_rad : ndarray of float64, (K,)
+            Headings [rad].
+
+        Returns
+        -------
+        traction : ndarray of float32, (rows, cols, K)
+            Traction demand [J/m]; NaN where the map is unknown.
+        std : ndarray of float32, (rows, cols, K)
+            Standard deviation of a 1 m segment's energy [J].
+        """
 
     @abstractmethod
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return traction and uncertainty of 1 m segments.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        x, y : array_like, (n,)
+            Centres of the segments [m].
+        heading_rad : array_like, (n,)
+            Headings [rad].
+
+        Returns
+        -------
+        traction : ndarray of float64, (n,)
+            Traction demand [J/m]; NaN where the map is unknown.
+        std : ndarray of float64, (n,)
+            Standard deviation of the energy [J].
+        """
 
 
 def steep_share(heightmap: Heightmap, limit_deg: float) -> float:
-    """Share of the known ground steeper than a slope [deg], judged over about a metre; 0 where nothing is known.
+    """Return the share of the known ground that is steeper than a limit.
 
-    Slopes are central differences over the metre (or the cell, where that is longer).
+    Slopes are central differences over a metre (or over the cell, where that is longer).
+
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    limit_deg : float
+        The limit [degrees].
+
+    Returns
+    -------
+    float
+        0 to 1; 0 where nothing is known.
     """
     heights = heightmap.heights
     half = max(1, round(0.5 / heightmap.resolution_m))

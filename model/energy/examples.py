@@ -1,4 +1,4 @@
-"""What a network learns from: pieces of heightmap, the robot that crossed them, and the energy it took."""
+"""What a network learns from: pieces of heightmap, the robot that crossed them, and the energy that this took."""
 
 from __future__ import annotations
 
@@ -10,31 +10,45 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.energy.compact import FEATURES, robot_features
+from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
 from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.physics import SEGMENT_M, tan_grade
-from joulemap.model.energy.tracks import PIXEL_M, REACH_M, SQUARE
-from joulemap.model.errors import InputError, ModelError
-from joulemap.model.frames import heading_vector
+from joulemap.model.energy.physics import tan_grade
+from joulemap.model.energy.robot_features import FEATURES, robot_features
+from joulemap.model.errors import InputError
 from joulemap.model.robot import GRAVITY_MPS2, Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.patches import cut_patches, cut_squares
 
 FloatArray = NDArray[np.float64]
-
-ARCHITECTURES = ("compact", "resnet18")
-RESNET_SIZE = 64
-"""Rows and columns of a ResNet18 patch unless told otherwise; the paper's are 256."""
 
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """Measured 1 m segments as arrays of n.
+    """Measured 1 m segments as arrays of length n.
 
-    inputs : (n, S, S) float32 [m], north-up squares (compact) or patches along the heading (resnet18). features :
-    (n, 8) float32, `compact.FEATURES`. heading_rad, tan_grade, weight_n, rolling_resistance, hotel_per_m [J/m],
-    regeneration, voltage_v : (n,) float32. energy_j : (n,) float32, drawn from the battery. run : (n,) int64, which run
-    a segment belongs to: whole runs are held out.
+    Attributes
+    ----------
+    inputs : ndarray of float32, (n, S, S)
+        Heights [m] that the network sees, cut as its architecture wants them.
+    features : ndarray of float32, (n, 8)
+        `FEATURES` of the robot and the map.
+    heading_rad : ndarray of float32, (n,)
+        Heading [rad].
+    tan_grade : ndarray of float32, (n,)
+        Tangent of the pitch along the motion, positive uphill.
+    weight_n : ndarray of float32, (n,)
+        Weight of the robot and its load [N].
+    rolling_resistance : ndarray of float32, (n,)
+        Declared mu.
+    hotel_per_m : ndarray of float32, (n,)
+        Energy per metre that does not move the robot [J/m].
+    regeneration : ndarray of float32, (n,)
+        Share of braking energy that returns to the battery.
+    voltage_v : ndarray of float32, (n,)
+        Nominal voltage [V].
+    energy_j : ndarray of float32, (n,)
+        Energy drawn from the battery [J].
+    run : ndarray of int64, (n,)
+        The run a segment belongs to: whole runs are held out.
     """
 
     inputs: NDArray[np.float32]
@@ -64,19 +78,41 @@ class Examples:
         return len(self.inputs)
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Examples:
-        """The segments of a mask or of indices."""
+        """Return some of the segments.
+
+        Parameters
+        ----------
+        which : ndarray of bool or int64
+            A mask or indices.
+
+        Returns
+        -------
+        Examples
+            In the order of `which`.
+        """
         return Examples(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
     def data_hash(self) -> str:
-        """SHA-256 (16 hex digits) of every array: which data a model was made from."""
+        """SHA-256 of all arrays, 16 hex digits: it identifies the data that a model was made from."""
         digest = hashlib.sha256()
         for field in fields(self):
             digest.update(np.ascontiguousarray(getattr(self, field.name)).tobytes())
         return digest.hexdigest()[:16]
 
     def domain(self, *, max_slope_deg: float | None = None) -> Domain:
-        """The ranges these examples cover. max_slope_deg : where it is known better than from the segments' grades."""
+        """Return the ranges that these examples cover.
+
+        Parameters
+        ----------
+        max_slope_deg : float, optional
+            Steepest ground [degrees]; from the segments' grades by default.
+
+        Returns
+        -------
+        Domain
+            The ranges.
+        """
         low, high = self.features.min(axis=0).astype(float), self.features.max(axis=0).astype(float)
         robot: dict[str, tuple[float, float]] = {}
         for k, key in enumerate(FEATURES[:-1]):
@@ -99,63 +135,98 @@ def cut_examples(
     *,
     run: ArrayLike = 0,
     payload_kg: ArrayLike = 0.0,
-    architecture: str = "compact",
-    size: int = RESNET_SIZE,
+    architecture: str = DEFAULT_ARCHITECTURE,
+    size: int | None = None,
     turned_rad: ArrayLike = 0.0,
 ) -> Examples:
-    """Examples from 1 m segments centred at (x, y) [m], (n,) each. run, payload_kg : (n,) or one number.
+    """Make examples of measured 1 m segments.
 
-    Segments whose ground the heightmap does not know are left out (compare `len`). size : of a ResNet18 patch.
-    turned_rad : squares are cut as if the world, ground and motion, were turned clockwise by so much, (n,) (compact
-    only): the same energy, seen from another side. Raises ModelError for an unknown architecture.
+    Segments whose ground the heightmap does not know are left out: compare `len`.
+
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        As its file declares it.
+    x, y : array_like, (n,)
+        Centres of the segments [m].
+    heading_rad : array_like, (n,)
+        Headings [rad].
+    energy_j : array_like, (n,)
+        Measured energy [J].
+    run : array_like, (n,), optional
+        The run of each segment.
+    payload_kg : array_like, (n,), optional
+        Load on top of the robot's mass [kg].
+    architecture : str, optional
+        What the examples are for, one of `ARCHITECTURES`.
+    size : int, optional
+        Rows and columns of an input, where the architecture leaves the choice.
+    turned_rad : array_like, (n,), optional
+        Angle [rad] by which the world, ground and motion, is turned clockwise: the same energy, seen from another
+        direction. For architectures whose inputs are not cut along the heading.
+
+    Returns
+    -------
+    Examples
+        Of the segments on known ground, in order.
+
+    Raises
+    ------
+    ModelError
+        If the architecture is unknown.
     """
+    kind = find_architecture(architecture)
     arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run, payload_kg, turned_rad)
     xs, ys, heading, energy = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in arrays[:4])
     runs = np.ascontiguousarray(arrays[4], dtype=np.int64).ravel()
     turned = np.asarray(arrays[6], dtype=np.float64).ravel()
     grade = tan_grade(heightmap, xs, ys, heading)
-    if architecture == "compact":
-        inputs = cut_squares(heightmap, xs, ys, size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M, turned_rad=turned)
-    elif architecture == "resnet18":
-        inputs = cut_patches_around(heightmap, xs, ys, heading, size=size)
-    else:
-        raise ModelError(f"no architecture {architecture!r}: known are {', '.join(ARCHITECTURES)}", name=architecture)
+    inputs = kind.cut_inputs(heightmap, xs, ys, heading, size=kind.input_size(size), turned_rad=turned)
     known = np.isfinite(inputs[:, 0, 0]) & np.isfinite(grade) & np.isfinite(energy)
     n = int(known.sum())
 
-    def same(value: float) -> NDArray[np.float32]:
+    def _same(value: float) -> NDArray[np.float32]:
         return np.full(n, value, dtype=np.float32)
 
-    def kept(values: FloatArray) -> NDArray[np.float32]:
+    def _kept(values: FloatArray) -> NDArray[np.float32]:
         return values[known].astype(np.float32)
 
     weight_n = GRAVITY_MPS2 * (robot.mass_kg + np.asarray(arrays[5], dtype=np.float64).ravel())
     return Examples(
         inputs[known],
         np.tile(robot_features(robot, heightmap.resolution_m), (n, 1)),
-        kept(heading + turned),
-        kept(grade),
-        kept(weight_n),
-        same(robot.rolling_resistance),
-        same(robot.hotel_per_m),
-        same(robot.regeneration),
-        same(robot.nominal_voltage_v),
-        kept(energy),
+        _kept(heading + turned),
+        _kept(grade),
+        _kept(weight_n),
+        _same(robot.rolling_resistance),
+        _same(robot.hotel_per_m),
+        _same(robot.regeneration),
+        _same(robot.nominal_voltage_v),
+        _kept(energy),
         runs[known],
     )
 
 
-def cut_patches_around(
-    heightmap: Heightmap, x: FloatArray, y: FloatArray, heading_rad: FloatArray, *, size: int
-) -> NDArray[np.float32]:
-    """The paper's patches of segments *centred* at (x, y): each starts half a metre before. (n, size, size)."""
-    dx, dy = heading_vector(heading_rad)
-    half = 0.5 * SEGMENT_M
-    return cut_patches(heightmap, x - half * dx, y - half * dy, heading_rad, size=size, side_m=SEGMENT_M)
-
-
 def concatenate(parts: Sequence[Examples]) -> Examples:
-    """All examples of several sets, in order. Raises InputError for none."""
+    """Join several sets of examples.
+
+    Parameters
+    ----------
+    parts : sequence of Examples
+        At least one.
+
+    Returns
+    -------
+    Examples
+        All of them, in order.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
     if not parts:
         raise InputError("there is no segment to learn from")
     return Examples(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Examples)))

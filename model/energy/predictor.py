@@ -1,4 +1,4 @@
-"""What a model is to the rest of joulemap, and how one is found by name or folder."""
+"""The protocol by which joulemap asks a model, and how a model is found by name or folder."""
 
 from __future__ import annotations
 
@@ -27,33 +27,87 @@ SHIPPED_WEIGHTS = resources.files("joulemap.model") / "weights"
 class Predictor(TractionSource, Protocol):
     """A traction source that also answers for single segments.
 
-    Both ways to ask answer the same for the same place and heading, to float32 rounding.
+    Lattice and single segments give the same answer for the same place and heading, up to float32 rounding.
     """
 
     @property
     def spread(self) -> Spread:
-        """How wide the intervals of its answers are."""
+        """Width of the intervals around its answers."""
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """The traction of `traction_and_std` alone."""
+        """Return the traction of `traction_and_std`.
+
+        Parameters
+        ----------
+        heightmap, robot, frame, headings_rad : Heightmap, Robot, GridFrame, ndarray
+            As `traction_and_std`.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols, K)
+            Traction demand [J/m]; NaN where the map is unknown.
+        """
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> NDArray[np.float64]:
-        """(n,) [J/m] of 1 m segments centred at (x, y) [m]; NaN where the map is unknown."""
+        """Return the traction demand of 1 m segments.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        x, y : array_like, (n,)
+            Centres of the segments [m].
+        heading_rad : array_like, (n,)
+            Headings [rad].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Traction demand [J/m]; NaN where the map is unknown.
+        """
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-        """`segment_traction`, and the standard deviation of each segment's energy [J] where the model knows it."""
+        """Return the traction demand of 1 m segments and its uncertainty.
+
+        Parameters
+        ----------
+        heightmap, robot, x, y, heading_rad : Heightmap, Robot, array_like
+            As `segment_traction`.
+
+        Returns
+        -------
+        traction : ndarray of float64, (n,)
+            Traction demand [J/m]; NaN where the map is unknown.
+        std : ndarray of float64, (n,), optional
+            Standard deviation of each segment's energy [J]; None where the model does not know it.
+        """
 
 
 def load_predictor(spec: str | Path) -> Predictor:
-    """The predictor called "physics" or "default" (the shipped network), or the one in a trained model's folder.
+    """Return the predictor of a model.
 
-    Raises ModelError, with the known names, when there is no such model or its files do not fit together.
+    Parameters
+    ----------
+    spec : str or Path
+        "physics", "default" (the shipped network), or the folder of a trained model.
+
+    Returns
+    -------
+    Predictor
+        Ready to be asked.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model (the known names are in the message), or its files do not fit together.
     """
     if spec == "physics":
         return PhysicsPredictor()

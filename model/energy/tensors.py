@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from joulemap.model.energy.compact import CompactNet, heading_basis
+from joulemap.model.energy.architectures import find_architecture
 from joulemap.model.energy.examples import Examples
-from joulemap.model.energy.resnet import ResNetEnergy
-from joulemap.model.energy.tracks import SQUARE, track_features
-from joulemap.model.energy.uncertainty import LEAST_SHARE, USUAL_SPREAD, segment_std
+from joulemap.model.energy.uncertainty import USUAL_SPREAD, segment_std
 
-Network = CompactNet | ResNetEnergy
+if TYPE_CHECKING:
+    from joulemap.model.energy.architectures.contract import Network
 
 CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a network says of B segments. energy [J]. scale [J] : what errors are relative to. spread : logarithm of the
-    standard deviation over the energy, None where the network has none.
+class NetworkOutput:
+    """What a network answers for B segments.
+
+    Attributes
+    ----------
+    energy : Tensor, (B,)
+        Energy [J].
+    scale : Tensor, (B,)
+        What the errors of a training are relative to [J]: the measured energy, or a floor where it is small.
+    spread : Tensor, (B,), optional
+        Logarithm of the standard deviation over the energy; None where the network knows none.
     """
 
     energy: Tensor
@@ -33,9 +41,28 @@ class Answer:
 
 
 class ExampleTensors:
-    """Examples as tensors on a device, and the energy a network on that device gives them."""
+    """Examples as tensors on a device, and the energy that a network on that device gives them.
+
+    Parameters
+    ----------
+    examples : Examples
+        The n segments.
+    device : torch.device, optional
+        Where the tensors are placed. The processor by default.
+
+    Attributes
+    ----------
+    inputs : Tensor, (n, S, S)
+        Heights [m].
+    features : Tensor, (n, 8)
+        `FEATURES` of the robot.
+    heading, grade, weight, rolling, hotel, regeneration, voltage, measured : Tensor, (n,)
+        The columns of `Examples`, in their units.
+    """
 
     def __init__(self, examples: Examples, device: torch.device = CPU) -> None:
+        self.examples, self.device = examples, device
+
         def placed(values: NDArray[np.float32]) -> Tensor:
             return torch.from_numpy(values).to(device)
 
@@ -49,13 +76,47 @@ class ExampleTensors:
         self.regeneration = placed(examples.regeneration)
         self.voltage = placed(examples.voltage_v)
         self.measured = placed(examples.energy_j)
-        self.tracks = torch.empty(0)
-        if examples.inputs.shape[1] == SQUARE:  # turning and mirroring the ground leaves them as they are
-            self.tracks = torch.from_numpy(
-                track_features(
-                    examples.inputs, examples.heading_rad.astype(np.float64), examples.features[:, 1].astype(np.float64)
-                )
-            )
+        self._derived: dict[str, Tensor] = {}
+
+    def derived(self, key: str, make: Callable[[Examples], NDArray[np.float32]]) -> Tensor:
+        """Return what an architecture computes from the examples once and needs in every pass.
+
+        Parameters
+        ----------
+        key : str
+            A name for it.
+        make : callable
+            Computes it, (n, ...), when it is asked for the first time.
+
+        Returns
+        -------
+        Tensor
+            On the device.
+        """
+        if key not in self._derived:
+            self._derived[key] = torch.from_numpy(make(self.examples)).to(self.device)
+        return self._derived[key]
+
+    def energy_of(self, traction: Tensor, part: Tensor, *, leak: float) -> Tensor:
+        """Return the energy that segments take from the battery.
+
+        Parameters
+        ----------
+        traction : Tensor, (B,)
+            Traction demand [J].
+        part : Tensor of int64, (B,)
+            Which examples.
+        leak : float
+            Least slope below zero traction, where the robot's own is its regeneration. 1 gives the hotel load plus the
+            traction.
+
+        Returns
+        -------
+        Tensor, (B,)
+            Energy [J].
+        """
+        down = torch.clamp_max(traction, 0.0) * torch.clamp_min(self.regeneration[part], leak)
+        return self.hotel[part] + torch.relu(traction) + down
 
     def answer(
         self,
@@ -66,44 +127,51 @@ class ExampleTensors:
         quarter_turns: int = 0,
         mirror: bool = False,
         jitter: float = 0.0,
-    ) -> Answer:
-        """What the network says of the segments `part`.
+    ) -> NetworkOutput:
+        """Ask a network for the energy of some examples.
 
-        The ground is turned clockwise by quarter turns after being mirrored east to west; headings go with it.
+        Parameters
+        ----------
+        net : Network
+            On the same device.
+        part : Tensor of int64, (B,)
+            Which examples.
+        leak : float
+            As `energy_of`.
+        quarter_turns, mirror, jitter : int, bool, float
+            Augmentations, as `Architecture.answer`: the ground is turned clockwise after being mirrored east to west,
+            and headings go with it.
+
+        Returns
+        -------
+        NetworkOutput
+            Of the B examples.
         """
-        inputs = self.inputs[part]
-        measured = self.measured[part]
-        if mirror:
-            inputs = inputs.flip(2)
-        if isinstance(net, ResNetEnergy):
-            return Answer(net(inputs) * self.voltage[part], measured.abs().clamp_min(1e-6), None)
-        heading = -self.heading[part] if mirror else self.heading[part]
-        if quarter_turns:
-            inputs = torch.rot90(inputs, -quarter_turns, (1, 2))
-            heading = heading + quarter_turns * (math.pi / 2)
-        features = self.features[part]
-        if jitter:
-            noise = jitter * (net.feature_high - net.feature_low) * torch.randn_like(features)
-            noise[:, -1] = 0.0  # the map's resolution is no trait of a robot
-            features = features + noise
-        basis = torch.from_numpy(heading_basis(heading.numpy(), net.config.order))
-        over_weight, spread = net(inputs, features, basis, self.tracks[part], self.grade[part], self.rolling[part])
-        traction = self.weight[part] * over_weight
-        hotel = self.hotel[part]
-        down = torch.clamp_max(traction, 0.0) * torch.clamp_min(self.regeneration[part], leak)
-        least = LEAST_SHARE * (hotel + self.weight[part] * self.rolling[part])
-        return Answer(hotel + torch.relu(traction) + down, torch.maximum(measured.abs(), least), spread)
-
-
-def at_once(net: Network) -> int:
-    """Segments that one pass may judge: a ResNet18 keeps 4 MB for every patch of 256 x 256."""
-    return 2048 if isinstance(net, CompactNet) else 256
+        architecture = find_architecture(net.architecture)
+        return architecture.answer(
+            net, self, part, leak=leak, quarter_turns=quarter_turns, mirror=mirror, jitter=jitter
+        )
 
 
 def predicted(net: Network, examples: Examples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(energy, its standard deviation as the network believes it) [J] of every example, (n,) each."""
+    """Ask a network for the energy of all examples, on the processor.
+
+    Parameters
+    ----------
+    net : Network
+        On the processor.
+    examples : Examples
+        The n segments.
+
+    Returns
+    -------
+    energy : ndarray of float64, (n,)
+        Energy [J].
+    std : ndarray of float64, (n,)
+        Standard deviation [J] as the network estimates it, before any calibration on held-out runs.
+    """
     net.eval()
-    batch = at_once(net)
+    batch = find_architecture(net.architecture).at_once
     data = ExampleTensors(examples)
     energy, relative = np.empty(len(examples)), np.full(len(examples), USUAL_SPREAD)
     with torch.inference_mode():

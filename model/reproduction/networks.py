@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.torch import save_file
 
+from joulemap.model.energy.architectures.compact.architecture import Compact
+from joulemap.model.energy.architectures.contract import Network
+from joulemap.model.energy.architectures.resnet18 import ResNet18, ResNetEnergy
 from joulemap.model.energy.artifact import CONFIG_FILE, Artifact, read_artifact, save_artifact
 from joulemap.model.energy.examples import Examples, concatenate, cut_examples
 from joulemap.model.energy.predictor import SHIPPED_WEIGHTS, Predictor, load_predictor
-from joulemap.model.energy.resnet import ResNetEnergy, load_backbone
 from joulemap.model.errors import ModelError
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot
@@ -22,7 +24,7 @@ from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.reproduction.measured import Measured
 from joulemap.model.reproduction.profiles import STRATEGIES, Profile
 from joulemap.model.robot import Robot
-from joulemap.model.training.measured_runs import CHECKPOINT, LEARNING_RATE, train_on_runs
+from joulemap.model.training.measured_runs import CHECKPOINT, train_on_runs
 from joulemap.model.training.optimisation import TrainingOptions, train_network
 from joulemap.model.training.pretraining import MAX_TURN_RAD
 
@@ -61,7 +63,7 @@ def compact_on_more(examples: Examples, *, out: Path, seed: int, epochs: int) ->
     if not (out / CONFIG_FILE).exists():
         parent = read_artifact(SHIPPED)
         options = TrainingOptions(
-            epochs=epochs, patience=epochs, batch=_MORE_BATCH, learning_rate=LEARNING_RATE["compact"]
+            epochs=epochs, patience=epochs, batch=_MORE_BATCH, learning_rate=Compact.training.learning_rate
         )
         result = train_network(examples, seed=seed, start_from=parent.net, options=options)
         save_artifact(out, Artifact(result.net, parent.domain.joined(examples.domain())))
@@ -93,7 +95,7 @@ def pretrained_backbone(out: Path, *, profile: Profile, seed: int) -> Path:
                     found.heading_rad[mine],
                     found.energy_j[mine],
                     run=2 * number + half,
-                    architecture="resnet18",
+                    architecture=ResNet18.name,
                     size=profile.resnet_size,
                 )
             )
@@ -142,7 +144,7 @@ def trained_resnet(
             straight.heading_rad,
             straight.energy_j,
             run=straight.run,
-            architecture="resnet18",
+            architecture=ResNet18.name,
             size=size,
         )
         net = _trained_resnet(
@@ -160,17 +162,12 @@ def trained_resnet(
 
 def _start(strategy: str, backbone: Path | None, start_from: Path | None) -> ResNetEnergy | None:
     if start_from is not None:
-        net = read_artifact(start_from).net
-        if not isinstance(net, ResNetEnergy):
-            raise ModelError(f"{start_from} is not a resnet18")
-        return net
+        return _resnet(read_artifact(start_from).net)
     if strategy == "scratch":
         return None
     if backbone is None:
         raise ModelError(f"the strategy {strategy!r} needs a backbone's weights")
-    net = ResNetEnergy()
-    net.backbone = load_backbone(backbone)
-    return net
+    return ResNet18().from_backbone(backbone)
 
 
 def _trained_resnet(
@@ -181,7 +178,7 @@ def _trained_resnet(
     seed: int,
     frozen: bool,
     checkpoint: Path,
-    learning_rate: float = LEARNING_RATE["resnet18"],
+    learning_rate: float = ResNet18.training.learning_rate,
 ) -> ResNetEnergy:
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     options = TrainingOptions(
@@ -194,11 +191,15 @@ def _trained_resnet(
         loss="mse",
     )
     result = train_network(
-        examples, architecture="resnet18", seed=seed, start_from=start, options=options, checkpoint=checkpoint
+        examples, architecture=ResNet18.name, seed=seed, start_from=start, options=options, checkpoint=checkpoint
     )
-    if not isinstance(result.net, ResNetEnergy):
-        raise ModelError("the training of a resnet18 returned another network")
-    return result.net
+    return _resnet(result.net)
+
+
+def _resnet(net: Network) -> ResNetEnergy:
+    if not isinstance(net, ResNetEnergy):
+        raise ModelError(f"the reproduction needs a {ResNet18.name}, not a {net.architecture}")
+    return net
 
 
 def predicted_j(predictor: Predictor, measured: Measured, robot: Robot) -> FloatArray:

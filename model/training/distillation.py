@@ -13,17 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.energy.architectures import find_architecture
 from joulemap.model.energy.artifact import Artifact, load_artifact, predictor_of, read_artifact, save_artifact
-from joulemap.model.energy.compact import CompactNet
 from joulemap.model.energy.examples import Examples, concatenate, cut_examples
 from joulemap.model.energy.predictor import Predictor
-from joulemap.model.energy.resnet import ResNetPredictor
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import InputError, ModelError
 from joulemap.model.loop.prediction import Prediction, predict_segments
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
@@ -52,7 +51,7 @@ def ask_teacher(
     for start in range(0, count, _AT_ONCE):
         x, y, heading = random_places(heightmap, min(_AT_ONCE, count - start), rng)
         energy = robot.hotel_per_m + teacher.segment_traction(heightmap, robot, x, y, heading)
-        parts.append(cut_examples(heightmap, robot, x, y, heading, energy, run=TAUGHT))
+        parts.append(cut_examples(heightmap, robot, x, y, heading, energy, run=TAUGHT, architecture=STUDENT))
         if progress is not None:
             progress(min(start + _AT_ONCE, count) / count)
     examples = concatenate(parts)
@@ -79,9 +78,10 @@ def random_places(heightmap: Heightmap, count: int, rng: np.random.Generator) ->
     return rng.uniform(west, east, count), rng.uniform(south, north, count), rng.uniform(0.0, 2.0 * np.pi, count)
 
 
+TEACHER, STUDENT = "resnet18", "compact"
+"""Architectures of the two."""
 DISTILLING = TrainingOptions(epochs=30, batch=128, learning_rate=1e-3, keep_last=True)
 ANSWERS = 20_000
-_COPIES = 8  # every measured segment is learned from as many sides, as in `joulemap.model.training.measured_runs`
 _JUDGED = 2_000  # places at which student and teacher are compared, none of them taught
 _ASKING = 0.5  # share of the time
 
@@ -125,13 +125,12 @@ def distil_on_runs(
     one that the teacher had not seen, RunsError.
     """
     report = progress or (lambda _: None)
-    knows = load_artifact(teacher)
-    if not isinstance(knows, ResNetPredictor):
-        raise ModelError(f"the teacher {teacher} is no resnet18: make one with `joulemap train --arch resnet18`")
-    learned = read_artifact(teacher)
+    knows, learned = load_artifact(teacher), read_artifact(teacher)
+    if learned.architecture != TEACHER:
+        raise ModelError(f"the teacher {teacher} is no {TEACHER}: make one with `joulemap train --arch {TEACHER}`")
     parent = read_artifact(start_from)
-    if not isinstance(parent.net, CompactNet):
-        raise ModelError(f"{start_from} is no compact model: a student cannot start from it")
+    if parent.architecture != STUDENT:
+        raise ModelError(f"{start_from} is no {STUDENT} model: a student cannot start from it")
     _, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
     check_runs(segments, heightmap, robot)
     unseen = [str(name) for name in learned.training.get("held_out_runs", [])]
@@ -148,6 +147,7 @@ def distil_on_runs(
     examples = concatenate([measured, taught])
     result = train_network(
         examples,
+        architecture=STUDENT,
         seed=seed,
         start_from=parent.net,
         held_out_runs=held,
@@ -189,7 +189,8 @@ def _measured(heightmap: Heightmap, robot: Robot, segments: Segments, rng: np.ra
     """The straight segments, as driven and with the world turned by random angles."""
     straight = segments.take(np.flatnonzero(np.abs(segments.heading_change_rad) < MAX_TURN_RAD))
     payload = np.nan_to_num(straight.extras.get("payload", np.zeros(len(straight))))
-    turns = [np.zeros(len(straight)), *rng.uniform(0.0, 2.0 * np.pi, (_COPIES - 1, len(straight)))]
+    copies = find_architecture(STUDENT).training.copies
+    turns = [np.zeros(len(straight)), *rng.uniform(0.0, 2.0 * np.pi, (copies - 1, len(straight)))]
     return concatenate(
         [
             cut_examples(
@@ -201,6 +202,7 @@ def _measured(heightmap: Heightmap, robot: Robot, segments: Segments, rng: np.ra
                 straight.energy_j,
                 run=straight.run,
                 payload_kg=payload,
+                architecture=STUDENT,
                 turned_rad=turned,
             )
             for turned in turns

@@ -14,8 +14,8 @@ from joulemap.model.energy.uncertainty import LEVELS, Spread
 from joulemap.model.errors import InputError
 from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.files import read_segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 

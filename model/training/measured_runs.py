@@ -11,38 +11,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
+from joulemap.model.energy.architectures.contract import Architecture, Network, check_start
 from joulemap.model.energy.artifact import Artifact, predictor_of, read_artifact, save_artifact
 from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.examples import RESNET_SIZE, Examples, cut_examples
+from joulemap.model.energy.examples import Examples, cut_examples
 from joulemap.model.energy.examples import concatenate as concatenated
-from joulemap.model.energy.resnet import ResNetEnergy, load_backbone
-from joulemap.model.energy.tensors import Network
-from joulemap.model.energy.tracks import SQUARE
 from joulemap.model.energy.uncertainty import FEWEST, LEAST_SHARE, Spread, fit_spread
 from joulemap.model.errors import InputError
 from joulemap.model.loop.prediction import Prediction, joined, predict_segments
 from joulemap.model.loop.record import RECORD_FILE
 from joulemap.model.loop.residuals_of_runs import keep_base_runs
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
 from joulemap.model.training.optimisation import TrainingOptions, averaged, train_network
 from joulemap.model.training.pretraining import MAX_TURN_RAD
 
-LEARNING_RATE = {"compact": 1e-3, "resnet18": 1e-4}  # the latter is the paper's (section V-A)
-FINE_TUNING_RATE = 5e-4
 CHECKPOINT = "training.pt"
-BATCH = {"compact": 64, "resnet18": 32}  # a day of driving is about a thousand segments: larger leave too few steps
-EPOCHS = {"compact": 12, "resnet18": 60}  # of the compact network's data there are `_COPIES` times as many
 FOLDS = 5
 """Parts into which the runs are divided for cross-fitting, whole runs at a time."""
 _STRETCHES = 4  # of a single run, each then held out whole
-_COPIES = 8
-"""Every segment is learned from so many sides (compact): as driven, and with the world turned by random angles. Runs
-often go to and fro in one direction, and a network that has seen no other errs in all others."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +62,7 @@ def train_on_runs(
     files: Sequence[Path],
     *,
     out: Path,
-    architecture: str = "compact",
+    architecture: str = DEFAULT_ARCHITECTURE,
     start_from: Path | None = None,
     backbone: Path | None = None,
     patch_size: int | None = None,
@@ -94,29 +86,27 @@ def train_on_runs(
     resnet18]; charge : as `read_segments`; resume : go on where a training of the same data and settings was cut off
     (its state is kept in `out` until it ends). Raises InputError, ModelError, RunsError.
     """
-    if backbone is not None and (architecture != "resnet18" or start_from is not None):
-        raise InputError("weights for a backbone go with the resnet18 architecture, and not with a model to start from")
+    kind = find_architecture(architecture)
+    if backbone is not None and start_from is not None:
+        raise InputError("weights for a backbone do not go together with a model to start from")
     runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
     check_runs(segments, heightmap, robot)
     parent = read_artifact(start_from) if start_from is not None else None
     start: Network | None = parent.net if parent is not None else None
+    check_start(kind, start)
     if backbone is not None:
-        start = ResNetEnergy()
-        start.backbone = load_backbone(backbone)
-    size = patch_size or (parent.size if isinstance(start, ResNetEnergy) and parent is not None else RESNET_SIZE)
-    if isinstance(start, ResNetEnergy) and parent is not None and size != parent.size:
+        start = kind.from_backbone(backbone)
+    size = kind.input_size(patch_size or (parent.size if parent is not None else None))
+    if parent is not None and size != parent.size:
         raise InputError(f"the network of {start_from} reads patches of {parent.size} rows, not {size}", size=size)
-    work = _Training(
-        heightmap, robot, segments, architecture, size, start, parent.domain if parent else None, out, seed
-    )
+    work = _Training(heightmap, robot, segments, kind, size, start, parent.domain if parent else None, out, seed)
     if not resume:
         work.forget()
     out.mkdir(parents=True, exist_ok=True)
-    crossed = architecture == "compact" and parent is not None
-    rate = FINE_TUNING_RATE if crossed else LEARNING_RATE.get(architecture, 1e-3)
-    options = TrainingOptions(
-        epochs=epochs or EPOCHS.get(architecture, 60), batch=BATCH.get(architecture, 32), learning_rate=rate
-    )
+    usual = kind.training
+    crossed = usual.cross_fitted and parent is not None
+    rate = (usual.fine_tuning_rate if crossed else None) or usual.learning_rate
+    options = TrainingOptions(epochs=epochs or usual.epochs, batch=usual.batch, learning_rate=rate)
     if crossed:
         net, passes = work.cross_fit(replace(options, keep_last=True), seed, progress)
     else:
@@ -164,7 +154,7 @@ class _Training:
         heightmap: Heightmap,
         robot: Robot,
         segments: Segments,
-        architecture: str,
+        kind: Architecture[Any],
         patch_size: int,
         start: Network | None,
         learned: Domain | None,
@@ -172,15 +162,13 @@ class _Training:
         seed: int,
     ) -> None:
         self.heightmap, self.robot, self.segments, self.out = heightmap, robot, segments, out
-        self.architecture, self.start, self.patch_size = architecture, start, patch_size
+        self.kind, self.start, self.patch_size = kind, start, patch_size
         self.part = _parts(segments)
         straight = np.flatnonzero(np.abs(segments.heading_change_rad) < MAX_TURN_RAD)
         s = segments.take(straight)
         payload = np.nan_to_num(s.extras.get("payload", np.zeros(len(s))))
-        turns = np.zeros((1, len(s)))
-        if architecture == "compact":
-            angles = np.random.default_rng([seed, len(s)]).uniform(0.0, 2.0 * math.pi, (_COPIES - 1, len(s)))
-            turns = np.concatenate([turns, angles])
+        angles = np.random.default_rng([seed, len(s)]).uniform(0.0, 2.0 * math.pi, (kind.training.copies - 1, len(s)))
+        turns = np.concatenate([np.zeros((1, len(s))), angles])
         seen = [
             cut_examples(
                 heightmap,
@@ -191,7 +179,7 @@ class _Training:
                 s.energy_j,
                 run=self.part[straight],
                 payload_kg=payload,
-                architecture=architecture,
+                architecture=kind.name,
                 size=patch_size,
                 turned_rad=turned,
             )
@@ -212,13 +200,13 @@ class _Training:
         self._said: list[tuple[NDArray[np.int64], Prediction]] = []  # of segments by networks that had not seen them
 
     def artifact(self, net: Network) -> Artifact:
-        return Artifact(net, self.domain, self.patch_size if self.architecture == "resnet18" else SQUARE)
+        return Artifact(net, self.domain, self.patch_size)
 
     def fit(self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None) -> tuple[Network, int]:
         """(one network, stopped by held-out parts, which it is then judged on; epochs)."""
         result = train_network(
             self.examples,
-            architecture=self.architecture,
+            architecture=self.kind.name,
             seed=seed,
             start_from=self.start,
             options=options,
@@ -238,6 +226,7 @@ class _Training:
         for k, fold in enumerate(folds):
             result = train_network(
                 self.examples,
+                architecture=self.kind.name,
                 seed=seed,
                 start_from=self.start,
                 held_out_runs=fold,

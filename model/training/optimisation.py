@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from zipfile import is_zipfile
 
 import numpy as np
@@ -16,14 +17,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from joulemap.model.energy.compact import CompactNet
-from joulemap.model.energy.examples import ARCHITECTURES, Examples
-from joulemap.model.energy.resnet import ResNetEnergy, fastest_device
-from joulemap.model.energy.tensors import CPU, Answer, ExampleTensors, Network, at_once
+from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
+from joulemap.model.energy.architectures.contract import Architecture, Network, check_start
+from joulemap.model.energy.examples import Examples
+from joulemap.model.energy.tensors import CPU, ExampleTensors, NetworkOutput
 from joulemap.model.errors import InputError, ModelError
 
 _LEAK = 0.02
-"""Slope of the price below zero traction in training, so that a segment wrongly held for braking can be corrected."""
+"""Slope of the energy below zero traction in training, so that a segment wrongly taken for braking has a gradient."""
 _HUBER = 0.3
 """Relative error below which the loss is quadratic."""
 _SPREAD_SHARE = 0.01
@@ -34,13 +35,31 @@ _SPREAD_SHARE = 0.01
 class TrainingOptions:
     """How to train.
 
-    epochs : at most; patience : epochs without a better held-out error before stopping; batch : segments.
-    learning_rate : at the start of a cosine; weight_decay : of AdamW. augment : exact rotations by 90 degrees and
-    mirror images (compact), mirror images (resnet18). freeze_backbone : train the resnet18 head alone. held_out_share
-    : of the runs, where none are named. feature_jitter : noise on what a compact network is told of the robot, over
-    the features' ranges, so that it cannot know a robot again by its numbers. loss : "relative" (Huber of the
-    relative error) or "mse" (of the scaled energy e = E / V, as in the paper). keep_last : train for all `epochs` and
-    keep the last weights, so that the held-out runs chose nothing and judge fairly.
+    Attributes
+    ----------
+    epochs : int
+        Passes over the data, at most.
+    patience : int
+        Epochs without a better held-out error before the training stops.
+    batch : int
+        Segments per step.
+    learning_rate : float
+        At the start of a cosine.
+    weight_decay : float
+        Of AdamW.
+    augment : bool
+        Whether inputs are mirrored and, where the architecture allows it, turned by quarter turns.
+    freeze_backbone : bool
+        Train the head alone, where the architecture has a backbone.
+    held_out_share : float
+        Share of the runs to hold out, where none are named.
+    feature_jitter : float
+        Noise on the robot's features, over their ranges, so that the network cannot recognise a robot by them.
+    loss : str
+        "relative" (Huber of the relative error) or "mse" (of the scaled energy e = E / V, as in the paper).
+    keep_last : bool
+        Train for all `epochs` and keep the last weights: the held-out runs then decide nothing, and errors on them are
+        held-out errors.
     """
 
     epochs: int = 60
@@ -62,8 +81,21 @@ class TrainingOptions:
 
 @dataclass
 class TrainingResult:
-    """net : with the best weights. held_out_error : its mean relative error on the held-out runs. history : one entry
-    per epoch (train_loss, held_out_error). held_out_runs : ids. seed, epochs : as used.
+    """A trained network and how its training went.
+
+    Attributes
+    ----------
+    net : Network
+        With the best weights.
+    held_out_error : float
+        Mean of |error| / `NetworkOutput.scale` on the held-out runs, by which the weights were chosen. Where no segment
+        takes little energy it is the mean relative error of `metrics`.
+    held_out_runs : list of int
+        Their ids.
+    seed : int
+        As used.
+    history : list of dict
+        train_loss and held_out_error of every epoch.
     """
 
     net: Network
@@ -74,13 +106,14 @@ class TrainingResult:
 
     @property
     def epochs(self) -> int:
+        """Passes over the data."""
         return len(self.history)
 
 
 def train_network(
     examples: Examples,
     *,
-    architecture: str = "compact",
+    architecture: str = DEFAULT_ARCHITECTURE,
     seed: int = 0,
     start_from: Network | None = None,
     held_out_runs: Sequence[int] | None = None,
@@ -88,43 +121,102 @@ def train_network(
     checkpoint: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TrainingResult:
-    """Train on every run but the held-out ones, stop when those no longer improve, return the best weights.
+    """Train on every run but the held-out ones, and stop when the error on those no longer improves.
 
-    start_from : a network to fine-tune (itself left as it is). checkpoint : a file written after every epoch, and
-    continued from where it exists: the same seed and data then give the weights of an undisturbed training. Raises
-    ModelError for an unknown architecture or a checkpoint of another training,
-    InputError where nothing is left to train on.
+    Parameters
+    ----------
+    examples : Examples
+        Measured segments, cut for the architecture.
+    architecture : str, optional
+        One of `ARCHITECTURES`.
+    seed : int, optional
+        The same seed and data give the same weights.
+    start_from : Network, optional
+        A network to fine-tune; it is not changed.
+    held_out_runs : sequence of int, optional
+        Runs to hold out. A seeded choice by default.
+    options : TrainingOptions, optional
+        How to train.
+    checkpoint : str or Path, optional
+        A file that is written after every epoch. Where it exists already, the training goes on from it, to the weights
+        of an undisturbed training.
+    progress : callable, optional
+        Gets the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    TrainingResult
+        With the best weights.
+
+    Raises
+    ------
+    ModelError
+        If the architecture is unknown, the network to start from is of another one, or the checkpoint belongs to
+        another training.
+    InputError
+        If no segment is left to train on or to judge by.
     """
     options = options or TrainingOptions()
-    if architecture not in ARCHITECTURES:
-        raise ModelError(f"no architecture {architecture!r}: known are {', '.join(ARCHITECTURES)}", name=architecture)
+    kind = find_architecture(architecture)
+    check_start(kind, start_from)
     held = sorted(held_out_runs) if held_out_runs is not None else choose_held_out(examples, options, seed)
-    aside = np.isin(examples.run, held)
-    if aside.all() or not aside.any():
+    out = np.isin(examples.run, held)
+    if out.all() or not out.any():
         raise InputError(
             f"{len(examples)} segments in {len(np.unique(examples.run))} runs leave nothing to "
-            f"{'train on' if aside.all() else 'judge by'}: at least two runs are needed",
+            f"{'train on' if out.all() else 'judge by'}: at least two runs are needed",
             runs=len(np.unique(examples.run)),
         )
-    device = CPU if architecture == "compact" else fastest_device()
-    with torch.random.fork_rng(devices=[]), _threads(1 if architecture == "compact" else None):
+    with torch.random.fork_rng(devices=[]), _threads(kind.training.threads):
         torch.manual_seed(seed)
-        net = _prepared(examples, architecture, start_from).to(device)
-        trainer = _Trainer(net, examples, np.flatnonzero(~aside), np.flatnonzero(aside), options, seed, device)
+        net = kind.initial(examples, start_from).to(kind.device())
+        trainer = _Trainer(kind, net, examples, np.flatnonzero(~out), np.flatnonzero(out), options, seed)
         trainer.run(Path(checkpoint) if checkpoint is not None else None, progress)
     return TrainingResult(net, trainer.best_error, held, seed, trainer.history)
 
 
 def choose_held_out(examples: Examples, options: TrainingOptions, seed: int) -> list[int]:
-    """A seeded choice of whole runs, at least one, about `held_out_share` of them."""
+    """Choose whole runs to hold out.
+
+    Parameters
+    ----------
+    examples : Examples
+        All segments.
+    options : TrainingOptions
+        `held_out_share` says how many.
+    seed : int
+        Of the choice.
+
+    Returns
+    -------
+    list of int
+        At least one run.
+    """
     runs = np.unique(examples.run)
     count = min(max(1, round(options.held_out_share * runs.size)), max(runs.size - 1, 1))
     return sorted(int(r) for r in np.random.default_rng(seed).choice(runs, count, replace=False))
 
 
 def averaged(nets: Sequence[Network]) -> Network:
-    """The network with the mean of the weights of several that were fine-tuned from one: they lie in one valley, and
-    their mean predicts as well as their ensemble at the price of one (Wortsman et al. 2022, "model soups").
+    """Return the network with the mean weights of several networks that were fine-tuned from the same one.
+
+    Parameters
+    ----------
+    nets : sequence of Network
+        At least one.
+
+    Returns
+    -------
+    Network
+        A new one, in evaluation mode.
+
+    Notes
+    -----
+    Such networks lie in one basin of the loss. Their mean predicts as well as their ensemble and costs as much as one.
+
+    References
+    ----------
+    Wortsman et al. 2022, "Model soups".
     """
     mean = deepcopy(nets[0])
     states = [net.state_dict() for net in nets]
@@ -139,9 +231,7 @@ def averaged(nets: Sequence[Network]) -> Network:
 
 @contextmanager
 def _threads(count: int | None) -> Iterator[None]:
-    """So many threads inside (None: as they are). The compact network's layers are too small to share between cores:
-    one thread is nearly as fast on an idle machine and many times faster on a busy one, and its sums never reorder.
-    """
+    """Use this many threads inside (None: as they are)."""
     before = torch.get_num_threads()
     torch.set_num_threads(count or before)
     torch.set_flush_denormal(True)  # momenta of silent units decay to numbers that cost a hundred times as much
@@ -152,52 +242,28 @@ def _threads(count: int | None) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _prepared(examples: Examples, architecture: str, start_from: Network | None) -> Network:
-    """A fresh network, or a copy of the given one, that knows the ranges of these examples."""
-    low, high = examples.features.min(axis=0), examples.features.max(axis=0)
-    if architecture == "compact":
-        if start_from is None:
-            net = CompactNet()
-            net.set_feature_ranges(low, high)
-        elif isinstance(start_from, CompactNet):
-            net = CompactNet(start_from.config)  # the ranges stay: moving them would change what every robot means
-            net.load_state_dict(start_from.state_dict())
-        else:
-            raise ModelError("a compact network cannot be fine-tuned from a resnet18")
-        return net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    if start_from is not None and not isinstance(start_from, ResNetEnergy):
-        raise ModelError("a resnet18 cannot be fine-tuned from a compact network")
-    fresh = ResNetEnergy()
-    if start_from is not None:
-        fresh.load_state_dict(start_from.state_dict())
-    if not fresh.target_scale.any():  # not trained yet: the head starts at the data's mean and spread
-        scaled = examples.energy_j / examples.voltage_v
-        fresh.target_mean = torch.as_tensor(float(scaled.mean()))
-        fresh.target_scale = torch.tensor(max(float(scaled.std()), 1e-6))
-    return fresh
-
-
 class _Trainer:
     """One training: the state that a checkpoint keeps, epoch by epoch."""
 
     def __init__(
         self,
+        kind: Architecture[Any],
         net: Network,
         examples: Examples,
         train: NDArray[np.int64],
         held: NDArray[np.int64],
         options: TrainingOptions,
         seed: int,
-        device: torch.device,
     ) -> None:
-        self.net, self.options, self.seed, self.device = net, options, seed, device
+        self.kind, self.net, self.options, self.seed, self.device = kind, net, options, seed, kind.device()
         start = hashlib.sha256(b"".join(v.contiguous().cpu().numpy().tobytes() for v in net.state_dict().values()))
-        aside = np.unique(examples.run[held]).tolist()
-        self.identity = f"{examples.data_hash} seed {seed} {options} without {aside} from {start.hexdigest()[:16]}"
-        self.data = ExampleTensors(examples, device)
-        self.train, self.held = (torch.from_numpy(part).to(device) for part in (train, held))
-        if isinstance(net, ResNetEnergy) and options.freeze_backbone:
-            net.backbone.requires_grad_(False)
+        without = np.unique(examples.run[held]).tolist()
+        self.identity = f"{examples.data_hash} seed {seed} {options} without {without} from {start.hexdigest()[:16]}"
+        self.data = ExampleTensors(examples, self.device)
+        self.train, self.held = (torch.from_numpy(part).to(self.device) for part in (train, held))
+        self.frozen = kind.backbone_of(net) if options.freeze_backbone else None
+        if self.frozen is not None:
+            self.frozen.requires_grad_(False)
         trained = [p for p in net.parameters() if p.requires_grad]
         self.optimizer = torch.optim.AdamW(trained, lr=options.learning_rate, weight_decay=options.weight_decay)
         self.best: dict[str, Tensor] = {k: v.clone() for k, v in net.state_dict().items()}
@@ -233,11 +299,11 @@ class _Trainer:
         torch.manual_seed(int(rng.integers(2**31)))
         order = self.train[torch.from_numpy(rng.permutation(len(self.train))).to(self.device)]
         batches = order.split(options.batch)
-        if isinstance(self.net, ResNetEnergy) and len(batches) > 1 and len(batches[-1]) == 1:
+        if len(batches) > 1 and len(batches[-1]) < self.kind.training.least_batch:
             batches = batches[:-1]  # one patch alone has no batch to be normalised over
         self.net.train()
-        if isinstance(self.net, ResNetEnergy) and options.freeze_backbone:
-            self.net.backbone.eval()
+        if self.frozen is not None:
+            self.frozen.eval()
         total = 0.0
         for k, part in enumerate(batches):
             done = (epoch + k / len(batches)) / options.epochs
@@ -257,7 +323,7 @@ class _Trainer:
             total += float(loss.detach()) * len(part)
         return total / len(self.train)
 
-    def _loss(self, answer: Answer, part: Tensor) -> Tensor:
+    def _loss(self, answer: NetworkOutput, part: Tensor) -> Tensor:
         measured = self.data.measured[part]
         if self.options.loss == "mse":
             return torch.mean(((answer.energy - measured) / self.data.voltage[part]) ** 2)
@@ -276,7 +342,7 @@ class _Trainer:
         self.net.eval()
         total = 0.0
         with torch.inference_mode():
-            for part in self.held.split(at_once(self.net)):
+            for part in self.held.split(self.kind.at_once):
                 answer = self.data.answer(self.net, part, leak=0.0)
                 total += float(((answer.energy - self.data.measured[part]).abs() / answer.scale).sum())
         return total / len(self.held)

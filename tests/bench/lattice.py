@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from joulemap.model.energy.dense import CompactPredictor
+from joulemap.model.energy.architectures.compact.dense import CompactPredictor
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.frames import heading_bins
 from joulemap.model.robot import Robot

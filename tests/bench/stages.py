@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from fastapi.testclient import TestClient
 
+from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
 from joulemap.model.energy.predictor import load_predictor
-from joulemap.model.energy.resnet import ResNetEnergy
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.patches import cut_patches
 from joulemap.model.terrain.writers import write_geotiff

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from joulemap.model.energy.architectures.compact.net import CompactNet
 from joulemap.model.energy.artifact import read_artifact
-from joulemap.model.energy.compact import CompactNet
 from joulemap.model.energy.physics import PhysicsPredictor, eq5_traction_per_m
 from joulemap.model.errors import InputError, ModelError
 from joulemap.model.terrain.writers import write_geotiff

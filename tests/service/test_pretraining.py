@@ -7,9 +7,9 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from joulemap.model.energy.compact import FEATURES
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.energy.robot_features import FEATURES
 from joulemap.model.energy.tensors import predicted
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from joulemap.model.energy.dense import CompactPredictor
+from joulemap.model.energy.architectures.compact.dense import CompactPredictor
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.loop.calibrated import Correction, save_calibrated
 from joulemap.model.loop.effects import Term

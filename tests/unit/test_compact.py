@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from joulemap.model.energy.compact import CompactNet, robot_features, slopes_of_squares
-from joulemap.model.energy.dense import CompactPredictor
+from joulemap.model.energy.architectures.compact.dense import CompactPredictor
+from joulemap.model.energy.architectures.compact.net import CompactNet, slopes_of_squares
+from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
+from joulemap.model.energy.architectures.compact.tracks import (
+    PIXEL_M,
+    REACH_M,
+    SQUARE,
+    TRACK_SCALES,
+    TRACKS,
+    track_features,
+)
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.physics import PhysicsPredictor
-from joulemap.model.energy.raster import Buffers, read_cells
-from joulemap.model.energy.tracks import PIXEL_M, REACH_M, SQUARE, TRACK_SCALES, TRACKS, track_features
+from joulemap.model.energy.robot_features import robot_features
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
@@ -155,7 +163,7 @@ def test_the_answer_does_not_depend_on_how_the_passes_are_cut(monkeypatch):
     heightmap = rough(0.2)
     frame = heightmap.frame.respaced(1.0)
     whole = predictor().traction_and_std(heightmap, ROBOT, frame, heading_bins(16))
-    monkeypatch.setattr("joulemap.model.energy.dense._JOINED_TILE", (5, 9))
+    monkeypatch.setattr("joulemap.model.energy.architectures.compact.dense._JOINED_TILE", (5, 9))
     for cut, uncut in zip(predictor().traction_and_std(heightmap, ROBOT, frame, heading_bins(16)), whole, strict=True):
         np.testing.assert_allclose(cut, uncut, rtol=2e-5, atol=1e-4)
 
@@ -180,13 +188,20 @@ def test_wheel_tracks_of_a_plane_and_of_a_step():
     assert east["grade"] == pytest.approx(0.3, abs=1e-6)
     assert east["cross_grade"] == pytest.approx(0.2, abs=1e-6)
     assert east["rise"] == pytest.approx(2 * 0.3 * 1.5, abs=1e-6)  # two tracks of a metre and a half
-    for bent in ("bend_125", "bend_250", "bend_375", "curvature", "roughness", "twist"):
+    for bent in (
+        "second_difference_125",
+        "second_difference_250",
+        "second_difference_375",
+        "curvature",
+        "roughness",
+        "twist",
+    ):
         assert east[bent] == pytest.approx(0.0, abs=1e-6)
     step = np.where(y > 0.06, 0.1, 0.0)  # ten centimetres up just north of the middle, met by both wheels
     north, south = tracks(step, 0.0, 0.5), tracks(step, math.pi, 0.5)
     assert north["rise"] == pytest.approx(0.2, abs=1e-6)
     assert south["rise"] == pytest.approx(0.0, abs=1e-6)
-    assert north["bend_125"] == pytest.approx(0.4, abs=1e-6)  # each track bends up and back
+    assert north["second_difference_125"] == pytest.approx(0.4, abs=1e-6)  # each track bends up and back
 
 
 def test_unknown_within_reach_is_unknown_and_no_further():

@@ -7,8 +7,9 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from joulemap.model.energy.architectures.resnet18 import ResNet18, ResNet18Backbone, ResNetEnergy, load_backbone
 from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.resnet import ResNet18Backbone, ResNetEnergy, ResNetPredictor, load_backbone
+from joulemap.model.energy.segment_predictor import SegmentPredictor
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
@@ -100,7 +101,7 @@ def test_price_gives_the_networks_energy_back_and_the_lattice_is_made_of_segment
     heights[5, 5] = math.nan
     heightmap = Heightmap(heights.astype(np.float32), frame)
     robot = Robot()
-    predictor = ResNetPredictor(net, Domain({}, (0.05, 1.0), 30.0), {}, size=32, name="paper")
+    predictor = SegmentPredictor(ResNet18(), net, Domain({}, (0.05, 1.0), 30.0), {}, size=32, name="paper")
     cells = frame.respaced(1.0).window(0, 4, 0, 4)
     headings = heading_bins(4)
     lattice = predictor.traction_per_m(heightmap, robot, cells, headings)

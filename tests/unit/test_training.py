@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from joulemap.model.energy.architectures.contract import Network
+from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
 from joulemap.model.energy.examples import cut_examples
 from joulemap.model.energy.physics import tan_grade
-from joulemap.model.energy.resnet import ResNetEnergy
-from joulemap.model.energy.tensors import ExampleTensors, Network, predicted
+from joulemap.model.energy.tensors import ExampleTensors, predicted
 from joulemap.model.energy.uncertainty import Spread, fit_spread
 from joulemap.model.errors import InputError, ModelError
 from joulemap.model.frames import GridFrame

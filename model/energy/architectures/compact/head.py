@@ -1,7 +1,7 @@
 """The compact network's head over a tile of a lattice, compiled: `CompactNet.ask` for all cells and headings.
 
-Scratch arrays are flat, (whatever, LANES), and inner loops run over at most LANES cells at constant offsets: only so
-do they become vector instructions.
+Scratch arrays are flat, (anything, LANES), and inner loops run over at most LANES cells at constant offsets. The
+compiler makes vector instructions of such loops only.
 """
 
 from __future__ import annotations
@@ -12,9 +12,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.model.energy.compact import HEAD_BLOCK, SPREAD_RANGE
+from joulemap.model.energy.architectures.compact.net import HEAD_BLOCK, SPREAD_RANGE
+from joulemap.model.energy.architectures.compact.tracks import (
+    LANES,
+    SAMPLES,
+    SQUARE,
+    TRACKS,
+    WIDEST_M,
+    corner,
+    describe,
+    track_stencil,
+)
 from joulemap.model.energy.physics import antipodes
-from joulemap.model.energy.tracks import LANES, SAMPLES, SQUARE, TRACKS, WIDEST_M, corner, describe, track_stencil
 from joulemap.model.energy.uncertainty import LEAST_SHARE
 
 _MIDDLE = (SQUARE - 1) // 2
@@ -25,9 +34,20 @@ _INVERSE = tuple(np.float32(1.0 / max(n, 1)) for n in range(10))
 
 @dataclass(frozen=True)
 class Headings:
-    """The headings of a lattice and where their tracks lie. basis : (terms, K) float32. stencil : (2, samples, K, 2).
-    back : (K,) the later heading that drives a heading's tracks back, -1 where there is none. own : whether a heading
-    is not such another's. per_width : one over the distance of the tracks [1/m].
+    """The headings of a lattice and where their tracks lie.
+
+    Attributes
+    ----------
+    basis : ndarray of float32, (terms, K)
+        The series' functions at the headings.
+    stencil : ndarray of float64, (2, samples, K, 2)
+        As from `track_stencil`.
+    back : ndarray of int64, (K,)
+        The later heading that drives a heading's tracks the other way; -1 where there is none.
+    own : ndarray of bool, (K,)
+        Whether a heading is computed itself, and not as the opposite of an earlier one.
+    per_width : float
+        One over the distance of the tracks [1/m].
     """
 
     basis: NDArray[np.float32]
@@ -38,7 +58,22 @@ class Headings:
 
     @classmethod
     def of(cls, headings_rad: NDArray[np.float64], basis: NDArray[np.float32], width_m: float) -> Headings:
-        """basis : (K, terms), the series' functions at those headings [rad]."""
+        """Prepare the headings of a lattice.
+
+        Parameters
+        ----------
+        headings_rad : ndarray of float64, (K,)
+            Headings [rad].
+        basis : ndarray of float32, (K, terms)
+            The series' functions at these headings.
+        width_m : float
+            Width of the robot [m].
+
+        Returns
+        -------
+        Headings
+            Ready for `answer_tile`.
+        """
         ahead, sign = antipodes(headings_rad)
         own = sign > 0.0
         back = np.full(headings_rad.size, -1)
@@ -49,14 +84,31 @@ class Headings:
 
 @njit(cache=True, nogil=True)
 def answer_tile(ground, series, basis, stencil, back, own, per_width, weights, known, price, at, traction, std):
-    """Fill a tile: traction [J/m] (holding the grade before) and the standard deviation of a segment's energy [J].
+    """Fill a tile of a lattice with traction and uncertainty.
 
-    Its cells are every `step`-th of the lattice from (top, left) on, at = (top, left, step, rows, cols): the whole
-    lattice is handed over, because a part of it is contiguous or not by chance, and that would be compiled twice.
-    ground : heights as from `raster.read_cells`. series : (units * terms, rows * cols). basis, stencil, back, own,
-    per_width : as in `Headings`. weights : as from `CompactNet.folded_head`. known : a mu, c and the weight [N].
-    price : the robot's hotel_per_m and regeneration, the energy of level ground [J], and the factor of the spread (as
-    `segment_std`). traction, std : of the lattice, (_, _, K) float32.
+    The whole lattice is passed: a part of it would be contiguous in some calls and not in others, and the function
+    would be compiled twice.
+
+    Parameters
+    ----------
+    ground : ndarray of float64
+        Heights [m] as from `raster.read_cells`.
+    series : ndarray of float32, (units * terms, rows * cols)
+        As from `CompactNet.read_ground`.
+    basis, stencil, back, own, per_width : ndarray, float
+        As in `Headings`.
+    weights : tuple of ndarray
+        As from `CompactNet.folded_head`.
+    known : ndarray of float64, (3,)
+        a mu, c and the weight [N].
+    price : ndarray of float64, (4,)
+        The robot's hotel_per_m [J/m] and regeneration, the energy of level ground [J], and the factor of the spread.
+    at : tuple of int
+        (top, left, step, rows, cols): the tile is every `step`-th cell of the lattice from (top, left) on.
+    traction : ndarray of float32, (_, _, K)
+        Of the whole lattice [J/m]; holds the grade before the call.
+    std : ndarray of float32, (_, _, K)
+        Of the whole lattice: standard deviation of a segment's energy [J].
     """
     top, left, step, rows, cols = at
     count, terms = traction.shape[2], series.shape[0]
@@ -120,8 +172,8 @@ def _sample(ground, i, j, lanes, stencil, k, lines):
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _unchanged(coefficients, basis, k, lanes, met, tracks_w, shift, out):
-    """What the head's first layer says of heading k and of the one back alike, (units, LANES): the series' mean and
-    what the tracks are either way.
+    """The part of the head's first layer, (units, LANES), that heading k and its opposite share: the series' mean and
+    those features of the tracks that do not depend on the direction.
     """
     for u in range(tracks_w.shape[0]):
         mean, row = coefficients[u * basis.shape[0] * LANES :], out[u * LANES :]
@@ -147,8 +199,8 @@ def _harmonics(coefficients, basis, k, lanes, first, out):
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _either_way(lanes, met, fall, tracks_w, ahead, back):
-    """From what stays (`ahead`) and what changes its sign (`back`) to the first layer's answer for both headings: the
-    grade changes its sign, the rise becomes the fall.
+    """From the part that both headings share (`ahead`) and the part that changes its sign (`back`) to the first layer's
+    answer for both: the grade changes its sign, the rise becomes the fall.
     """
     zero = np.float32(0.0)
     for u in range(tracks_w.shape[0]):

@@ -1,12 +1,12 @@
-"""The compact dense network: the unrotated ground is read once, a small head answers for every heading.
+"""The compact network: it reads the ground around a place once, and a small head answers for every heading.
 
-What is known is not learned: traction = m g (a mu + c tan theta + r), with mu the declared rolling resistance, tan
-theta the grade of the 1 m segment (exactly as physics has it), and a and c gains that depend on the robot alone. The
-rest r comes in two steps. The *ground* part, convolutions over the two metres around a place, gives every hidden unit
-of the head a short Fourier series over headings. The *head* evaluates those series at a heading, adds what the wheel
-tracks meet there (`tracks`), and answers r and how far off it may be. Every convolution is valid and their strides
-multiply to 1 m, so that one square of `SQUARE` heights gives one answer and a raster of a whole window gives every
-cell's answer in one pass.
+What is known is not learned: traction = m g (a mu + c tan theta + r). Here mu is the declared rolling resistance, tan
+theta the grade of the 1 m segment (as in eq. 5), and a and c are gains that depend on the robot alone. The rest r is
+learned in two steps. The *ground* part, convolutions over the two metres around a place, gives every hidden unit of the
+head a short Fourier series over headings. The *head* evaluates these series at a heading, adds the features of the
+wheel tracks (`tracks`), and answers r and its standard deviation. All convolutions are unpadded and their strides
+multiply to 1 m. One square of `SQUARE` heights therefore gives one answer, and a raster of a whole window gives the
+answers of all its cells in one pass.
 """
 
 from __future__ import annotations
@@ -20,24 +20,14 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from joulemap.model.energy.tracks import PIXEL_M, TRACKS
+from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, TRACKS
+from joulemap.model.energy.architectures.contract import Network
+from joulemap.model.energy.robot_features import FEATURES
 from joulemap.model.energy.uncertainty import USUAL_SPREAD
 from joulemap.model.errors import ModelError
-from joulemap.model.robot import Robot
 
 STRIDE = 8
 """Working pixels between neighbouring answers."""
-
-FEATURES = (
-    "log_mass_kg",
-    "width_m",
-    "length_m",
-    "wheel_radius_m",
-    "log_speed_mps",
-    "rolling_resistance",
-    "hotel_over_weight",
-    "log2_resolution_m",
-)
 
 HEAD_BLOCK = 8
 """Inputs of the head's layers that the compiled loop adds up at a time."""
@@ -50,9 +40,20 @@ SPREAD_RANGE = (math.log(0.01), math.log(2.0))
 
 @dataclass(frozen=True)
 class CompactConfig:
-    """Widths of the network. channels : of the three strided convolutions; hidden : of the layer after them;
-    order : highest harmonic of the heading; head : of the head's two layers; robot_hidden : of the layer that reads the
-    robot.
+    """Widths of the network's layers.
+
+    Attributes
+    ----------
+    channels : tuple of int
+        Of the three strided convolutions.
+    hidden : int
+        Of the layer after them.
+    order : int
+        Highest harmonic of the heading.
+    head : tuple of int
+        Of the head's two layers.
+    robot_hidden : int
+        Of the layer that reads the robot.
     """
 
     channels: tuple[int, int, int] = (16, 32, 64)
@@ -62,11 +63,28 @@ class CompactConfig:
     robot_hidden: int = 32
 
     def as_dict(self) -> dict[str, Any]:
+        """Return the widths, JSON-able."""
         return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> CompactConfig:
-        """Raises ModelError on unknown or missing keys."""
+        """Make a configuration of what `as_dict` wrote.
+
+        Parameters
+        ----------
+        values : dict
+            Widths by name; those that are missing take their defaults.
+
+        Returns
+        -------
+        CompactConfig
+            The configuration.
+
+        Raises
+        ------
+        ModelError
+            If a name is unknown.
+        """
         converted: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
         try:
             return cls(**converted)
@@ -74,28 +92,21 @@ class CompactConfig:
             raise ModelError(f"the network's description does not fit this version: {error}") from error
 
 
-def robot_features(robot: Robot, resolution_m: float) -> NDArray[np.float32]:
-    """What the network is told of the robot and the map, in the order of `FEATURES`. (8,) float32.
-
-    hotel_over_weight is the idle energy per metre over m g; log2 of metres per pixel of the heightmap comes last.
-    """
-    return np.array(
-        [
-            math.log(robot.mass_kg),
-            robot.width_m,
-            robot.length_m,
-            robot.wheel_radius_m,
-            math.log(robot.speed_mps),
-            robot.rolling_resistance,
-            robot.hotel_per_m / robot.weight_n,
-            math.log2(resolution_m),
-        ],
-        dtype=np.float32,
-    )
-
-
 def heading_basis(heading_rad: ArrayLike, order: int) -> NDArray[np.float32]:
-    """1, sin h, cos h, sin 2h, ... of every heading: (n, 2 order + 1) float32."""
+    """Return 1, sin h, cos h, sin 2h, ... of every heading.
+
+    Parameters
+    ----------
+    heading_rad : array_like, (n,)
+        Headings h [rad].
+    order : int
+        Highest harmonic.
+
+    Returns
+    -------
+    ndarray of float32, (n, 2 order + 1)
+        The basis functions.
+    """
     heading = np.asarray(heading_rad, dtype=np.float64).ravel()
     columns = [np.ones_like(heading)]
     for harmonic in range(1, order + 1):
@@ -104,7 +115,18 @@ def heading_basis(heading_rad: ArrayLike, order: int) -> NDArray[np.float32]:
 
 
 def slopes_of_squares(squares: Tensor) -> Tensor:
-    """Rise to the east and to the north and the twist of every 2 x 2 heights. (B, N, N) -> (B, 3, N - 1, N - 1)."""
+    """Return the slopes of every 2 x 2 heights.
+
+    Parameters
+    ----------
+    squares : Tensor, (B, N, N)
+        Heights [m] at working pixels, north up.
+
+    Returns
+    -------
+    Tensor, (B, 3, N - 1, N - 1)
+        Slope to the east, slope to the north and twist.
+    """
     nw, ne = squares[:, :-1, :-1], squares[:, :-1, 1:]
     sw, se = squares[:, 1:, :-1], squares[:, 1:, 1:]
     east = (ne - nw) + (se - sw)
@@ -115,9 +137,16 @@ def slopes_of_squares(squares: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class RobotCode:
-    """What a robot (or each of B robots) makes of the network. ground : scale and shift of the third convolution and of
-    the hidden layer, (B, 2 (third + hidden), 1, 1); tracks : scale and shift of the head's first layer, (B, 2 head[0]);
-    gains : a and c, (B, 2).
+    """How the robot (or each of B robots) modulates the network.
+
+    Attributes
+    ----------
+    ground : Tensor, (B, 2 (third + hidden), 1, 1)
+        Scale and shift of the third convolution and of the hidden layer.
+    tracks : Tensor, (B, 2 head[0])
+        Scale and shift of the head's first layer.
+    gains : Tensor, (B, 2)
+        Gains a and c of the rolling resistance and of the grade.
     """
 
     ground: Tensor
@@ -127,9 +156,14 @@ class RobotCode:
 
 @dataclass(frozen=True)
 class GroundPass:
-    """`CompactNet.read_ground` for one robot, its scales folded into the weights: fewer passes over memory.
+    """The function `CompactNet.read_ground` for one robot, its scales folded into the weights: less memory traffic.
 
-    convolutions, hidden, series : (weight, bias) of the layers.
+    Attributes
+    ----------
+    convolutions : tuple of (Tensor, Tensor)
+        Weight and bias of each.
+    hidden, series : (Tensor, Tensor)
+        Weight and bias of these layers.
     """
 
     convolutions: tuple[tuple[Tensor, Tensor], ...]
@@ -146,13 +180,19 @@ class GroundPass:
         return torch.addmm(self.series[1], self.series[0], z.T)
 
 
-class CompactNet(nn.Module):
-    """Slopes, wheel tracks and robot in; traction and its spread out. See the module's docstring.
+class CompactNet(Network):
+    """Network from slopes, wheel tracks and robot to traction and its standard deviation.
 
-    The ranges of the robot's features are buffers: features are normalised by them and clamped to them, so that a robot
-    outside what was learned gets the answer of the nearest one inside (and a warning, elsewhere).
+    The ranges of the robot's features are buffers: features are normalised by them and clamped to them. A robot outside
+    the learned ranges gets the answer of the nearest robot inside; the predictor adds a warning.
+
+    Parameters
+    ----------
+    config : CompactConfig, optional
+        Widths of the layers. Those of the shipped network by default.
     """
 
+    architecture = "compact"
     feature_low: Tensor
     feature_high: Tensor
 
@@ -181,14 +221,31 @@ class CompactNet(nn.Module):
         nn.init.constant_(self.spread.bias, math.log(USUAL_SPREAD))
 
     def set_feature_ranges(self, low: ArrayLike, high: ArrayLike) -> None:
-        """The ranges (8,) of the features in the training data; an empty range is widened a little."""
+        """Set the ranges of the features in the training data; an empty range is widened a little.
+
+        Parameters
+        ----------
+        low, high : array_like, (8,)
+            Least and greatest value of each of `FEATURES`.
+        """
         low_t, high_t = torch.tensor(np.asarray(low)), torch.tensor(np.asarray(high))
         with torch.no_grad():
             self.feature_low.copy_(torch.minimum(low_t, high_t - 1e-3))
             self.feature_high.copy_(high_t)
 
     def read_robot(self, features: Tensor) -> RobotCode:
-        """features : (B, 8), as `robot_features`."""
+        """Turn the robot's features into scales, shifts and gains.
+
+        Parameters
+        ----------
+        features : Tensor, (B, 8)
+            As from `robot_features`.
+
+        Returns
+        -------
+        RobotCode
+            Of each of the B robots.
+        """
         inside = torch.maximum(torch.minimum(features, self.feature_high), self.feature_low)
         unit = 2.0 * (inside - self.feature_low) / (self.feature_high - self.feature_low) - 1.0
         code = torch.tanh(self.robot(unit))
@@ -197,9 +254,19 @@ class CompactNet(nn.Module):
         return RobotCode(film[:, :split, None, None], film[:, split:], 1.0 + self.gains(code))
 
     def read_ground(self, slopes: Tensor, robot: RobotCode) -> Tensor:
-        """Series of the head's units, (B, units * (2 order + 1), r, c): all coefficients of a unit together.
+        """Read the ground: a Fourier series over headings for every hidden unit of the head.
 
-        slopes : (B, 3, 8 r + 8, 8 c + 8), for the B robots of `robot` or its one.
+        Parameters
+        ----------
+        slopes : Tensor, (B, 3, 8 r + 8, 8 c + 8)
+            As from `slopes_of_squares`.
+        robot : RobotCode
+            Of B robots, or of one for all.
+
+        Returns
+        -------
+        Tensor, (B, units * (2 order + 1), r, c)
+            Coefficients; those of one unit are next to each other.
         """
         third, hidden = self.config.channels[2], self.config.hidden
         scale0, shift0, scale1, shift1 = robot.ground.split([third, third, hidden, hidden], dim=1)
@@ -210,10 +277,25 @@ class CompactNet(nn.Module):
         return self.series(z)
 
     def ask(self, series: Tensor, basis: Tensor, tracks: Tensor, robot: RobotCode) -> tuple[Tensor, Tensor]:
-        """(r, logarithm of the relative spread), (B,) each, at one heading of each place.
+        """Evaluate the head at one heading of each place.
 
-        series : (B, units * C). basis : (B, C), as `heading_basis`. tracks : (B, 9), as `track_features`.
-        The spread learns from what the head sees, but does not teach it.
+        Parameters
+        ----------
+        series : Tensor, (B, units * C)
+            As from `read_ground`.
+        basis : Tensor, (B, C)
+            As from `heading_basis`.
+        tracks : Tensor, (B, 9)
+            As from `track_features`.
+        robot : RobotCode
+            Of the B robots, or of one for all.
+
+        Returns
+        -------
+        rest : Tensor, (B,)
+            Traction over weight beyond eq. 5.
+        spread : Tensor, (B,)
+            Logarithm of the standard deviation over the energy. Its gradient does not reach the layers below.
         """
         scale, shift = robot.tracks.chunk(2, dim=1)
         units = torch.einsum("buc,bc->bu", series.unflatten(1, (-1, basis.shape[1])), basis)  # (B, units)
@@ -225,9 +307,27 @@ class CompactNet(nn.Module):
     def forward(
         self, squares: Tensor, features: Tensor, basis: Tensor, tracks: Tensor, tan_grade: Tensor, resistance: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """(traction over weight, logarithm of the relative spread), (B,) each.
+        """Answer for single segments.
 
-        squares : (B, 17, 17) [m]. features : (B, 8). basis, tracks : as in `ask`. tan_grade, resistance : (B,).
+        Parameters
+        ----------
+        squares : Tensor, (B, 17, 17)
+            Heights [m], north up.
+        features : Tensor, (B, 8)
+            As from `robot_features`.
+        basis, tracks : Tensor, (B, C) and (B, 9)
+            As in `ask`.
+        tan_grade : Tensor, (B,)
+            Grade of the segments.
+        resistance : Tensor, (B,)
+            Declared rolling resistance.
+
+        Returns
+        -------
+        traction : Tensor, (B,)
+            Traction over weight.
+        spread : Tensor, (B,)
+            Logarithm of the standard deviation over the energy.
         """
         robot = self.read_robot(features)
         series = self.read_ground(slopes_of_squares(squares), robot)[:, :, 0, 0]
@@ -235,7 +335,18 @@ class CompactNet(nn.Module):
         return robot.gains[:, 0] * resistance + robot.gains[:, 1] * tan_grade + rest, spread
 
     def folded_ground(self, robot: RobotCode) -> GroundPass:
-        """`read_ground` for one robot."""
+        """Return `read_ground` for one robot, its scales folded into the weights.
+
+        Parameters
+        ----------
+        robot : RobotCode
+            Of one robot.
+
+        Returns
+        -------
+        GroundPass
+            Without gradients.
+        """
         third, hidden = self.config.channels[2], self.config.hidden
         known = {name: parameter.detach() for name, parameter in self.named_parameters()}
         parts = [p.detach().flatten() for p in robot.ground.split([third, third, hidden, hidden], dim=1)]
@@ -252,9 +363,18 @@ class CompactNet(nn.Module):
         )
 
     def folded_head(self, robot: RobotCode) -> tuple[NDArray[np.float32], ...]:
-        """The head's weights for one robot: tracks (units, 9) and shift (units,), head (last, units) and bias, rest and
-        spread (2, last) and their biases (2,), scaled as `ask` answers. What the compiled loop over a lattice takes;
-        units and last are filled up with silent ones to multiples of `HEAD_BLOCK`.
+        """Return the head's weights for one robot, as the compiled loop over a lattice takes them.
+
+        Parameters
+        ----------
+        robot : RobotCode
+            Of one robot.
+
+        Returns
+        -------
+        tuple of ndarray of float32
+            Tracks (units, 9) and shift (units,), head (last, units) and bias, rest and spread (2, last) and their
+            biases (2,), scaled as `ask` answers. Units and last are padded with zeros to multiples of `HEAD_BLOCK`.
         """
         with torch.no_grad():
             scale, shift = robot.tracks[0].chunk(2)

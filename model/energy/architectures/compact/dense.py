@@ -1,4 +1,4 @@
-"""The compact network over a map: whole windows in dense passes, single segments by their squares, the same answer."""
+"""The compact network over a map: whole windows in dense passes, single segments by their squares, one answer."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.energy.compact import (
+from joulemap.model.energy.architectures.compact.head import Headings, answer_tile
+from joulemap.model.energy.architectures.compact.net import (
     CompactNet,
     GroundPass,
     RobotCode,
     heading_basis,
-    robot_features,
     slopes_of_squares,
 )
+from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
+from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
 from joulemap.model.energy.domain import Domain, Learned
-from joulemap.model.energy.head import Headings, answer_tile
 from joulemap.model.energy.physics import tan_grade, tan_grade_lattice
-from joulemap.model.energy.raster import Buffers, read_cells
-from joulemap.model.energy.tracks import PIXEL_M, REACH_M, SQUARE, track_features
+from joulemap.model.energy.robot_features import robot_features
 from joulemap.model.energy.uncertainty import Spread, segment_std
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
@@ -40,10 +40,25 @@ _PASSES = 8  # a spacing of 1/k m up to this k is answered by k x k passes over 
 
 
 class CompactPredictor(Learned):
-    """Traction demand, and how far off it may be, from a trained compact network.
+    """Traction demand and its uncertainty from a trained compact network.
 
     A cell is NaN where the 2 m square around it touches an unknown height. At the edge of the map the ground is
     continued by odd reflection (a plane stays a plane), so that edge cells have an answer.
+
+    Parameters
+    ----------
+    net : CompactNet
+        A trained network.
+    domain : Domain
+        What it was trained on.
+    provenance : mapping
+        What the predictor says of itself, JSON-able.
+    name : str
+        What the model is called.
+    spread : Spread, optional
+        Its errors on held-out runs.
+    turn_j_per_rad : float, optional
+        Energy of turning beyond straight driving [J/rad].
     """
 
     def __init__(
@@ -62,10 +77,28 @@ class CompactPredictor(Learned):
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(traction [J/m], standard deviation of a 1 m segment's energy [J]), (rows, cols, headings) float32 each, at
-        the cell centres of `frame`; NaN where the map is unknown.
+        """Return traction and uncertainty at the cell centres of a lattice.
 
-        Cells 1, 1/2, 1/3 ... 1/8 m apart share what is read of the ground; at any other spacing each reads its own.
+        Cells at a spacing of 1, 1/2, 1/3 ... 1/8 m share what is read of the ground; at any other spacing each cell
+        reads its own.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        frame : GridFrame
+            Cells of the lattice.
+        headings_rad : ndarray of float64, (K,)
+            Headings [rad].
+
+        Returns
+        -------
+        traction : ndarray of float32, (rows, cols, K)
+            Traction demand [J/m]; NaN where the map is unknown.
+        std : ndarray of float32, (rows, cols, K)
+            Standard deviation of a 1 m segment's energy [J].
         """
         headings_rad = np.ascontiguousarray(headings_rad, dtype=np.float64)
         traction = tan_grade_lattice(heightmap, frame, headings_rad)  # (rows, cols, K), turned into traction below
@@ -82,7 +115,7 @@ class CompactPredictor(Learned):
             high, wide = (max(1, min(n, int(_SQUARES_SPAN_M / frame.resolution_m))) for n in (high, wide))
         mine = threading.local()
 
-        def fill(at: tuple[int, int]) -> None:
+        def _fill(at: tuple[int, int]) -> None:
             if not hasattr(mine, "buffers"):
                 mine.buffers = Buffers.of(high, wide, joined=joined)
             rows = y[at[0] : at[0] + high * step : step]
@@ -105,7 +138,7 @@ class CompactPredictor(Learned):
             )
 
         _each(
-            fill,
+            _fill,
             [
                 (top, left)
                 for i in range(min(step, frame.rows))
@@ -119,7 +152,26 @@ class CompactPredictor(Learned):
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, FloatArray]:
-        """The same for 1 m segments centred at (x, y). (n,) float64 each."""
+        """Return traction and uncertainty of 1 m segments.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        x, y : array_like, (n,)
+            Centres of the segments [m].
+        heading_rad : array_like, (n,)
+            Headings [rad].
+
+        Returns
+        -------
+        traction : ndarray of float64, (n,)
+            Traction demand [J/m]; NaN where the map is unknown.
+        std : ndarray of float64, (n,)
+            Standard deviation of the energy [J].
+        """
         x, y, heading = (
             np.ascontiguousarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x, y, heading_rad)
         )

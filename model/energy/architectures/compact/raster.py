@@ -1,4 +1,4 @@
-"""The ground as the dense passes read it: heights at the working pixels of a tile's cells, and their slopes."""
+"""What the dense passes read of the ground: heights at the working pixels of a tile's cells, and their slopes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.model.energy.compact import STRIDE
-from joulemap.model.energy.tracks import PIXEL_M, SQUARE
+from joulemap.model.energy.architectures.compact.net import STRIDE
+from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, SQUARE
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.rows import columns_between, sample_row
 
@@ -21,14 +21,35 @@ _MIDDLE = (SQUARE - 1) // 2
 
 @dataclass(frozen=True)
 class Buffers:
-    """Room for what `read_cells` reads of a tile: fresh memory costs more than the reading. heights, slopes : flat."""
+    """Memory for what `read_cells` reads of a tile: fresh memory costs more than the reading.
+
+    Attributes
+    ----------
+    heights : ndarray of float64
+        Flat.
+    slopes : ndarray of float32
+        Flat.
+    """
 
     heights: FloatArray
     slopes: NDArray[np.float32]
 
     @classmethod
     def of(cls, rows: int, cols: int, *, joined: bool) -> Buffers:
-        """For tiles of up to so many cells."""
+        """Reserve memory for tiles.
+
+        Parameters
+        ----------
+        rows, cols : int
+            Greatest number of cells of a tile.
+        joined : bool
+            As in `read_cells`.
+
+        Returns
+        -------
+        Buffers
+            Uninitialised.
+        """
         if joined:
             high, wide = STRIDE * rows + SQUARE, STRIDE * cols + SQUARE
         else:
@@ -39,14 +60,31 @@ class Buffers:
 def read_cells(
     heightmap: Heightmap, x: FloatArray, y: FloatArray, buffers: Buffers, *, joined: bool
 ) -> tuple[FloatArray, NDArray[np.float32]]:
-    """Heights around the cells with centres x (cols,), ascending, and y (rows,), descending [m], and their slopes.
+    """Read the heights around cells, and their slopes.
 
-    joined : the cells lie 1 m apart and share their pixels; otherwise each has a square of its own. The map is
-    continued by odd reflection (a plane stays a plane). Returns, in `buffers`,
-    - heights (R, planes, slots) float64 [m]: a kilometre above the sea leaves float32 no room for a tenth of a
-      millimetre. Pixel (r, c) of the square around cell (i, j) is [planes i + r, c % planes, j + c // planes], planes
-      being 8 (joined) or 17, so that neighbouring cells' heights are neighbours;
-    - slopes (B, h, w, 3) float32 as `compact.slopes_of_squares`: of one raster (joined), or of rows * cols squares.
+    The map is continued by odd reflection (a plane stays a plane).
+
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    x : ndarray of float64, (cols,)
+        Cell centres, ascending [m].
+    y : ndarray of float64, (rows,)
+        Cell centres, descending [m].
+    buffers : Buffers
+        Memory for the answer.
+    joined : bool
+        Whether the cells have a spacing of 1 m and share their pixels; otherwise each has a square of its own.
+
+    Returns
+    -------
+    heights : ndarray of float64, (R, planes, slots)
+        Heights [m]; float32 could not hold tenths of a millimetre a kilometre above the sea. Pixel (r, c) of the square
+        around cell (i, j) is at [planes i + r, c % planes, j + c // planes], with 8 planes (joined) or 17, so that
+        heights of neighbouring cells are neighbours in memory.
+    slopes : ndarray of float32, (B, h, w, 3)
+        As from `slopes_of_squares`: of one raster (joined), or of rows * cols squares.
     """
     if joined:
         pixels_down, pixels_right = (np.arange(STRIDE * (n - 1) + SQUARE) - _MIDDLE for n in (y.size, x.size))

@@ -1,8 +1,9 @@
-"""What the two wheel tracks of a 1 m segment meet: nine numbers per place and heading, read off the heightmap itself.
+"""The ground under the two wheel tracks of a 1 m segment: nine numbers per place and heading, from the heightmap.
 
-A network that reads the ground around a place as a whole smears a bump over tens of degrees of heading; the wheels do
-not. These numbers are sharp in heading, cheap (two lines of `SAMPLES` heights), and the same for a single segment and
-for a whole lattice. Driving the other way swaps and reverses the lines, which changes only the grade and the rise.
+A network that reads the ground around a place as a whole spreads a bump over tens of degrees of heading; wheels meet it
+in a narrow range. These numbers are sharp in heading, cheap (two lines of `SAMPLES` heights), and the same for a single
+segment and for a whole lattice. Driving the other way swaps and reverses the lines, which changes only the grade and
+the rise.
 """
 
 from __future__ import annotations
@@ -24,30 +25,53 @@ REACH_M = (SQUARE - 1) // 2 * PIXEL_M
 SAMPLES = 13
 """Heights along a track: from 0.75 m behind the middle of the segment to as far ahead."""
 WIDEST_M = 1.3
-"""Tracks of wider robots are taken this far apart: further, they would leave the square."""
+"""Greatest distance of the tracks [m]: those of wider robots would leave the square."""
 
-TRACKS = ("grade", "cross_grade", "rise", "bend_125", "bend_250", "bend_375", "curvature", "roughness", "twist")
+TRACKS = (
+    "grade",
+    "cross_grade",
+    "rise",
+    "second_difference_125",
+    "second_difference_250",
+    "second_difference_375",
+    "curvature",
+    "roughness",
+    "twist",
+)
 """grade : least-squares slope of both tracks [1]. cross_grade : |right - left| over the width [1]. rise : sum of all
-steps up [m]. bend_mmm : sum of |second differences| over that many millimetres [m]. curvature : ends minus the middle
-[m], mean of both tracks. roughness : root mean square about each track's own line [m]. twist : difference of the two
-tracks' climbs [m]. Each is divided by its entry of `TRACK_SCALES`."""
+steps up [m]. second_difference_mmm : sum of |second differences| over that many millimetres [m]. curvature : ends minus
+the middle [m], mean of both tracks. roughness : root mean square about each track's own line [m]. twist : difference of
+the climbs of the two tracks [m]. Each is divided by its entry of `TRACK_SCALES`."""
 TRACK_SCALES = np.array([0.1, 0.1, 0.2, 0.2, 0.4, 0.5, 0.05, 0.02, 0.05], dtype=np.float32)
 """What brings each of `TRACKS` to about one on rough ground."""
 _PER_SCALE = tuple(np.float32(1.0 / scale) for scale in TRACK_SCALES)
 
 LANES = 64
-"""Places that the compiled loops describe at a time: many and always as many, whatever there is to do."""
+"""Places that the compiled loops describe at a time, a constant so that loops become vector instructions."""
 
 _MIDDLE = (SAMPLES - 1) // 2
 
 
 def track_stencil(heading_rad: NDArray[np.float64], width_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the samples lie, in working pixels from the middle: (2, SAMPLES, n, 2), left track first, (south, east)."""
+    """Return where the samples of the tracks lie.
+
+    Parameters
+    ----------
+    heading_rad : ndarray of float64, (n,)
+        Headings [rad].
+    width_m : ndarray of float64, (n,)
+        Widths of the robots [m].
+
+    Returns
+    -------
+    ndarray of float64, (2, SAMPLES, n, 2)
+        (south, east) in working pixels from the middle of the square; the left track first.
+    """
     ahead_x, ahead_y = heading_vector(heading_rad)
     along = np.arange(SAMPLES)[:, None] - _MIDDLE
-    aside = 0.5 * np.minimum(width_m, WIDEST_M) / PIXEL_M
+    sideways = 0.5 * np.minimum(width_m, WIDEST_M) / PIXEL_M
     out = np.empty((2, SAMPLES, heading_rad.size, 2))
-    for line, right in ((0, -aside), (1, aside)):
+    for line, right in ((0, -sideways), (1, sideways)):
         out[line, :, :, 0] = -along * ahead_y + right * ahead_x
         out[line, :, :, 1] = along * ahead_x + right * ahead_y
     return out
@@ -56,7 +80,22 @@ def track_stencil(heading_rad: NDArray[np.float64], width_m: NDArray[np.float64]
 def track_features(
     squares: NDArray[np.float32], heading_rad: NDArray[np.float64], width_m: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """`TRACKS`, scaled, of n segments: (n, 9) float32. squares : (n, 17, 17) [m]; heading_rad, width_m : (n,)."""
+    """Return the features of the wheel tracks of segments.
+
+    Parameters
+    ----------
+    squares : ndarray of float32, (n, 17, 17)
+        Heights around the segments [m], north up.
+    heading_rad : ndarray of float64, (n,)
+        Headings [rad].
+    width_m : ndarray of float64, (n,)
+        Widths of the robots [m].
+
+    Returns
+    -------
+    ndarray of float32, (n, 9)
+        `TRACKS`, each divided by its scale.
+    """
     out = np.empty((heading_rad.size, len(TRACKS)), dtype=np.float32)
     per_width = (1.0 / np.minimum(width_m, WIDEST_M)).astype(np.float32)
     _of_squares(squares, track_stencil(heading_rad, width_m), per_width, out)
@@ -65,13 +104,14 @@ def track_features(
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _line(z, lanes, found):
-    """Mean, slope, squares about the line, steps up, steps down and the three bends of one track, (8, LANES), from
-    its samples z (SAMPLES, LANES). Offsets are constants and nothing branches, so that it becomes vector code.
+    """Mean, slope, squares about the line, steps up, steps down and the three sums of second differences of one track,
+    (8, LANES), from its samples z (SAMPLES, LANES). Offsets are constants and nothing branches, so that it becomes
+    vector code.
     """
     squares = np.float32(_MIDDLE * (_MIDDLE + 1) * SAMPLES / 3.0)  # sum of (s - middle)^2
     two, half = np.float32(2.0), np.float32(0.5)
     for b in range(min(lanes, LANES)):
-        mean = slope = about = steps = bend_1 = bend_2 = bend_3 = np.float32(0.0)
+        mean = slope = about = steps = second_1 = second_2 = second_3 = np.float32(0.0)
         for s in range(SAMPLES):
             mean += z[s * LANES + b]
             slope += np.float32(s - _MIDDLE) * z[s * LANES + b]
@@ -84,22 +124,22 @@ def _line(z, lanes, found):
             steps += abs(z[(s + 1) * LANES + b] - z[s * LANES + b])
         for s in range(1, SAMPLES - 1):
             pair = z[(s - 1) * LANES + b] + z[(s + 1) * LANES + b]
-            bend_1 += abs(pair - two * z[s * LANES + b])
+            second_1 += abs(pair - two * z[s * LANES + b])
         for s in range(2, SAMPLES - 2):
             pair = z[(s - 2) * LANES + b] + z[(s + 2) * LANES + b]
-            bend_2 += abs(pair - two * z[s * LANES + b])
+            second_2 += abs(pair - two * z[s * LANES + b])
         for s in range(3, SAMPLES - 3):
             pair = z[(s - 3) * LANES + b] + z[(s + 3) * LANES + b]
-            bend_3 += abs(pair - two * z[s * LANES + b])
+            second_3 += abs(pair - two * z[s * LANES + b])
         climb = z[(SAMPLES - 1) * LANES + b] - z[b]
         found[b], found[LANES + b], found[2 * LANES + b] = mean, slope, about
         found[3 * LANES + b], found[4 * LANES + b] = half * (steps + climb), half * (steps - climb)
-        found[5 * LANES + b], found[6 * LANES + b], found[7 * LANES + b] = bend_1, bend_2, bend_3
+        found[5 * LANES + b], found[6 * LANES + b], found[7 * LANES + b] = second_1, second_2, second_3
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _both(lines, lanes, left, right, per_width, met, fall):
-    """What the two tracks, each as from `_line`, say together."""
+    """The features of two tracks, each as from `_line`."""
     half, per_pixel, per_sample = np.float32(0.5), np.float32(0.5 / PIXEL_M), np.float32(0.5 / SAMPLES)
     end, middle, other = (SAMPLES - 1) * LANES, _MIDDLE * LANES, SAMPLES * LANES
     for b in range(min(lanes, LANES)):
@@ -119,9 +159,22 @@ def _both(lines, lanes, left, right, per_width, met, fall):
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def describe(lines, lanes, per_width, met, fall):
-    """The nine numbers `met` (9, LANES) of as many places from their tracks `lines` (2, SAMPLES, LANES) [m], and what
-    becomes of the rise where they are driven back, `fall` (LANES,): then the grade changes its sign, and nothing else
-    changes. per_width : (LANES,). All flat.
+    """Compute the features of the tracks of LANES places. All arrays are flat.
+
+    Driven the other way, the grade changes its sign and the rise becomes `fall`; nothing else changes.
+
+    Parameters
+    ----------
+    lines : ndarray of float32, (2, SAMPLES, LANES)
+        Heights along the tracks [m].
+    lanes : int
+        How many places are wanted.
+    per_width : ndarray of float32, (LANES,)
+        One over the distance of the tracks [1/m].
+    met : ndarray of float32, (9, LANES)
+        Receives `TRACKS`, scaled.
+    fall : ndarray of float32, (LANES,)
+        Receives the rise of the opposite direction, scaled.
     """
     left, right = np.empty(8 * LANES, dtype=np.float32), np.empty(8 * LANES, dtype=np.float32)
     _line(lines, lanes, left)
@@ -131,7 +184,20 @@ def describe(lines, lanes, per_width, met, fall):
 
 @njit(cache=True, nogil=True)
 def corner(offset):
-    """The pixel below a fractional offset, and how far past it."""
+    """Split a fractional offset.
+
+    Parameters
+    ----------
+    offset : float
+        In pixels.
+
+    Returns
+    -------
+    whole : int
+        The pixel below.
+    part : float
+        The rest, 0 to 1.
+    """
     whole = math.floor(offset)
     return whole, offset - whole
 

@@ -1,0 +1,346 @@
+"""What an architecture is: how a network is built, what it reads, what it answers, how it is trained and asked."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from joulemap.model.energy.segment_predictor import SegmentPredictor
+from joulemap.model.energy.tensors import CPU, ExampleTensors, NetworkOutput
+from joulemap.model.errors import InputError, ModelError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from joulemap.model.energy.domain import Domain, Learned
+    from joulemap.model.energy.examples import Examples, FloatArray
+    from joulemap.model.energy.uncertainty import Spread
+    from joulemap.model.terrain.heightmap import Heightmap
+
+
+class Network(nn.Module):
+    """A network that answers for 1 m segments.
+
+    Attributes
+    ----------
+    architecture : str
+        Name of its architecture in `ARCHITECTURES`.
+    """
+
+    architecture: ClassVar[str]
+
+
+Net = TypeVar("Net", bound=Network)
+
+
+@dataclass(frozen=True)
+class TrainingDefaults:
+    """How networks of an architecture are trained on measured runs unless the caller says otherwise.
+
+    Attributes
+    ----------
+    learning_rate : float
+        Of a fresh network, at the start of the cosine.
+    fine_tuning_rate : float, optional
+        Of a cross-fitted network; None means `learning_rate`.
+    batch : int
+        Segments per step.
+    epochs : int
+        Passes over the data, at most.
+    copies : int
+        Number of directions from which each segment is learned: as driven, and with the world turned by random angles.
+    cross_fitted : bool
+        Whether a fine-tuning makes one network without each fold of the runs and takes the mean of their weights.
+    least_batch : int
+        Fewest segments that one step can use: 2 with batch normalisation.
+    threads : int, optional
+        Threads of a training; None leaves torch's number.
+    """
+
+    learning_rate: float = 1e-3
+    fine_tuning_rate: float | None = None
+    batch: int = 32
+    epochs: int = 60
+    copies: int = 1
+    cross_fitted: bool = False
+    least_batch: int = 1
+    threads: int | None = None
+
+
+class Architecture(ABC, Generic[Net]):
+    """One kind of network. The project asks this class and never the type of a network.
+
+    A new architecture defines `name`, `size` and the four abstract methods; the others have defaults. An architecture
+    has no state: it is made anew wherever it is needed.
+
+    Attributes
+    ----------
+    name : str
+        Key in `ARCHITECTURES`, and the word in config.json and on the command line.
+    size : int
+        Rows and columns of the input where nobody says otherwise.
+    at_once : int
+        Segments that one pass may judge without filling the memory.
+    training : TrainingDefaults
+        How its networks are trained on measured runs.
+    """
+
+    name: ClassVar[str]
+    size: ClassVar[int]
+    at_once: ClassVar[int] = 256
+    training: ClassVar[TrainingDefaults] = TrainingDefaults()
+
+    @abstractmethod
+    def build(self, config: Mapping[str, Any], *, size: int) -> Net:
+        """Make an untrained network.
+
+        Parameters
+        ----------
+        config : mapping
+            What `config_of` wrote; empty for the usual network.
+        size : int
+            Rows and columns of its input.
+
+        Returns
+        -------
+        Network
+            With random weights, on the processor.
+
+        Raises
+        ------
+        ModelError
+            If the description does not fit this version.
+        """
+
+    @abstractmethod
+    def config_of(self, net: Net) -> dict[str, Any]:
+        """Describe a network for config.json, so that `build` can make it again.
+
+        Parameters
+        ----------
+        net : Network
+            Of this architecture.
+
+        Returns
+        -------
+        dict
+            JSON-able; becomes `network` in config.json.
+        """
+
+    @abstractmethod
+    def cut_inputs(
+        self,
+        heightmap: Heightmap,
+        x: FloatArray,
+        y: FloatArray,
+        heading_rad: FloatArray,
+        *,
+        size: int,
+        turned_rad: FloatArray,
+    ) -> NDArray[np.float32]:
+        """Cut what the network sees of the ground out of a heightmap.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        x, y : ndarray of float64, (n,)
+            Centres of 1 m segments [m].
+        heading_rad : ndarray of float64, (n,)
+            Headings [rad].
+        size : int
+            Rows and columns of an input, as from `input_size`.
+        turned_rad : ndarray of float64, (n,)
+            Angles [rad] by which the world, ground and motion, is turned clockwise before cutting. Inputs that are cut
+            along the heading do not change with it.
+
+        Returns
+        -------
+        ndarray of float32, (n, size, size)
+            Heights [m]; NaN throughout where the map does not know one of them.
+        """
+
+    @abstractmethod
+    def answer(
+        self,
+        net: Net,
+        data: ExampleTensors,
+        part: Tensor,
+        *,
+        leak: float,
+        quarter_turns: int = 0,
+        mirror: bool = False,
+        jitter: float = 0.0,
+    ) -> NetworkOutput:
+        """Ask a network for the energy of some examples.
+
+        Parameters
+        ----------
+        net : Network
+            Of this architecture, on the device of `data`.
+        data : ExampleTensors
+            The examples.
+        part : Tensor of int64, (B,)
+            Which of them.
+        leak : float
+            Least slope of the energy where the traction is negative: 0 in predictions, 0.02 in training, 1 where the
+            traction itself is wanted, which is then the energy without the hotel load.
+        quarter_turns : int, optional
+            Quarter turns clockwise of ground and heading, after mirroring: an exact augmentation, ignored by inputs
+            that are cut along the heading.
+        mirror : bool, optional
+            Whether ground and heading are mirrored east to west (left to right of inputs along the heading).
+        jitter : float, optional
+            Standard deviation of the noise on the robot's features, over their ranges.
+
+        Returns
+        -------
+        NetworkOutput
+            Of the B examples.
+        """
+
+    def input_size(self, wanted: int | None) -> int:
+        """Return the rows and columns that an input has.
+
+        Parameters
+        ----------
+        wanted : int, optional
+            What the caller asks for. An architecture of fixed size ignores it.
+
+        Returns
+        -------
+        int
+            `wanted`, or the usual size.
+        """
+        return wanted or self.size
+
+    def initial(self, examples: Examples, start_from: Net | None) -> Net:
+        """Return the network that a training starts with.
+
+        Parameters
+        ----------
+        examples : Examples
+            What it will learn from.
+        start_from : Network, optional
+            A network to fine-tune; it is copied.
+
+        Returns
+        -------
+        Network
+            A fresh network or the copy.
+        """
+        config = {} if start_from is None else self.config_of(start_from)
+        net = self.build(config, size=examples.inputs.shape[1])
+        if start_from is not None:
+            net.load_state_dict(start_from.state_dict())
+        return net
+
+    def device(self) -> torch.device:
+        """Return where networks of this architecture are trained and asked: the processor."""
+        return CPU
+
+    def backbone_of(self, net: Net) -> nn.Module | None:
+        """Return the part of a network that a training with a frozen backbone leaves as it is.
+
+        Parameters
+        ----------
+        net : Network
+            Of this architecture.
+
+        Returns
+        -------
+        Module, optional
+            None where the architecture has no such part.
+        """
+        return None
+
+    def from_backbone(self, path: Path) -> Net:
+        """Make a network around the weights of a pre-trained backbone.
+
+        Parameters
+        ----------
+        path : Path
+            File of weights.
+
+        Returns
+        -------
+        Network
+            With the backbone's weights, and random ones elsewhere.
+
+        Raises
+        ------
+        InputError
+            If the architecture has no backbone.
+        ModelError
+            If the file does not fit.
+        """
+        raise InputError(f"{path}: the architecture {self.name} has no backbone that weights could be read for")
+
+    def predictor(
+        self,
+        net: Net,
+        domain: Domain,
+        provenance: Mapping[str, Any],
+        *,
+        size: int,
+        name: str,
+        spread: Spread,
+        turn_j_per_rad: float,
+    ) -> Learned:
+        """Make a predictor of a trained network.
+
+        Parameters
+        ----------
+        net : Network
+            Of this architecture.
+        domain : Domain
+            What it was trained on.
+        provenance : mapping
+            What the predictor says of itself, JSON-able.
+        size : int
+            Rows and columns of its input.
+        name : str
+            What the model is called.
+        spread : Spread
+            Its errors on held-out runs.
+        turn_j_per_rad : float
+            Energy of turning beyond straight driving [J/rad].
+
+        Returns
+        -------
+        Learned
+            By default one that asks for every segment by itself.
+        """
+        return SegmentPredictor(
+            self, net, domain, provenance, size=size, name=name, spread=spread, turn_j_per_rad=turn_j_per_rad
+        )
+
+
+def check_start(architecture: Architecture[Any], start_from: Network | None) -> None:
+    """Refuse to fine-tune a network of another architecture.
+
+    Parameters
+    ----------
+    architecture : Architecture
+        What is to be trained.
+    start_from : Network, optional
+        What the training starts from.
+
+    Raises
+    ------
+    ModelError
+        If the two do not fit together.
+    """
+    if start_from is not None and start_from.architecture != architecture.name:
+        raise ModelError(
+            f"the network to start from is of the architecture {start_from.architecture}: "
+            f"a {architecture.name} network cannot be fine-tuned from it",
+            architecture=start_from.architecture,
+        )

@@ -1,0 +1,52 @@
+"""What networks know of a robot and of the map's resolution: eight numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.robot import Robot
+
+FEATURES = (
+    "log_mass_kg",
+    "width_m",
+    "length_m",
+    "wheel_radius_m",
+    "log_speed_mps",
+    "rolling_resistance",
+    "hotel_over_weight",
+    "log2_resolution_m",
+)
+"""hotel_over_weight is the idle energy per metre over m g; log2_resolution_m is of metres per pixel."""
+
+
+def robot_features(robot: Robot, resolution_m: float) -> NDArray[np.float32]:
+    """Return the features of a robot on a map, in the order of `FEATURES`.
+
+    Parameters
+    ----------
+    robot : Robot
+        As its file declares it.
+    resolution_m : float
+        Metres per pixel of the heightmap.
+
+    Returns
+    -------
+    ndarray of float32, (8,)
+        Not normalised.
+    """
+    return np.array(
+        [
+            math.log(robot.mass_kg),
+            robot.width_m,
+            robot.length_m,
+            robot.wheel_radius_m,
+            math.log(robot.speed_mps),
+            robot.rolling_resistance,
+            robot.hotel_per_m / robot.weight_n,
+            math.log2(resolution_m),
+        ],
+        dtype=np.float32,
+    )
