@@ -1,1 +1,1 @@
-"""The HTTP service: the app, its routes, and what a request passes on its way in and out."""
+"""The HTTP service: the app, its routes, and what happens to a request before and after them."""

@@ -1,4 +1,4 @@
-"""Makes the FastAPI app out of settings: nothing is opened, started or read before it runs."""
+"""Makes the FastAPI app from settings; nothing is opened, started or read before the app runs."""
 
 from __future__ import annotations
 
@@ -19,19 +19,30 @@ from joulemap.service.http.routes import calibrations, contents, costmaps, heigh
 from joulemap.service.http.state import Service
 from joulemap.service.settings import Settings
 
-DESCRIPTION = """Energy planner for ground robots: a heightmap in, a directional cost map, an energy-optimal path and a
-battery verdict out; measured runs in, what the model lacked and a model that has it out. World coordinates are metres
-in the heightmap's CRS (x east, y north); headings are clockwise from north; energies are joules unless a field says
-otherwise. Errors are RFC 9457 problems."""
+DESCRIPTION = """Energy planner for ground robots. Send a heightmap, and ask for a directional cost map, energy-optimal
+paths and battery verdicts. Send measured runs, and ask which effects the model does not contain; you get a calibrated
+model that contains them. World coordinates are metres in the heightmap's CRS (x east, y north). Headings are clockwise
+from north. Energies are joules unless a field says otherwise. Errors are RFC 9457 problems."""
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
-    """The app for these settings (default: from the environment). Its service starts and stops with its lifespan."""
+    """Return the app; its service starts and stops with the app's lifespan.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        Without them they are read from the environment.
+
+    Returns
+    -------
+    FastAPI
+        Ready for a server.
+    """
     settings = settings or Settings()
     service = Service(settings)
 
     @asynccontextmanager
-    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+    async def _lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await anyio.to_thread.run_sync(service.start)
         try:
             yield
@@ -42,7 +53,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         title="joulemap",
         version=version("joulemap"),
         description=DESCRIPTION,
-        lifespan=lifespan,
+        lifespan=_lifespan,
         generate_unique_id_function=lambda route: route.name,
         docs_url=None,
         redoc_url=None,
@@ -63,7 +74,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 
 def openapi_document() -> dict[str, Any]:
-    """The OpenAPI 3.1 document, the same on every machine."""
+    """Return the OpenAPI 3.1 document, which is the same on every machine."""
     return create_app(Settings(data_dir=Path("data"))).openapi()
 
 

@@ -1,4 +1,4 @@
-"""What the OpenAPI document says about errors and about bodies that FastAPI cannot derive from a signature."""
+"""The parts of the OpenAPI document that FastAPI cannot derive from a signature: problems and bodies with files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,18 @@ _FORMATS = "GeoTIFF, ESRI ASCII grid, NumPy .npy or .npz, or greyscale PNG (with
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The `responses` of a route that can answer with these problems; 413 and 422 and 500 always can."""
+    """Return the `responses` of a route that can answer with problems.
+
+    Parameters
+    ----------
+    *statuses : int
+        HTTP statuses of its own; 400, 413, 422 and 500 are always possible.
+
+    Returns
+    -------
+    dict
+        Problem schema by status.
+    """
     content = {MEDIA_TYPE: {"schema": {"$ref": _REF.format(model="Problem")}}}
     return {
         status: {"description": HTTPStatus(status).phrase, "content": content}
@@ -27,14 +38,14 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def upload_body() -> dict[str, Any]:
-    """`openapi_extra` of the heightmap upload: a form with a file, or the file itself."""
+    """Return the `openapi_extra` of the heightmap upload: a form with a file, or the file itself."""
     heightmap = {**_FILE, "description": f"the heightmap: {_FORMATS}"}
     fields = UploadOptions.model_json_schema()["properties"]
     return _form_or_file({"file": heightmap, **fields}, {"application/octet-stream": _FILE, "image/tiff": _FILE})
 
 
 def runs_body() -> dict[str, Any]:
-    """`openapi_extra` of the upload of runs: a form with a file for each, or one file itself."""
+    """Return the `openapi_extra` of the upload of runs: a form with a file for each, or one file itself."""
     run = {**_FILE, "description": "a measured run: CSV or Parquet"}
     files = {"type": "array", "items": run, "minItems": 1}
     return _form_or_file({"file": files}, {"text/csv": {"type": "string"}, "application/octet-stream": _FILE})
@@ -47,7 +58,7 @@ def _form_or_file(fields: dict[str, Any], raw: dict[str, Any]) -> dict[str, Any]
 
 
 def costmap_body() -> dict[str, Any]:
-    """`openapi_extra` of the cost map request: JSON with a heightmap's id, or a form with the heightmap itself."""
+    """Return the `openapi_extra` of the cost map request: JSON with a heightmap's id, or a form with the heightmap."""
     fields = UploadOptions.model_json_schema()["properties"]
     options = {"type": "string", "description": "CostmapOptions as JSON", "contentMediaType": "application/json"}
     form = {
@@ -68,9 +79,15 @@ def costmap_body() -> dict[str, Any]:
 
 
 def install(app: FastAPI) -> None:
-    """Make `app.openapi()` complete: the schemas that only problems and hand-written bodies refer to."""
+    """Add to an app's document the schemas that only problems and hand-written bodies refer to.
 
-    def openapi() -> dict[str, Any]:
+    Parameters
+    ----------
+    app : FastAPI
+        Its method `openapi` is replaced.
+    """
+
+    def _openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
             document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
             schemas = document["components"]["schemas"]
@@ -82,4 +99,4 @@ def install(app: FastAPI) -> None:
             app.openapi_schema = document
         return app.openapi_schema
 
-    app.openapi = openapi  # type: ignore[method-assign]
+    app.openapi = _openapi  # type: ignore[method-assign]

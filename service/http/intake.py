@@ -1,4 +1,4 @@
-"""What is read of measured runs that were sent, for their sender: counts by rule, and limits before any is parsed."""
+"""Checks measured runs that were sent, and says to the sender what was read, repaired and left out."""
 
 from __future__ import annotations
 
@@ -20,7 +20,17 @@ from joulemap.service.storage.store import safe_name
 
 @dataclass(frozen=True)
 class RunLimits:
-    """mb : of a file [1e6 bytes]; cells : rows x columns of its table; km : driven."""
+    """How large a measured run may be.
+
+    Attributes
+    ----------
+    mb : float
+        Size of its file [1e6 bytes].
+    cells : int
+        Rows times columns of its table.
+    km : float
+        Length that was driven [km].
+    """
 
     mb: float
     cells: int
@@ -34,14 +44,38 @@ def read_sent_runs(
     ground: Mapping[str, Any] | None,
     odometry: Odometry | None = None,
 ) -> list[dict[str, Any]]:
-    """What every run holds, (name, file) each, as `read_sent_run`. ground : `crs` and `bounds` of the heightmap that
-    they were driven on, where it is known. Raises TooLargeError, RunsError, and InputError for two of one name.
+    """Read runs that were sent together and return what each of them contains.
+
+    Parameters
+    ----------
+    files : sequence of (str, Path)
+        Name and file of each.
+    limits : RunLimits
+        How large each may be.
+    ground : mapping or None
+        ``crs`` and ``bounds`` of the heightmap that they were driven on; None where it is not known.
+    odometry : Odometry, optional
+        How runs without positions are read.
+
+    Returns
+    -------
+    list of dict
+        As `read_sent_run` returns it.
+
+    Raises
+    ------
+    TooLargeError
+        If a run is larger than the limits.
+    RunsError
+        If a run cannot be read, contains no segment, or does not lie on the heightmap.
+    InputError
+        If two runs have the same name.
     """
     names = [safe_name(name) for name, _ in files]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"two runs are called {twice[0]}: send them under different names", name=twice[0])
-    told = []
+    found = []
     for name, (_, path) in zip(names, files, strict=True):
         crs = ground["crs"] if ground is not None else None
         run = read_sent_run(path, name=name, limits=limits, crs=crs, odometry=odometry)
@@ -53,8 +87,8 @@ def read_sent_runs(
                 bounds=run["bounds"],
                 heightmap_bounds=ground["bounds"],
             )
-        told.append(run)
-    return told
+        found.append(run)
+    return found
 
 
 def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
@@ -70,11 +104,33 @@ def _box(bounds: Sequence[float]) -> str:
 def read_sent_run(
     path: Path, *, name: str, limits: RunLimits, crs: str | None = None, odometry: Odometry | None = None
 ) -> dict[str, Any]:
-    """What a run holds, JSON-able: rows and seconds, its target, further columns, its segments of 1 m, `repairs` and
-    `left_out` by rule, bounds [west, south, east, north] of its positions, `odometry`. crs : for `lat` and `lon`;
-    odometry : of a run without positions.
+    """Read one run and return what it contains.
 
-    Raises TooLargeError, and RunsError where nothing can be read, or not a single segment.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        What to call it in messages.
+    limits : RunLimits
+        How large it may be.
+    crs : str, optional
+        Coordinate system of the heightmap, for columns ``lat`` and ``lon``.
+    odometry : Odometry, optional
+        How a run without positions is read.
+
+    Returns
+    -------
+    dict
+        JSON-able: rows, seconds, target, further columns, number of 1 m segments, ``repairs`` and ``left_out`` (counts
+        by rule), bounds [west, south, east, north] [m] and odometry.
+
+    Raises
+    ------
+    TooLargeError
+        If it is larger than the limits.
+    RunsError
+        If nothing can be read, or if it contains no segment.
     """
     size = path.stat().st_size
     if size > limits.mb * 1e6:
@@ -110,7 +166,7 @@ def read_sent_run(
     segments = cut(run, charge=run.voltage_v is None)
     if len(segments) == 0:
         raise RunsError(
-            f"run {name} holds no segment of 1 m: did the robot move, and is its position recorded?",
+            f"run {name} contains no segment of 1 m: did the robot move, and is its position recorded?",
             run=name,
             repairs=run.repairs,
             left_out=segments.left_out,
@@ -130,7 +186,7 @@ def read_sent_run(
 
 
 def _cells(path: Path) -> int:
-    """About how many cells a table has, without reading them; 0 where the reader will say that it is none."""
+    """Estimate of a table's cells, without parsing it; 0 where it is no table, which the reader will report."""
     with path.open("rb") as file:
         if file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC:
             return _parquet_cells(path)

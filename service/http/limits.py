@@ -1,4 +1,4 @@
-"""ASGI middleware that every request passes first: it gets an id, and a body beyond the limit is cut off with 413."""
+"""ASGI middleware for every request: it adds a request id, and refuses a body above the limit with 413."""
 
 from __future__ import annotations
 
@@ -15,11 +15,21 @@ _ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
 class RequestLimits:
-    """Request ids and body limits.
+    """Request ids and limits for bodies.
 
-    upload_bytes : limit for multipart and raw uploads (POST under `upload_paths`); other_bytes : for everything else.
-    A declared Content-Length above it is refused before a byte of the body is read; an undeclared body is counted
-    while it streams.
+    A declared Content-Length above the limit is refused before a byte of the body is read. A body of undeclared length
+    is counted while it streams.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        Answers what is not refused.
+    upload_bytes : int
+        Limit for multipart and raw uploads (POST to one of `upload_paths`).
+    other_bytes : int
+        Limit for all other bodies.
+    upload_paths : tuple of str
+        Paths that take files.
     """
 
     def __init__(self, app: ASGIApp, *, upload_bytes: int, other_bytes: int, upload_paths: tuple[str, ...]) -> None:
@@ -67,7 +77,7 @@ def _words(limit: int) -> str:
 
 
 class _Reply:
-    """The way out: adds the request id, and replaces whatever is answered to an overrun body by a 413."""
+    """What goes out: adds the request id, and answers 413 to a body that is too large, whatever the app answers."""
 
     def __init__(self, send: Send, request_id: str) -> None:
         self._send = send

@@ -1,4 +1,4 @@
-"""The few cost maps that are held in memory for questions, each with its route planner and a lock."""
+"""The few cost maps that are kept in memory for questions, each with its route planner and a lock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,17 @@ class _Entry:
 
 
 class OpenMaps:
-    """Least recently used cost maps are let go beyond `size`. Questions to one map wait for each other."""
+    """Cost maps in memory; above `size` the least recently used one is dropped.
+
+    Questions to one map are answered one after another.
+
+    Parameters
+    ----------
+    load : callable
+        Returns the lattice of a cost map's id.
+    size : int
+        Most maps in memory.
+    """
 
     def __init__(self, load: Callable[[str], CostLattice], *, size: int) -> None:
         self._load = load
@@ -28,7 +38,18 @@ class OpenMaps:
 
     @contextmanager
     def use(self, costmap_id: str) -> Iterator[RoutePlanner]:
-        """The planner of a cost map, for this thread alone while the context lasts."""
+        """Lend the planner of a cost map to this thread alone.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Id of a cost map that is done.
+
+        Yields
+        ------
+        RoutePlanner
+            Loaded where it was not in memory.
+        """
         with self._lock:
             entry = self._entries.setdefault(costmap_id, _Entry())
             self._entries.move_to_end(costmap_id)
@@ -39,7 +60,15 @@ class OpenMaps:
             yield entry.planner
 
     def keep(self, costmap_id: str, planner: RoutePlanner) -> None:
-        """Hold a planner that is ready for questions."""
+        """Keep a planner that is ready for questions.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Id of its cost map.
+        planner : RoutePlanner
+            Ready.
+        """
         entry = _Entry()
         entry.planner = planner
         with self._lock:
@@ -47,7 +76,13 @@ class OpenMaps:
             self._let_go()
 
     def forget(self, costmap_id: str) -> None:
-        """Let go of a deleted cost map."""
+        """Drop a cost map that was deleted.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+        """
         with self._lock:
             self._entries.pop(costmap_id, None)
 

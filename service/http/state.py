@@ -1,4 +1,4 @@
-"""One running service: its store, its jobs, its open cost maps, and whether its kernels are warm."""
+"""One running service: its store, its jobs, its open cost maps, and whether its kernels are loaded."""
 
 from __future__ import annotations
 
@@ -32,7 +32,13 @@ Job = TypeVar("Job", CostmapRow, CalibrationRow)
 
 
 class Service:
-    """Everything a request needs beyond itself; made with the app, started and stopped with it."""
+    """Everything that requests share; made with the app, started and stopped with it.
+
+    Parameters
+    ----------
+    settings : Settings
+        Limits and folders.
+    """
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -52,30 +58,70 @@ class Service:
         self._warm_failure = "see the log"
 
     def start(self) -> None:
-        """Open the store, warm up in a thread, and go on with unfinished cost maps."""
+        """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
         self.store.open()
         threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
         self.jobs.resume()
 
     def stop(self) -> None:
+        """Stop the workers and close the store."""
         self.jobs.stop()
         self.store.close()
 
     def check_ready(self) -> float:
-        """Seconds that warming up took. Raises BusyError before it is over, or when it failed."""
+        """Return how long loading the kernels took.
+
+        Returns
+        -------
+        float
+            Seconds.
+
+        Raises
+        ------
+        BusyError
+            If they are not loaded yet, or if that failed.
+        """
         if self.warm_seconds is None:
             if self._warm.is_set():
-                raise BusyError(f"not ready: warming up failed: {self._warm_failure}", failed=True)
+                raise BusyError(f"not ready: loading failed: {self._warm_failure}", failed=True)
             raise BusyError("not ready: kernels are being compiled or loaded", failed=False, retry_after_s=2)
         return self.warm_seconds
 
     def await_kernels(self) -> None:
-        """Return when the kernels are warm. Raises BusyError when that takes too long."""
+        """Wait until the kernels are loaded.
+
+        Raises
+        ------
+        BusyError
+            If that takes too long.
+        """
         if not self._warm.wait(_WARM_WAIT_S):
             raise BusyError("the service is still compiling its kernels", retry_after_s=10)
 
     def keep_heightmap(self, path: Path, *, name: str, **options: Any) -> HeightmapRow:
-        """Read an uploaded file, check it, keep it. `options` as `read_heightmap`'s."""
+        """Read, check and keep a heightmap that was sent.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        name : str
+            Its name for people, whose ending may say the format.
+        **options
+            As those of `read_heightmap`.
+
+        Returns
+        -------
+        HeightmapRow
+            The new row.
+
+        Raises
+        ------
+        HeightmapError
+            If it is not a heightmap that can be used.
+        TooLargeError
+            If it has too many cells.
+        """
         heightmap = read_heightmap(path, filename=name, max_cells=self.settings.max_cells, **options)
         known = heightmap.heights[heightmap.heights == heightmap.heights]
         frame = heightmap.frame
@@ -96,30 +142,100 @@ class Service:
     def keep_runs(
         self, files: Sequence[tuple[str, Path]], *, heightmap_id: str | None = None, odometry: Odometry | None = None
     ) -> RunsRow:
-        """Read uploaded runs, (name, file) each, check them, keep them. heightmap_id : that they were driven on, where
-        it is known; odometry : of runs without positions. Raises RunsError, TooLargeError, InputError,
-        NotFoundError.
+        """Read, check and keep runs that were sent together.
+
+        Parameters
+        ----------
+        files : sequence of (str, Path)
+            Name and file of each.
+        heightmap_id : str, optional
+            Id of the heightmap that they were driven on.
+        odometry : Odometry, optional
+            How runs without positions are read.
+
+        Returns
+        -------
+        RunsRow
+            The new row.
+
+        Raises
+        ------
+        RunsError
+            If a run cannot be read, contains no segment, or does not lie on the heightmap.
+        TooLargeError
+            If a run is larger than the limits.
+        InputError
+            If two runs have the same name.
+        NotFoundError
+            If there is no such heightmap.
         """
         settings = self.settings
         heightmap = self.store.heightmap(heightmap_id) if heightmap_id is not None else None
         limits = RunLimits(settings.max_run_mb, settings.max_run_cells, settings.max_run_km)
         ground = heightmap.stats if heightmap is not None else None
-        told = read_sent_runs(files, limits=limits, ground=ground, odometry=odometry)
-        return self.store.add_runs(files, told)
+        stats = read_sent_runs(files, limits=limits, ground=ground, odometry=odometry)
+        return self.store.add_runs(files, stats)
 
     def delete_calibration(self, calibration_id: str) -> None:
-        """Its report and its model too; one that is being made is stopped. Raises NotFoundError, and ConflictError
-        while cost maps use the model.
+        """Delete a calibration with its report and its model; one that is being made is stopped.
+
+        Parameters
+        ----------
+        calibration_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        ConflictError
+            If cost maps use its model.
         """
         self.store.delete_calibration(calibration_id)
         self.makers[CALIBRATION].discard(calibration_id)
 
     def done_calibration(self, calibration_id: str) -> CalibrationRow:
-        """The row of a calibration whose report is there. Raises NotFoundError, ConflictError."""
+        """Return the row of a calibration that is done.
+
+        Parameters
+        ----------
+        calibration_id : str
+            Its id.
+
+        Returns
+        -------
+        CalibrationRow
+            Whose report can be read.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        ConflictError
+            If it is not done, or has failed.
+        """
         return self._done(self.store.calibration(calibration_id), "calibration")
 
     def done_costmap(self, costmap_id: str) -> CostmapRow:
-        """The row of a cost map that can be asked. Raises NotFoundError, ConflictError while there is no lattice."""
+        """Return the row of a cost map that is done.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Returns
+        -------
+        CostmapRow
+            Whose lattice can be loaded.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        ConflictError
+            If it is not done, or has failed.
+        """
         return self._done(self.store.costmap(costmap_id), "cost map")
 
     def _done(self, row: Job, what: str) -> Job:
@@ -139,22 +255,49 @@ class Service:
         try:
             settings = self.settings
             self.warm_seconds = warm_up(models=settings.warm_models, models_dir=settings.resolved_models_dir)
-            _LOG.info("kernels are warm after %.1f s", self.warm_seconds)
+            _LOG.info("kernels are loaded after %.1f s", self.warm_seconds)
         except JoulemapError as error:
             self._warm_failure = error.message
-            _LOG.error("warming up failed: %s", error.message)
+            _LOG.error("loading the kernels failed: %s", error.message)
         finally:
             self._warm.set()
 
 
 def get_service(request: Request) -> Service:
-    """The service of the app that answers `request` (a FastAPI dependency)."""
+    """Return the service of the app that answers a request (a FastAPI dependency).
+
+    Parameters
+    ----------
+    request : Request
+        The request at hand.
+
+    Returns
+    -------
+    Service
+        Started.
+    """
     service: Service = request.app.state.service
     return service
 
 
 def with_kernels(request: Request) -> Service:
-    """The same, once its kernels are warm (a dependency for handlers that compute)."""
+    """Return the service once its kernels are loaded (a FastAPI dependency of routes that compute).
+
+    Parameters
+    ----------
+    request : Request
+        The request at hand.
+
+    Returns
+    -------
+    Service
+        Ready.
+
+    Raises
+    ------
+    BusyError
+        If loading takes too long.
+    """
     service = get_service(request)
     service.await_kernels()
     return service
@@ -162,5 +305,5 @@ def with_kernels(request: Request) -> Service:
 
 ServiceDep = Annotated[Service, Depends(get_service)]
 KernelsDep = Annotated[Service, Depends(with_kernels)]
-Limit = Annotated[int, Query(ge=1, le=1000, description="most items to answer")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="most items in the answer")]
 Offset = Annotated[int, Query(ge=0, le=10**9, description="items to skip")]

@@ -1,4 +1,4 @@
-"""A folder as a zip archive, chunk by chunk, without a second copy on disk or in memory."""
+"""Sends a folder as a zip archive, chunk by chunk, without a second copy on disk or in memory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,20 @@ class _Sink(io.RawIOBase):
 
 
 def zip_folder(folder: Path) -> Iterator[bytes]:
-    """Zip of every file below `folder`, stored (its chunks are compressed already), names relative to its parent."""
+    """Return a folder as a zip archive, chunk by chunk.
+
+    Files are stored, not compressed: the chunks of a lattice are compressed already.
+
+    Parameters
+    ----------
+    folder : Path
+        Every file below it is added, under its path relative to the folder's parent.
+
+    Yields
+    ------
+    bytes
+        The next part of the archive.
+    """
     sink = _Sink()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_STORED) as archive:
         for path in sorted(p for p in folder.rglob("*") if p.is_file()):

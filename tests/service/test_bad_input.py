@@ -265,7 +265,7 @@ BAD_PATHS: list[tuple[dict, int, str, str]] = [
     ({"neighbours": 7}, 422, "invalid_request", "neighbours"),
     ({"battery": {"charge": 1.5}}, 422, "invalid_request", "battery.charge"),
     ({"battery": {"capacity_wh": NAN}}, 422, "invalid_request", "battery.capacity_wh"),
-    ({"robot": {"mass_kg": 50, "speed_mps": 0.5}}, 409, "conflict", "mass_kg 35.0 there, 50.0 here"),
+    ({"robot": {"mass_kg": 50, "speed_mps": 0.5}}, 409, "conflict", "mass_kg 35.0, not 50.0"),
     ({"robot": {"mass_kg": -50}}, 422, "invalid_robot", "mass_kg"),
 ]
 

@@ -1,4 +1,4 @@
-"""What is in a cost map: its data as files, its picture, its prices at one place."""
+"""The contents of a cost map: its data as files, its picture, its prices at one place."""
 
 from __future__ import annotations
 
@@ -64,11 +64,16 @@ def get_image(
     costmap_id: str,
     service: KernelsDep,
     heading_deg: Annotated[
-        float | None, Query(allow_inf_nan=False, description="clockwise from north [deg]: the prices in this heading")
+        float | None,
+        Query(
+            allow_inf_nan=False, description="clockwise from north [deg]; the picture shows the prices in this heading"
+        ),
     ] = None,
     view: Annotated[
         Literal["mean", "directionality", "heading"] | None,
-        Query(description="mean over the headings, or dearest minus cheapest heading"),
+        Query(
+            description="mean over the headings; directionality (most expensive minus cheapest heading); or one heading"
+        ),
     ] = None,
 ) -> Response:
     """A picture of the cost map: the mean over headings, one heading, or how much the heading matters."""
@@ -86,7 +91,7 @@ def get_at(
     x: Annotated[Finite, Query(description="world x [m]", examples=[12.5])],
     y: Annotated[Finite, Query(description="world y [m]", examples=[40.5])],
 ) -> AtOut:
-    """Energy per metre at one place over all headings, and why some may not be driven."""
+    """Energy per metre at one place in all headings, and why some headings are blocked."""
     service.done_costmap(costmap_id)
     with service.maps.use(costmap_id) as planner:
         costs = costs_at(planner.lattice, x, y)

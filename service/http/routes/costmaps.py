@@ -1,4 +1,4 @@
-"""Cost maps: asked for, listed, told about, deleted."""
+"""Cost maps: make, list, describe and delete them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ router = APIRouter(prefix="/costmaps", tags=["cost maps"])
 
 
 class CostmapList(BaseModel):
-    """One page, newest first."""
+    """One page of cost maps, newest first."""
 
     total: int
     items: list[CostmapOut]
@@ -49,7 +49,7 @@ async def make_costmap(
     options: Annotated[UploadOptions, Query()],
     prefer: Prefer = None,
 ) -> Response:
-    """Ask for a cost map of a heightmap that is kept, or of one sent along in a form; it is made in the background."""
+    """Make a cost map of a heightmap that was sent before, or of one in the same form; it is made in the background."""
     service.jobs.check_room()
     kind = media_type(request)
     if kind == "multipart/form-data":
@@ -69,20 +69,20 @@ async def make_costmap(
 
 @router.get("", responses=problems())
 def list_costmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CostmapList:
-    """The cost maps that are kept or being made, newest first."""
+    """All cost maps, finished or not, newest first."""
     rows, total = service.store.costmaps(limit=limit, offset=offset)
     return CostmapList(total=total, items=[costmap_out(row) for row in rows])
 
 
 @router.get("/{costmap_id}", responses=problems(404))
 def get_costmap(costmap_id: str, service: ServiceDep) -> CostmapOut:
-    """Status and progress; when done, the frame, the prices, what is blocked and why, and how it was made."""
+    """Status and progress; once done, the frame, the prices, what is blocked and why, and how it was made."""
     return costmap_out(service.store.costmap(costmap_id))
 
 
 @router.get("/{costmap_id}/provenance", responses=problems(404, 409))
 def get_provenance(costmap_id: str, service: ServiceDep) -> dict[str, Any]:
-    """How a cost map was made, with everything that is known about its model: settings, training, errors."""
+    """How a cost map was made, with everything about its model: settings, training data, errors."""
     provenance: dict[str, Any] = (service.done_costmap(costmap_id).summary or {})["provenance"]
     return provenance
 
@@ -110,7 +110,7 @@ def _form_options(form: FormData) -> CostmapOptions:
 
 
 def _check_settings(service: Service, wanted: CostmapOptions) -> None:
-    """Everything that can be known to be wrong without the map. Raises RobotError, ModelError."""
+    """Check all that can be checked without the map. Raises RobotError, ModelError."""
     Robot.from_mapping(robot_values(wanted.robot))
     find_predictor(wanted.model, models_dir=service.settings.resolved_models_dir)
 

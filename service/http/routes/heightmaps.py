@@ -1,4 +1,4 @@
-"""Heightmaps: sent, listed, told about, deleted."""
+"""Heightmaps: send, list, describe and delete them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
 
 
 class HeightmapList(BaseModel):
-    """One page, newest first."""
+    """One page of heightmaps, newest first."""
 
     total: int
     items: list[HeightmapOut]
@@ -27,7 +27,7 @@ class HeightmapList(BaseModel):
 async def send_heightmap(
     request: Request, response: Response, service: ServiceDep, options: Annotated[UploadOptions, Query()]
 ) -> HeightmapOut:
-    """Send a heightmap, as the form field `file` or as the raw body; what the file does not say, as parameters."""
+    """Send a heightmap, as the form field `file` or as the raw body. What the file does not say is a parameter."""
     if media_type(request) == "multipart/form-data":
         async with request.form(max_files=1, max_fields=20) as form:
             row = await take_form(form, service, options)
@@ -39,18 +39,18 @@ async def send_heightmap(
 
 @router.get("", responses=problems())
 def list_heightmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> HeightmapList:
-    """The heightmaps that are kept, newest first."""
+    """All heightmaps, newest first."""
     rows, total = service.store.heightmaps(limit=limit, offset=offset)
     return HeightmapList(total=total, items=[heightmap_out(row) for row in rows])
 
 
 @router.get("/{heightmap_id}", responses=problems(404))
 def get_heightmap(heightmap_id: str, service: ServiceDep) -> HeightmapOut:
-    """What is known about one heightmap."""
+    """Size, position and heights of one heightmap."""
     return heightmap_out(service.store.heightmap(heightmap_id))
 
 
 @router.delete("/{heightmap_id}", status_code=204, responses=problems(404, 409))
 def delete_heightmap(heightmap_id: str, service: ServiceDep) -> None:
-    """Delete a heightmap; refused while cost maps made from it are kept."""
+    """Delete a heightmap. Refused while cost maps or calibrations were made from it."""
     service.store.delete_heightmap(heightmap_id)

@@ -20,16 +20,20 @@ _SCRIPT, _STYLE, _ICON = "swagger-ui-bundle.js", "swagger-ui.css", "favicon-32x3
 
 
 class Live(BaseModel):
+    """The process is alive."""
+
     status: str = Field(examples=["live"])
 
 
 class Ready(BaseModel):
+    """The service can answer at full speed."""
+
     status: str = Field(examples=["ready"])
-    warm_up_s: float = Field(description="seconds that loading or compiling the kernels took [s]")
+    warm_up_s: float = Field(description="how long loading or compiling the kernels took [s]")
 
 
 class Index(BaseModel):
-    """Where things are."""
+    """Where everything is."""
 
     name: str
     version: str
@@ -39,19 +43,19 @@ class Index(BaseModel):
 
 @router.get("/healthz")
 async def healthz() -> Live:
-    """The process lives."""
+    """Whether the process is alive."""
     return Live(status="live")
 
 
 @router.get("/readyz", responses={503: problems(503)[503]})
 async def readyz(service: ServiceDep) -> Ready:
-    """Ready once all kernels are compiled and loaded, so that the first question is as fast as the second."""
+    """Whether all kernels are compiled and loaded, so that the first question is as fast as the second."""
     return Ready(status="ready", warm_up_s=service.check_ready())
 
 
 @router.get("/v1")
 async def index(service: ServiceDep) -> Index:
-    """Links to everything."""
+    """Links to everything, and the planners that there are."""
     links = {
         "heightmaps": "/v1/heightmaps",
         "costmaps": "/v1/costmaps",

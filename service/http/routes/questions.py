@@ -1,4 +1,4 @@
-"""Questions to a cost map: which way, and does the battery last?"""
+"""Questions to a cost map: which way is best, and whether the battery lasts."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GEOJSON = "application/geo+json"
     "/paths",
     response_model=PathOut,
     responses={
-        200: {"content": {GEOJSON: {"schema": {"type": "object", "description": "FeatureCollection of both paths"}}}},
+        200: {"content": {GEOJSON: {"schema": {"type": "object", "description": "FeatureCollection of all paths"}}}},
         **problems(404, 409, 503),
     },
 )
@@ -42,7 +42,7 @@ def find_path(
     ] = None,
     accept: Annotated[str | None, Header(include_in_schema=False)] = None,
 ) -> Any:
-    """The energy-optimal path from start to goal, its price and profile, and the shortest path beside it."""
+    """The energy-optimal path from start to goal with its energy and profile, and the shortest path for comparison."""
     row = service.done_costmap(costmap_id)
     robot = _same_robot(row, wanted.robot)
     battery = battery_of(wanted.battery, robot)
@@ -65,7 +65,7 @@ def find_path(
 
 @router.post("/tours", response_model=TourOut, responses=problems(404, 409, 503))
 def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep) -> Any:
-    """The round trip of least energy that visits all stops and comes home to the first one."""
+    """The round trip of least energy that visits all stops and returns to the first one."""
     row = service.done_costmap(costmap_id)
     battery = battery_of(wanted.battery, _same_robot(row, wanted.robot))
     with service.maps.use(costmap_id) as planner:
@@ -81,7 +81,7 @@ def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep) -> Any:
 
 @router.post("/feasibility", response_model=FeasibilityOut, responses=problems(404, 409, 503))
 def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: KernelsDep) -> Any:
-    """Whether a battery lasts for a given path, or for the best one from start to goal; on request there and back."""
+    """Whether a battery lasts for a given path, or for the best path from start to goal; also for a round trip."""
     row = service.done_costmap(costmap_id)
     robot = _same_robot(row, wanted.robot)
     path = np.array([point[:2] for point in wanted.path], dtype=np.float64) if wanted.path is not None else None
@@ -98,7 +98,7 @@ def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: Kernel
 
 
 def _answer(body: BaseModel) -> Response:
-    """Validated once when it was made; not a second time by FastAPI."""
+    """The body as it is: it was validated when it was made, and FastAPI need not do it again."""
     return Response(body.model_dump_json(), media_type="application/json")
 
 
@@ -118,9 +118,9 @@ def _same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
         if value not in (getattr(robot, key), row.request["robot"][key])
     }
     if differing:
-        words = ", ".join(f"{key} {there} there, {here} here" for key, (there, here) in differing.items())
+        words = ", ".join(f"{key} {there}, not {here}" for key, (there, here) in differing.items())
         raise ConflictError(
-            f"cost map {row.id} was made for another robot ({words}): make a cost map for this one",
+            f"cost map {row.id} was made for another robot ({words}): make a cost map for this robot",
             fields=sorted(differing),
             costmap_robot=jsonable({key: there for key, (there, _) in differing.items()}),
             given_robot=jsonable({key: here for key, (_, here) in differing.items()}),

@@ -1,4 +1,4 @@
-"""The answer to who asks for a job: at once, or with `Prefer: wait=SECONDS` when it is over."""
+"""The answer to a request for a job: at once, or with `Prefer: wait=SECONDS` once the job has ended."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from joulemap.service.storage.tables import DONE, FAILED
 MAX_WAIT_S = 300.0
 _WAIT = re.compile(r"(?:^|[,;])\s*wait\s*=\s*\"?(\d{1,18})\"?\s*(?:$|[,;])", re.IGNORECASE)
 
-Prefer = Annotated[str | None, Header(description="`wait=SECONDS` (at most 300) answers when done")]
+Prefer = Annotated[str | None, Header(description="`wait=SECONDS` (at most 300): answer once it is done")]
 
 
 async def job_answer(
@@ -30,9 +30,27 @@ async def job_answer(
     load: Callable[[str], Any],
     answer: Callable[[Any], BaseModel],
 ) -> JSONResponse:
-    """202 with the job, or within the time that the caller waits 201 when it is done and its problem when it failed.
+    """Answer 202 with the job; if it ends while the caller waits, 201 with the result or the problem of its failure.
 
-    place : where jobs of its kind are found; load, answer : its row by id, and what is told of it.
+    Parameters
+    ----------
+    service : Service
+        Whose job it is.
+    job_id : str
+        Its id.
+    place : str
+        Path of the jobs of its kind.
+    prefer : str or None
+        The header Prefer.
+    load : callable
+        Returns the row of an id.
+    answer : callable
+        Returns the answer's model of a row.
+
+    Returns
+    -------
+    JSONResponse
+        With the job's place in ``Location``.
     """
     headers = {"Location": f"{place}/{job_id}"}
     match = _WAIT.search(prefer or "")
@@ -44,5 +62,5 @@ async def job_answer(
     if row.status == FAILED and row.problem is not None:
         body = {**row.problem, "context": {**row.problem["context"], "job_id": job_id}}
         return problems.response(body, headers)
-    told = answer(row).model_dump(mode="json")
-    return JSONResponse(told, status_code=201 if row.status == DONE else 202, headers=headers)
+    found = answer(row).model_dump(mode="json")
+    return JSONResponse(found, status_code=201 if row.status == DONE else 202, headers=headers)
