@@ -5,7 +5,7 @@ ARGS ?=
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.joulemap-installed
 
-.PHONY: help demo test test-slow bench lint format openapi clean distclean
+.PHONY: help demo test test-slow bench lint lint-docstrings format docs openapi clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -13,13 +13,13 @@ help: ## this list
 demo: $(INSTALLED) ## start the service, ask it everything, draw a picture (ARGS=--exit ends by itself)
 	$(BIN)/joulemap demo $(ARGS)
 
-test: lint ## what must pass before a change is taken: linters, types, layers, tests
+test: lint ## what must pass before a change is taken: linters, types, layers, documentation, tests
 	$(BIN)/python -m pytest -m "not slow" $(ARGS)
 
 test-slow: $(INSTALLED) ## the tests that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
-bench: $(INSTALLED) ## seconds for every step, beside SciPy, on this machine
+bench: $(INSTALLED) ## seconds for every step, compared with SciPy, on this machine
 	$(BIN)/python -m tests.bench $(ARGS)
 
 lint: $(INSTALLED) ## ruff, mypy and the layers of the architecture
@@ -28,11 +28,17 @@ lint: $(INSTALLED) ## ruff, mypy and the layers of the architecture
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-format: $(INSTALLED) ## let ruff mend what it can
+lint-docstrings: $(INSTALLED) ## numpydoc's checks of every public docstring
+	$(BIN)/numpydoc lint $$(git ls-files 'model/*.py' 'planner/*.py' 'service/*.py')
+
+format: $(INSTALLED) ## let ruff correct what it can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-openapi: $(INSTALLED) ## write openapi/openapi.json anew
+docs: $(INSTALLED) ## build the documentation into build/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+openapi: $(INSTALLED) ## write openapi/openapi.json again
 	$(BIN)/joulemap openapi --out openapi/openapi.json
 
 clean: ## remove caches and the demo's output (data/ and $(VENV) stay)

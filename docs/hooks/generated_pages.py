@@ -1,0 +1,64 @@
+"""Pages of the site that are made at build time, so that they cannot be stale, and files that live elsewhere."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from http_page import http_page
+from mkdocs.structure.files import File
+from settings_page import settings_page
+
+ROOT = Path(__file__).resolve().parents[2]
+
+ELSEWHERE = {
+    "images/demo.png": "service/web/demo.png",
+    "records/model-card.md": "model/weights/MODEL_CARD.md",
+    "records/reproduction.md": "model/REPRODUCTION.md",
+    "records/blind.md": "model/loop/BLIND.md",
+    **{
+        f"records/figures/{figure.name}": f"model/figures/{figure.name}"
+        for figure in (ROOT / "model/figures").iterdir()
+    },
+}
+"""Place in the site -> file of the repository. Pages link to the file, so that links work in the repository too."""
+
+_LINK = re.compile(r"(\]\()((?:\.\./)+[^)#\s]+)")
+
+
+def cli_page() -> str:
+    """The reference of the command line, as typer writes it."""
+    command = [sys.executable, "-m", "typer", "joulemap.service.cli", "utils", "docs", "--name", "joulemap"]
+    text = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)  # their first sentences, cut off in the middle
+    return text.replace("# `joulemap`\n", "# Command line\n", 1)
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages that are generated and the files that live elsewhere."""
+    made = {
+        "reference/cli.md": cli_page(),
+        "reference/http.md": http_page(ROOT / "openapi/openapi.json"),
+        "reference/settings.md": settings_page(),
+    }
+    for uri, content in made.items():
+        files.append(File.generated(config, uri, content=content))
+    for uri, path in ELSEWHERE.items():
+        files.append(File.generated(config, uri, abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> str:
+    """Let links to files of the repository lead to their place in the site."""
+    here = posixpath.dirname(page.file.src_uri)
+    places = {f"../{path}": uri for uri, path in ELSEWHERE.items()}  # as seen from docs/
+
+    def moved(match: re.Match[str]) -> str:
+        uri = places.get(posixpath.normpath(posixpath.join(here, match[2])))
+        return match[0] if uri is None else match[1] + posixpath.relpath(uri, here or ".")
+
+    return _LINK.sub(moved, markdown)
