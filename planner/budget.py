@@ -1,4 +1,4 @@
-"""Battery verdicts: will the energy last, and what is left?"""
+"""Battery verdicts: whether the energy lasts, and what is left."""
 
 from __future__ import annotations
 
@@ -9,16 +9,39 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from joulemap.model.robot import Battery
+from joulemap.planner.words import probability_words
+
+PROBABILITY_LIMITS = (0.01, 0.99)
+"""Beyond these no probability is given: the tails of the distribution of errors are not known."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verdict:
     """Whether a battery lasts for a task.
 
-    energy_j : energy the task asks for; available_j : energy above the reserve at the start; margin_j : what is left of
-    it (0 when infeasible); shortfall_j : what is missing (0 when feasible); charge_at_end : state of charge after the
-    task, 0..1, below the reserve when infeasible and floored at 0 (empty before the end). energy_std_j : standard
-    deviation of energy_j, and probability, 0..1, that the battery lasts; None where nobody knows how far off it may be.
+    Attributes
+    ----------
+    feasible : bool
+        Whether it lasts.
+    energy_j : float
+        Energy that the task needs [J].
+    available_j : float
+        Energy above the reserve at the start [J].
+    margin_j : float
+        What is left of it [J]; 0 when infeasible.
+    shortfall_j : float
+        What is missing [J]; 0 when feasible.
+    charge_at_start : float
+        State of charge before the task, 0..1.
+    charge_at_end : float
+        State of charge after the task, 0..1: below the reserve when infeasible, 0 when empty before the end.
+    reserve : float
+        Share of the capacity that must remain, 0..1.
+    energy_std_j : float or None
+        Standard deviation of `energy_j` [J]; None where the model gives none.
+    probability : float or None
+        That the battery lasts, 0.01..0.99: 0.99 means at least 0.99, and 0.01 at most 0.01. None where the model gives
+        no standard deviation.
     """
 
     feasible: bool
@@ -32,10 +55,37 @@ class Verdict:
     energy_std_j: float | None = None
     probability: float | None = None
 
+    def __repr__(self) -> str:
+        return f"Verdict({self})"
+
+    def __str__(self) -> str:
+        spread = "" if self.energy_std_j is None else f" +- {self.energy_std_j / 3600:.2f}"
+        need = f"{self.energy_j / 3600:.2f}{spread} Wh needed, "
+        need += f"{self.available_j / 3600:.2f} Wh available above the reserve"
+        if self.probability is not None:
+            need += f", lasts with {probability_words(self.probability)}"
+        if self.feasible:
+            spare = f"{self.margin_j / 3600:.2f} Wh to spare"
+            return f"feasible: {need}, {spare}; charge at the end {self.charge_at_end:.1%}"
+        return f"not feasible: {need}, {self.shortfall_j / 3600:.2f} Wh short"
+
 
 def judge(energy_j: float, battery: Battery, *, std_j: float | None = None) -> Verdict:
-    """The verdict for a task of `energy_j` [J], negative where regeneration fills the battery. std_j : its standard
-    deviation [J], of a normal distribution.
+    """Return the verdict for a task of a given energy.
+
+    Parameters
+    ----------
+    energy_j : float
+        Energy that the task needs [J]; negative where regeneration fills the battery.
+    battery : Battery
+        Capacity, charge and reserve.
+    std_j : float, optional
+        Standard deviation of `energy_j` [J], of a normal distribution.
+
+    Returns
+    -------
+    Verdict
+        Whether the battery lasts.
     """
     margin = battery.available_j - energy_j
     at_end = battery.charge - energy_j / (battery.capacity_wh * 3600.0)
@@ -54,12 +104,27 @@ def judge(energy_j: float, battery: Battery, *, std_j: float | None = None) -> V
 
 
 def judge_along(pieces_j: ArrayLike, battery: Battery, *, std_j: ArrayLike | None = None) -> Verdict:
-    """The verdict for a task driven piece by piece. pieces_j : (n,) energy [J] of each, in order; std_j : (n,) standard
-    deviation [J] of the energy up to the end of each.
+    """Return the verdict for a task driven piece by piece.
 
+    Parameters
+    ----------
+    pieces_j : array_like, (n,)
+        Energy of each piece, in order [J].
+    battery : Battery
+        Capacity, charge and reserve.
+    std_j : array_like, (n,), optional
+        Standard deviation of the energy up to the end of each piece [J].
+
+    Returns
+    -------
+    Verdict
+        Whether the battery lasts.
+
+    Notes
+    -----
     The same as `judge` of the sum where no piece is negative. Where regeneration returns energy, what a full battery
     cannot take is lost, and the battery must last at its lowest point: margin and shortfall are counted there, and the
-    probability is that of the piece after which the battery is likeliest empty.
+    probability is that of the piece after which the battery is most likely empty.
     """
     pieces = np.asarray(pieces_j, dtype=np.float64)
     std = None if std_j is None else np.append(0.0, std_j)
@@ -81,6 +146,7 @@ def judge_along(pieces_j: ArrayLike, battery: Battery, *, std_j: ArrayLike | Non
 
 
 def _probability(margin_j: ArrayLike, std_j: ArrayLike) -> NDArray[np.float64]:
-    """That normal variables of these means and standard deviations are not negative."""
+    """That normal variables of these means and standard deviations are not negative, within `PROBABILITY_LIMITS`."""
     margin, std = np.asarray(margin_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
-    return np.where(std > 0.0, ndtr(margin / np.where(std > 0.0, std, 1.0)), margin >= 0.0)
+    lasts = np.where(std > 0.0, ndtr(margin / np.where(std > 0.0, std, 1.0)), margin >= 0.0)
+    return np.clip(lasts, *PROBABILITY_LIMITS)

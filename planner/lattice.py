@@ -1,4 +1,4 @@
-"""CostLattice: what driving costs at every cell and heading, what is blocked and why, and how it was made."""
+"""The cost lattice: what driving costs at every cell and heading, what is blocked and why, and how it was made."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ class Blocked(IntEnum):
 
     @property
     def label(self) -> str:
+        """The reason's name in files and answers, for example "cross_slope"."""
         return self.name.lower()
 
 
@@ -34,18 +35,27 @@ class Blocked(IntEnum):
 class CostLattice:
     """A directional cost map for one robot on one heightmap.
 
-    frame : where the cells lie; cell (0, 0) is north-west.
-    robot : whose prices and limits these are.
-    traction_per_m : (rows, cols, headings) float32 [J/m], what motion alone asks for per horizontal metre on the 1 m
-        segment centred at the cell; negative where the ground pushes; NaN where unknown. Stored instead of the price
-        because it is smooth in heading, so its periodic interpolation is exact where the price has a kink.
-    elevation_m : (rows, cols) float32 [m] at cell centres.
-    gradient : (rows, cols, 2) float32, rise per metre towards east and north of the plane through the square metre.
-    blocked : (rows, cols) uint8, a `Blocked` code that holds for every heading. Limits that depend on the heading
-        follow from `gradient` and the robot, see `blocked_by_heading`.
-    std_j : (rows, cols, headings) float32 [J], standard deviation of the energy of the 1 m segment centred at the cell;
-        None where the model does not know how far off it may be.
-    provenance : JSON-able record of model, heightmap hash, settings, versions and warnings.
+    Attributes
+    ----------
+    frame : GridFrame
+        Where the cells lie; cell (0, 0) is north-west.
+    robot : Robot
+        Whose prices and limits these are.
+    traction_per_m : ndarray of float32, (rows, cols, headings)
+        Energy that motion alone needs per horizontal metre on the 1 m segment centred at the cell [J/m]: negative where
+        the ground pushes, NaN where unknown. Stored instead of the price because it is smooth in heading, so its
+        periodic interpolation is exact where the price has a kink.
+    elevation_m : ndarray of float32, (rows, cols)
+        Elevation at cell centres [m].
+    gradient : ndarray of float32, (rows, cols, 2)
+        Rise per metre towards east and north of the plane through the square metre around the cell.
+    blocked : ndarray of uint8, (rows, cols)
+        A `Blocked` code that holds for every heading. Limits that depend on the heading follow from `gradient` and the
+        robot, see `blocked_by_heading`.
+    provenance : dict
+        JSON-able record of model, heightmap hash, settings, versions and warnings.
+    std_j : ndarray of float32, (rows, cols, headings), or None
+        Standard deviation of the energy of the 1 m segment centred at the cell [J]; None where the model gives none.
     """
 
     frame: GridFrame
@@ -72,25 +82,59 @@ class CostLattice:
         if self.headings < 4:
             raise InputError(f"lattice: at least 4 headings are needed, got {self.headings}", headings=self.headings)
 
+    def __repr__(self) -> str:
+        free = float((self.blocked == Blocked.FREE).mean())
+        return (
+            f"CostLattice({self.frame.rows} x {self.frame.cols} cells of {self.frame.resolution_m:g} m, "
+            f"{self.headings} headings, for {self.robot.name}, {1.0 - free:.1%} of the cells blocked)"
+        )
+
+    def __str__(self) -> str:
+        west, south, east, north = self.frame.bounds
+        codes, counts = np.unique(self.blocked, return_counts=True)
+        shares = ", ".join(
+            f"{Blocked(code).label.replace('_', ' ')} {count / self.blocked.size:.1%}"
+            for code, count in zip(codes.tolist(), counts.tolist(), strict=True)
+        )
+        lines = [
+            f"cost lattice for {self.robot.name}: {self.frame.rows} x {self.frame.cols} cells of "
+            f"{self.frame.resolution_m:g} m, {self.headings} headings",
+            f"x {west:.2f}..{east:.2f} m, y {south:.2f}..{north:.2f} m, {self.frame.crs or 'no CRS'}",
+            f"cells: {shares}; limits that depend on the heading come on top",
+        ]
+        model = self.provenance.get("model", {}).get("name")
+        return "\n".join([*lines, f"model: {model}"] if model else lines)
+
     @property
     def headings(self) -> int:
-        """Number of heading bins K; bin k points to 2 pi k / K."""
+        """Number of heading bins K; bin k points to 2 pi k / K, clockwise from north."""
         return int(self.traction_per_m.shape[2])
 
     @cached_property
     def energy_per_m(self) -> NDArray[np.float32]:
-        """(rows, cols, headings) float32 [J/m]: the price of the 1 m segment centred at each cell."""
+        """Price [J/m] of the 1 m segment centred at each cell: float32, (rows, cols, headings)."""
         return self.robot.price_per_m(self.traction_per_m).astype(np.float32)
 
     @cached_property
     def max_tangents(self) -> tuple[float, float]:
-        """The robot's limits as tangents: (along the motion, across it)."""
+        """The robot's limits as tangents: along the motion, and across it."""
         return float(np.tan(np.deg2rad(self.robot.max_grade_deg))), float(
             np.tan(np.deg2rad(self.robot.max_cross_slope_deg))
         )
 
     def blocked_at(self, headings_rad: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """(rows, cols, n) uint8 `Blocked` codes at headings (n,) [rad], limits on grade and cross slope included."""
+        """Return why cells may not be driven at some headings, limits on grade and cross slope included.
+
+        Parameters
+        ----------
+        headings_rad : ndarray of float, (n,)
+            Headings [rad, clockwise from north].
+
+        Returns
+        -------
+        ndarray of uint8, (rows, cols, n)
+            `Blocked` codes.
+        """
         east, north = heading_vector(headings_rad)  # (n,)
         rise_east, rise_north = self.gradient[..., :1], self.gradient[..., 1:]
         max_grade, max_cross = self.max_tangents
@@ -100,7 +144,20 @@ class CostLattice:
         return np.where(self.blocked[..., None] > 0, self.blocked[..., None], codes)
 
     def window(self, row0: int, row1: int, col0: int = 0, col1: int | None = None) -> CostLattice:
-        """The lattice of cells [row0, row1) x [col0, col1); views, not copies."""
+        """Return the lattice of cells [row0, row1) x [col0, col1).
+
+        Parameters
+        ----------
+        row0, row1 : int
+            First row, and the one after the last.
+        col0, col1 : int
+            First column, and the one after the last; all columns by default.
+
+        Returns
+        -------
+        CostLattice
+            Its arrays are views, not copies.
+        """
         part = np.s_[row0:row1, col0:col1]
         return replace(
             self,
@@ -113,16 +170,16 @@ class CostLattice:
         )
 
     def blocked_by_heading(self) -> NDArray[np.uint8]:
-        """(rows, cols, headings) uint8 `Blocked` codes at every bin."""
+        """Return the `Blocked` codes at every heading bin: uint8, (rows, cols, headings)."""
         return self.blocked_at(heading_bins(self.headings))
 
     def mean_energy_per_m(self) -> NDArray[np.float64]:
-        """(rows, cols) [J/m], mean over the headings that may be driven; NaN where there are none."""
+        """Return the mean price over the headings that may be driven: (rows, cols) [J/m]; NaN where there are none."""
         free = self.blocked_by_heading() == Blocked.FREE
         total, count = np.where(free, self.energy_per_m, 0.0).sum(axis=2, dtype=np.float64), free.sum(axis=2)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     def blocked_shares(self) -> dict[str, float]:
-        """Share of (cell, heading) pairs under each reason, `free` included; the values sum to 1."""
+        """Return the share of (cell, heading) pairs under each reason, `free` included; the values sum to 1."""
         counts = np.bincount(self.blocked_by_heading().ravel(), minlength=len(Blocked))
         return {reason.label: float(counts[reason] / counts.sum()) for reason in Blocked}

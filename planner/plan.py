@@ -9,28 +9,38 @@ from typing import Any
 
 import numpy as np
 
-from joulemap.model.errors import InputError, NoRouteError
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable, distance_table, move_table
+from joulemap.planner.places import end_point
+from joulemap.planner.planners import PLANNERS, Options, planner_named
 from joulemap.planner.refine import LEVELS, refine_path
 from joulemap.planner.route import Route, price_route
-from joulemap.planner.search import PLANNERS as GRID_PLANNERS
-from joulemap.planner.search import grid_search, standing_point
+from joulemap.planner.search import grid_search
 from joulemap.planner.tours import cheapest_tour
+from joulemap.planner.words import energy_words
 
-SAMPLING_PLANNERS = ("rrtstar", "informed_rrtstar", "bitstar")
-PLANNERS = (*GRID_PLANNERS, *SAMPLING_PLANNERS)
+SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_time_limit)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """The answer to one question.
 
-    route : least energy found; shortest : least length within the same limits, priced the same way; details : JSON-able
-    record of how it was found (seconds, expanded, grid_energy_j, ...); others : other good ways, cheapest first.
+    Attributes
+    ----------
+    route : Route
+        Least energy found.
+    shortest : Route
+        Least length within the same limits, priced the same way.
+    planner : str
+        Name of the planner.
+    details : dict
+        JSON-able record of how the route was found: `seconds`, `expanded`, `grid_energy_j` [J] and more.
+    others : tuple of Route
+        Other good routes, cheapest first.
     """
 
     route: Route
@@ -44,14 +54,36 @@ class Plan:
         """Energy [J] that the route saves against the shortest path; never negative."""
         return self.shortest.energy_j - self.route.energy_j
 
+    def __repr__(self) -> str:
+        return f"Plan({self.route.in_words()}; {energy_words(self.saving_j)} less than the shortest path)"
+
+    def __str__(self) -> str:
+        lines = [
+            f"energy-optimal route ({self.planner}): {self.route.in_words()}",
+            f"shortest path: {self.shortest.in_words()}",
+            f"saving: {energy_words(self.saving_j)}",
+            *(f"alternative {k}: {other.in_words()}" for k, other in enumerate(self.others, 1)),
+            *(f"note: {note}" for note in self.route.notes),
+        ]
+        return "\n".join(lines)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RoundTrip:
     """A tour of several stops.
 
-    legs : n, from each stop to the next and home from the last; order : (n,) which stop is visited when, home (stop 0)
-    first; grid_energy_j, bound_j : energy of the tour over grid moves, and what no order of the stops costs less than
-    over them; notes : what was done to the stops.
+    Attributes
+    ----------
+    legs : tuple of Route
+        n routes, from each stop to the next and from the last one home.
+    order : tuple of int
+        (n,) which stop is visited when, home (stop 0) first.
+    grid_energy_j : float
+        Energy of the tour over grid moves [J].
+    bound_j : float
+        Proven lower bound of it over all orders of the stops [J].
+    notes : tuple of str
+        Where stops were moved to, if any.
     """
 
     legs: tuple[Route, ...]
@@ -70,16 +102,53 @@ class RoundTrip:
         """Whether no other order costs less over grid moves."""
         return self.grid_energy_j <= self.bound_j + 1e-6 * abs(self.bound_j) + 1e-3
 
+    def __repr__(self) -> str:
+        return f"RoundTrip({self._total()}, order {self._order()})"
+
+    def __str__(self) -> str:
+        legs = zip(self.order, (*self.order[1:], self.order[0]), self.legs, strict=True)
+        lines = [
+            f"round trip: {self._total()}",
+            f"order: {self._order()}" + (", proven to be the best" if self.proven else ""),
+            *(f"stop {here} to stop {there}: {leg.in_words()}" for here, there, leg in legs),
+            *(f"note: {note}" for note in self.notes),
+        ]
+        return "\n".join(lines)
+
+    def _total(self) -> str:
+        length = sum(leg.length_m for leg in self.legs)
+        return f"{len(self.legs)} stops, {length:.1f} m, {energy_words(self.energy_j)}"
+
+    def _order(self) -> str:
+        return " - ".join(str(stop) for stop in (*self.order, self.order[0]))
+
 
 def distance_lattice(lattice: CostLattice) -> CostLattice:
-    """The same ground and limits at a price of 1 per metre in every direction: its cheapest path is the shortest."""
+    """Return the same ground and limits at a price of 1 J/m in every direction: its cheapest path is the shortest.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+
+    Returns
+    -------
+    CostLattice
+        The lattice of distances.
+    """
     robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
     flat = np.where(np.isnan(lattice.traction_per_m), lattice.traction_per_m, np.float32(0.0))
     return replace(lattice, robot=robot, traction_per_m=flat)
 
 
 class RoutePlanner:
-    """Plans on one lattice; keeps what repeated questions share (the priced moves)."""
+    """Plans on one lattice; keeps what repeated questions share (the priced moves).
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    """
 
     def __init__(self, lattice: CostLattice) -> None:
         self.lattice = lattice
@@ -90,7 +159,12 @@ class RoutePlanner:
     def prepare(self, neighbours: int = 16, *, landmarks: bool = False) -> None:
         """Price the moves now, so that the first question does not wait for it.
 
-        landmarks : make them too; they cost eight energy fields and spare every further A* most of its search.
+        Parameters
+        ----------
+        neighbours : {16, 8, 32}
+            Moves per cell.
+        landmarks : bool, default False
+            Whether to make landmarks too. They cost eight energy fields and save every later A* most of its search.
         """
         self._table(neighbours, distance=True)
         if landmarks and neighbours not in self._landmarks:
@@ -118,33 +192,65 @@ class RoutePlanner:
         seed: int = 0,
         from_grid: bool = False,
         alternatives: int = 0,
+        snap: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> Plan:
-        """The energy-optimal and the shortest route from start to goal (world x, y [m]).
+        """Return the energy-optimal and the shortest route from start to goal.
 
-        planner : one of `PLANNERS`; neighbours : 8, 16 or 32 (grid planners); refine : any-angle improvement of the
-        path found; time_limit_s, seed : for the sampling planners, which with `from_grid` sample only near the grid's
-        path, or where the grid leaves hope of a better way, and answer with the grid's if they find none;
-        alternatives : most other ways to look for (`alternative_paths`). Raises PointError, BlockedError, NoRouteError.
+        Parameters
+        ----------
+        start_xy, goal_xy : tuple of float
+            World x, y [m].
+        planner : str, default "astar"
+            One of `PLANNERS`, or the name of a planner that was registered.
+        neighbours : {16, 8, 32}
+            Moves per cell of the grid planners.
+        refine : bool, default True
+            Whether to improve the path at any angle, which never makes it dearer.
+        time_limit_s : float, default 5.0
+            How long the sampling planners search [s].
+        seed : int, default 0
+            Seed of the sampling planners.
+        from_grid : bool, default False
+            Whether the sampling planners sample only near the grid's path, or where a path could be cheaper than it,
+            and return the grid's path if they find no better one.
+        alternatives : int, default 0
+            Most other routes to look for, see `alternative_paths`.
+        snap : bool, default False
+            Whether a start or goal on blocked ground is moved to the nearest free place; the route's notes say where.
+        progress : callable, optional
+            Called with the share of the sampling planners' time that is over, 0..1.
+
+        Returns
+        -------
+        Plan
+            Both routes, priced by `edges`; the first never costs more than the second.
+
+        Raises
+        ------
+        InputError
+            If the planner or a setting is unknown.
+        PointError
+            If start or goal is not finite or lies outside the map.
+        BlockedError
+            If start or goal is on blocked ground; the context names the nearest free place.
+        NoRouteError
+            If no route was found.
+        NegativeCycleError
+            If driving in a circle would fill the battery.
         """
-        if planner not in PLANNERS:
-            raise InputError(f"planner must be one of {', '.join(PLANNERS)}, got {planner!r}", planner=planner)
+        asked = planner_named(planner)
         lattice = self.lattice
         notes: list[str] = []
-        start, goal = (self._standing(name, xy, notes) for name, xy in (("start", start_xy), ("goal", goal_xy)))
+        start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         began = time.perf_counter()
-        shortest, _ = self._grid_route(start, goal, neighbours, refine, "astar", distance=True)
-        details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine}
-        if planner in GRID_PLANNERS:
-            points, found = self._grid_route(start, goal, neighbours, refine, planner, distance=False)
-        else:
-            points, found = self._sampled_route(
-                start, goal, planner, time_limit_s, seed, neighbours if from_grid else None, progress
-            )
-            points = refine_path(lattice, points) if refine else points
-            if lattice.robot.turn_j_per_rad > 0.0:
-                notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
-        details |= found
+        shortest = self._shortest(start, goal, neighbours, refine)
+        options = Options(time_limit_s, seed, from_grid, self._landmarks.get(neighbours), progress)
+        points, found = asked.search(lattice, self._table(neighbours, distance=False), start, goal, options)
+        points = refine_path(lattice, points) if refine else points
+        if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
+            notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
+        details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine, **found}
         details["from_shortest"] = path_price(lattice, shortest) < path_price(lattice, points)
         if details["from_shortest"]:  # the route never costs more than the shortest path
             points = refine_path(lattice, shortest) if refine else shortest
@@ -165,15 +271,46 @@ class RoutePlanner:
         neighbours: int = 16,
         refine: bool = True,
         time_limit_s: float = 10.0,
+        snap: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> RoundTrip:
-        """Visit all stops (world x, y [m]) and come home to the first one, in the order that costs least.
+        """Return the cheapest round trip from the first stop over all others, in the order that costs least.
 
-        time_limit_s : for the order, not for the ways. Needs the extra `tours`. Raises PointError, BlockedError,
-        NoRouteError naming two stops, InputError, BusyError.
+        Parameters
+        ----------
+        stops_xy : sequence of tuple of float
+            World x, y [m] of 2 to 60 stops; the first one is home.
+        neighbours : {16, 8, 32}
+            Moves per cell.
+        refine : bool, default True
+            Whether to improve each leg at any angle.
+        time_limit_s : float, default 10.0
+            Longest time for the search of the order [s]; the paths between stops come before it.
+        snap : bool, default False
+            Whether a stop on blocked ground is moved to the nearest free place; the notes say where.
+        progress : callable, optional
+            Called with the share that is done, 0..1.
+
+        Returns
+        -------
+        RoundTrip
+            The routes in order.
+
+        Raises
+        ------
+        InputError
+            If the number of stops is out of range, or OR-tools (extra `tours`) is not installed.
+        PointError
+            If a stop is not finite or lies outside the map.
+        BlockedError
+            If a stop is on blocked ground; the context names the nearest free place.
+        NoRouteError
+            If no route joins two stops; the message names them.
+        BusyError
+            If the time limit leaves no tour.
         """
         notes: list[str] = []
-        stops = np.array([self._standing(f"stop {k}", xy, notes) for k, xy in enumerate(stops_xy)])
+        stops = np.array([self._end(f"stop {k}", xy, notes, snap) for k, xy in enumerate(stops_xy)])
         table = self._table(neighbours, distance=False)
         found = cheapest_tour(self.lattice, table, stops, time_limit_s=time_limit_s, progress=progress)
         ways = (refine_path(self.lattice, leg.points) if refine else leg.points for leg in found.paths)
@@ -181,60 +318,17 @@ class RoutePlanner:
         legs = tuple(self._route(way, []) for way in ways)
         return RoundTrip(legs, order, found.energy_j, found.bound_j, tuple(notes))
 
-    def _standing(self, name: str, xy: tuple[float, float], notes: list[str]) -> Points:
-        """Where a way may begin or end for a world point; a note where that is another place."""
-        point, moved = standing_point(self.lattice, float(xy[0]), float(xy[1]), name=name)
-        if moved:
-            x, y = self.lattice.frame.xy(*point)
-            notes.append(f"{name} leans on blocked ground and was moved to the centre of its cell, ({x:.2f}, {y:.2f})")
+    def _end(self, name: str, xy: tuple[float, float], notes: list[str], snap: bool) -> Points:
+        """Where a route begins or ends for a world point; a note where that is another place."""
+        point, note = end_point(self.lattice, float(xy[0]), float(xy[1]), name=name, snap=snap)
+        if note is not None:
+            notes.append(note)
         return point
 
-    def _grid_route(
-        self, start: Points, goal: Points, neighbours: int, refine: bool, planner: str, *, distance: bool
-    ) -> tuple[Points, dict[str, Any]]:
-        lattice = self._distances if distance else self.lattice
-        found = grid_search(
-            lattice,
-            self._table(neighbours, distance=distance),
-            start,
-            goal,
-            planner=planner,
-            landmarks=None if distance or planner != "astar" else self._landmarks.get(neighbours),
-        )
-        assert found.points is not None
-        levels = LEVELS[:2] if distance else LEVELS  # a taut string needs no small zigzags
-        points = refine_path(lattice, found.points, levels=levels) if refine else found.points
-        return points, {"expanded": found.expanded, "grid_energy_j": found.energy_j}
-
-    def _sampled_route(
-        self,
-        start: Points,
-        goal: Points,
-        planner: str,
-        time_limit_s: float,
-        seed: int,
-        from_grid: int | None,
-        progress: Callable[[float], None] | None,
-    ) -> tuple[Points, dict[str, Any]]:
-        from joulemap.planner import sampling  # OMPL is loaded only where it is asked for
-
-        lattice = self.lattice
-        options: dict[str, Any] = {"time_limit_s": time_limit_s, "seed": seed, "progress": progress}
-        if from_grid is None:
-            return sampling.sample_route(lattice, start, goal, planner=planner, **options)
-        table = self._table(from_grid, distance=False)
-        grid = grid_search(lattice, table, start, goal)
-        details: dict[str, Any] = {"grid_energy_j": grid.energy_j}
-        try:
-            if planner == "bitstar":
-                points, found = sampling.sample_along(lattice, grid.points, **options)
-            else:
-                places = sampling.hopeful_places(lattice, table, start, goal)
-                points, found = sampling.sample_route(lattice, start, goal, planner=planner, places=places, **options)
-        except NoRouteError:
-            return grid.points, details
-        better = path_price(lattice, points) < path_price(lattice, grid.points)
-        return points if better else grid.points, details | found
+    def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
+        """The shortest path within the limits."""
+        points = grid_search(self._distances, self._table(neighbours, distance=True), start, goal).points
+        return refine_path(self._distances, points, levels=LEVELS[:2]) if refine else points  # no zigzag pays here
 
     def _route(self, points: Points, notes: list[str]) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])

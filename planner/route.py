@@ -1,4 +1,4 @@
-"""Route: a priced polyline, leg by leg and metre by metre."""
+"""A route: a priced polyline, leg by leg and metre by metre."""
 
 from __future__ import annotations
 
@@ -12,17 +12,29 @@ from joulemap.model.frames import wrap_angle
 from joulemap.model.terrain.heightmap import sample_bilinear
 from joulemap.planner.edges import leg_prices, path_headings, path_price, world_points
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.words import duration_words, energy_words
 
 PROFILE_STEP_M = 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Profile:
-    """A route cut into pieces of at most a metre (never across a corner). All arrays (n,).
+    """A route cut into pieces of at most a metre, never across a corner.
 
-    distance_m : horizontal distance from the start at the piece's end; x, y, z [m] there; heading_rad of the piece;
-    energy_j : energy of the piece, the turn at its beginning included; cumulative_j : energy from the start to its end;
-    std_j : standard deviation of the energy of the piece alone, None where the lattice has none.
+    Attributes
+    ----------
+    distance_m : ndarray of float, (n,)
+        Horizontal distance from the start at the end of each piece [m].
+    x, y, z : ndarray of float, (n,)
+        World point at its end [m].
+    heading_rad : ndarray of float, (n,)
+        Heading of the piece [rad, clockwise from north].
+    energy_j : ndarray of float, (n,)
+        Energy of the piece, the turn at its beginning included [J].
+    cumulative_j : ndarray of float, (n,)
+        Energy from the start to its end [J].
+    std_j : ndarray of float, (n,), or None
+        Standard deviation of the energy of the piece alone [J]; None where the lattice has none.
     """
 
     distance_m: NDArray[np.float64]
@@ -34,13 +46,34 @@ class Profile:
     cumulative_j: NDArray[np.float64]
     std_j: NDArray[np.float64] | None = None
 
+    def __repr__(self) -> str:
+        length = float(self.distance_m[-1]) if self.distance_m.size else 0.0
+        energy = energy_words(float(self.energy_j.sum()))
+        return f"Profile({self.distance_m.size} pieces over {length:.1f} m, {energy})"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Route:
     """A path with its price.
 
-    points : (n, 3) float64 world x, y, z [m]; length_m : horizontal; duration_s : at the robot's speed, turns not
-    counted; energy_j : re-priced by `edges`, turns included; climb_m, descent_m : sums along the profile, both >= 0.
+    Attributes
+    ----------
+    points : ndarray of float, (n, 3)
+        World x, y, z [m]; z is NaN where no height near the point is known.
+    energy_j : float
+        Energy, priced by `edges`, turns included [J].
+    length_m : float
+        Horizontal length [m].
+    duration_s : float
+        Time at the robot's speed, turns not counted [s].
+    climb_m, descent_m : float
+        Sums of all ascents and of all descents along the profile, both at least 0 [m].
+    profile : Profile
+        The route metre by metre.
+    crs : str or None
+        Coordinate reference system of the points.
+    notes : list of str
+        What the caller should know of the route.
     """
 
     points: NDArray[np.float64]
@@ -53,9 +86,47 @@ class Route:
     crs: str | None = None
     notes: list[str] = field(default_factory=list)
 
+    def in_words(self) -> str:
+        """Return length, energy and duration in words and units."""
+        return f"{self.length_m:.1f} m, {energy_words(self.energy_j)}, {duration_words(self.duration_s)}"
+
+    def __repr__(self) -> str:
+        return f"Route({self.in_words()}, {self.climb_m:.1f} m up, {self.descent_m:.1f} m down)"
+
+    def __str__(self) -> str:
+        start, end = (f"({x:.2f}, {y:.2f})" for x, y in self.points[[0, -1], :2])
+        lines = [
+            f"route from {start} to {end}: {self.in_words()}",
+            f"{self.climb_m:.1f} m up, {self.descent_m:.1f} m down, {len(self.points)} points",
+            *(f"note: {note}" for note in self.notes),
+        ]
+        return "\n".join(lines)
+
 
 def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None = None) -> Route:
-    """The Route along world points (n >= 1, 2 or 3). Raises PointError; BlockedError on a forbidden leg."""
+    """Return the route along given world points.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    xy : array_like, (n, 2 or 3)
+        World x, y [m] of n >= 1 points; a third column is not used.
+    notes : list of str, optional
+        What the caller should know of the route.
+
+    Returns
+    -------
+    Route
+        The route with its profile.
+
+    Raises
+    ------
+    PointError
+        If a point is not finite or lies outside the map.
+    BlockedError
+        If a leg may not be driven; the context has its number and its ends.
+    """
     points = world_points(lattice, xy)
     for k, (x, y) in enumerate(np.asarray(xy, dtype=np.float64)[:, :2]):
         lattice.frame.cell_of(float(x), float(y), name=f"point {k} of the path")
@@ -74,14 +145,15 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
     x, y = lattice.frame.xy(points[:, 0], points[:, 1])
     z = elevation_at(lattice, points)
     length = float(profile.distance_m[-1]) if profile.distance_m.size else 0.0
-    rise = np.diff(np.append(z[0], profile.z))
+    heights = np.append(z[0], profile.z)
+    rise = np.diff(heights[np.isfinite(heights)])
     return Route(
         points=np.column_stack([x, y, z]),
         energy_j=float(energy),
         length_m=length,
         duration_s=length / lattice.robot.speed_mps,
         climb_m=float(rise[rise > 0].sum()),
-        descent_m=float(-rise[rise < 0].sum()),
+        descent_m=abs(float(rise[rise < 0].sum())),
         profile=profile,
         crs=lattice.frame.crs,
         notes=list(notes or []),
@@ -89,15 +161,71 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
 
 
 def elevation_at(lattice: CostLattice, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bilinear elevation [m] at (n, 2) fractional (row, col)."""
-    return sample_bilinear(lattice.elevation_m, np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1]))
+    """Return the elevation of the ground at places of a lattice.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Elevations at cell centres.
+    points : ndarray of float, (n, 2)
+        Fractional (row, col).
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Elevation [m], bilinear between cell centres and continued linearly in the outer half cell. Next to unknown
+        ground it is the mean of the known ones of the four centres around, by their bilinear weights; NaN where none
+        of them is known.
+    """
+    found = sample_bilinear(lattice.elevation_m, np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1]))
+    unknown = np.isnan(found)
+    if unknown.any():
+        found[unknown] = _known_elevation(lattice.elevation_m, points[unknown])
+    return found
+
+
+def _known_elevation(elevation_m: NDArray[np.float32], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) mean [m] of the known centres around (n, 2) points, weighted as in bilinear interpolation."""
+    last = np.array(elevation_m.shape) - 1
+    place = np.clip(points, 0.0, last)
+    corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
+    share = place - corner
+    total, weights = np.zeros(len(points)), np.zeros(len(points))
+    for row, col in np.ndindex(2, 2):
+        cell = np.minimum(corner + np.array([row, col]), last)
+        height = elevation_m[cell[:, 0], cell[:, 1]]
+        # a centre that is known counts a little even where its weight is 0: it is the nearest height there is
+        weight = np.abs(1.0 - row - share[:, 0]) * np.abs(1.0 - col - share[:, 1]) + 1e-9
+        known = np.isfinite(height)
+        total += np.where(known, weight * height, 0.0)
+        weights += np.where(known, weight, 0.0)
+    return np.where(weights > 0.0, total / np.where(weights > 0.0, weights, 1.0), np.nan)
 
 
 def geojson(route: Route, **properties: object) -> dict[str, object]:
-    """The route as a GeoJSON Feature (a LineString with z) in the map's CRS, which RFC 7946 readers take from `crs`."""
+    """Return the route as a GeoJSON Feature.
+
+    Parameters
+    ----------
+    route : Route
+        The route.
+    **properties : object
+        More properties of the Feature, JSON-able.
+
+    Returns
+    -------
+    dict
+        A LineString of x, y, z [m] in the map's CRS, which is named in `crs`. Its points have no z where the height of
+        one of them is not known.
+
+    References
+    ----------
+    RFC 7946; `crs` is that of its predecessor, GeoJSON 2008.
+    """
+    points = route.points if np.isfinite(route.points).all() else route.points[:, :2]
     feature: dict[str, object] = {
         "type": "Feature",
-        "geometry": {"type": "LineString", "coordinates": route.points.tolist()},
+        "geometry": {"type": "LineString", "coordinates": points.tolist()},
         "properties": {
             "energy_j": route.energy_j,
             "length_m": route.length_m,

@@ -3,8 +3,11 @@
 Costs are handed to OMPL in units of the lattice's cheapest cell length, so that a straight line is a lower bound of
 every cost: BIT* may then sample inside the ellipse of its best solution. A turn cost is not part of the objective,
 because OMPL adds up motions and a turn belongs to two of them; the route that comes back is priced with its turns.
-Started from the grid, RRT* samples only where the grid's two energy fields leave hope of a better way, and BIT* in a
-corridor round the grid's path, then in ever narrower ones round its own.
+Started from the grid, RRT* samples only where the grid's two energy fields leave room for a better path, and BIT* in a
+corridor around the grid's path, then in ever narrower ones around its own.
+
+References: Karaman & Frazzoli 2011 (RRT*); Gammell, Srinivasa & Barfoot 2014 (Informed RRT*) and 2015 (BIT*); Sucan,
+Moll & Kavraki 2012 (OMPL).
 """
 
 from __future__ import annotations
@@ -32,25 +35,37 @@ from joulemap.planner.refine import subdivided
 MAX_TIME_LIMIT_S = 120.0
 _HEADINGS_PER_BIN = 8
 _DIP = (math.pi / _HEADINGS_PER_BIN) ** 2 / 8.0
-HOPE = 0.03
-"""The grid's best way through a place of a better any-angle way costs at most this share more than its best way: on
+SUBSET_MARGIN = 0.03
+"""The grid's best path through a place of a better any-angle path costs at most this share more than its best path: on
 even ground 16 headings are 2.75 % longer than any angle."""
 CORRIDORS_CELLS = (2.0, 1.0, 0.5)
 """Half widths of the corridors in which BIT* is started from the grid, each for an equal share of the time."""
 _CORRIDOR_CUTS, _CORRIDOR_BATCH = 4, 300
-"""Pieces that a cell's side is cut into to draw a corridor, and how many samples BIT* takes at once in one."""
+"""Pieces that a cell's side is cut into to draw a corridor, and the number of samples in a batch of BIT* in one."""
 SLICE_S = 0.25
-"""How often the best solution so far is looked at."""
+"""How often the best solution so far is recorded [s]."""
 TREE_STEP_CELLS = 30.0
-"""Longest leg a tree planner adds. OMPL's own default, a fifth of the map, mostly runs into blocked ground."""
+"""Longest leg that a tree planner adds. OMPL's own default, a fifth of the map, mostly ends on blocked ground."""
 
 
 def price_floor_per_m(lattice: CostLattice) -> float:
-    """A proven lower bound of the price per metre [J/m], over all places and all continuous headings.
+    """Return a proven lower bound of the price per metre, over all places and all continuous headings.
 
-    Traction is bilinear between cells, so its least value is at a cell; in heading it is a trigonometric polynomial of
-    order at most K / 2, which between samples 2 pi / (8 K) apart falls at most `_DIP` = (pi / 8)^2 / 8 = 1.93 % of its
-    largest magnitude below them (Bernstein's inequality for the second derivative).
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices.
+
+    Returns
+    -------
+    float
+        The bound [J/m].
+
+    Notes
+    -----
+    Traction is bilinear between cells, so its least value is at a cell. In heading it is a trigonometric polynomial of
+    order at most K / 2. Between samples with a step of 2 pi / (8 K) it falls at most `_DIP` = (pi / 8)^2 / 8 = 1.93 %
+    of its largest magnitude below them (Bernstein's inequality for the second derivative).
     """
     bins = lattice.headings
     matrix = interpolation_matrix(heading_bins(_HEADINGS_PER_BIN * bins), bins).astype(np.float32).T
@@ -157,18 +172,49 @@ _ALGORITHMS = {
 }
 
 
-def hopeful_places(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> NDArray[np.bool_]:
-    """(rows, cols) bool: cells through which the grid's best way costs at most `HOPE` more than its best way of all.
+def informed_subset(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> NDArray[np.bool_]:
+    """Return the cells through which the grid's best path costs at most `SUBSET_MARGIN` more than its best path of all.
 
-    A subset informed by energies, where an ellipse knows only lengths (Gammell et al. 2014).
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    start, goal : ndarray of float, (2,)
+        Fractional (row, col).
+
+    Returns
+    -------
+    ndarray of bool, (rows, cols)
+        Where a better path may lie.
+
+    References
+    ----------
+    Gammell et al. 2014, where the informed subset is an ellipse of lengths; here it is one of energies.
     """
     via = field_from(lattice, table, start).energy_j + field_towards(lattice, table, goal[None]).energy_j
     least = via.min()
-    return (lattice.blocked == 0) & (via <= least + HOPE * abs(least))
+    return (lattice.blocked == 0) & (via <= least + SUBSET_MARGIN * abs(least))
 
 
 def corridor(lattice: CostLattice, points: Points, half_width: float) -> NDArray[np.bool_]:
-    """(4 rows, 4 cols) bool: quarter cells within half_width [cells] of a (row, col) polyline."""
+    """Return the quarter cells near a polyline.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Whose cells these are.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+    half_width : float
+        Half the width of the corridor [cells].
+
+    Returns
+    -------
+    ndarray of bool, (4 rows, 4 cols)
+        Whether each quarter cell lies in the corridor.
+    """
     reach = round(half_width * _CORRIDOR_CUTS)
     along = np.arange(-reach, reach + 1)
     disc = np.argwhere(np.hypot(*np.meshgrid(along, along)) <= reach) - reach
@@ -188,9 +234,32 @@ def sample_along(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Points, dict[str, Any]]:
-    """BIT* in a corridor round `path` (n, 2) (row, col), then in ever narrower ones round what it found.
+    """Return what BIT* finds in a corridor around a path, then in ever narrower ones around what it found.
 
-    The best it found, and a record as `sample_route` gives. Raises NoRouteError when it found nothing at all.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    path : ndarray of float, (n, 2)
+        (row, col) polyline to begin with.
+    time_limit_s : float, default 5.0
+        How long to search in all corridors together [s].
+    seed : int, default 0
+        Seed of the samples.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    points : ndarray of float, (m, 2)
+        The best (row, col) polyline.
+    details : dict
+        A record as that of `sample_route`.
+
+    Raises
+    ------
+    NoRouteError
+        If it found no path at all.
     """
     share = time_limit_s / len(CORRIDORS_CELLS)
     centre, best, least = path, None, math.inf
@@ -233,12 +302,39 @@ def sample_route(
     places: NDArray[np.bool_] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Points, dict[str, Any]]:
-    """A (n, 2) (row, col) polyline from start to goal found within the time limit, and how it was found.
+    """Return the path that a sampling planner finds within its time.
 
-    start, goal : (2,) fractional (row, col). planner : rrtstar, informed_rrtstar or bitstar. places : (k rows, k cols)
-    bool, the only k-th parts of cells to sample in, see `hopeful_places` and `corridor`. The record's `history` has
-    (seconds, energy [J]) of the best solution as it fell. Raises NoRouteError when nothing was found in time (which
-    proves nothing), InputError on a bad setting.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    start, goal : ndarray of float, (2,)
+        Fractional (row, col).
+    planner : {"rrtstar", "informed_rrtstar", "bitstar"}
+        OMPL's algorithm.
+    time_limit_s : float, default 5.0
+        How long to search [s], at most 120.
+    seed : int, default 0
+        Seed of the samples.
+    places : ndarray of bool, (k rows, k cols), optional
+        The only k-th parts of cells to sample in, see `informed_subset` and `corridor`.
+    progress : callable, optional
+        Called with the share of the time that is over, 0..1.
+
+    Returns
+    -------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline from start to goal.
+    details : dict
+        JSON-able record: `sampling_seconds`, `legs_priced`, `seed`, `sampled_energy_j` [J], and `history`, the
+        (seconds, energy [J]) of each best path.
+
+    Raises
+    ------
+    InputError
+        If a setting is unknown or out of range.
+    NoRouteError
+        If no path was found in time, which does not prove that there is none.
     """
     if planner not in _ALGORITHMS:
         raise InputError(f"planner must be one of {', '.join(_ALGORITHMS)}, got {planner!r}", planner=planner)
@@ -258,7 +354,7 @@ def sample_route(
     space.setBounds(bounds)
     info = ob.SpaceInformation(space)
     pricer = _Pricer(lattice, start, goal)
-    info.setStateValidityChecker(_standable(free, cuts))
+    info.setStateValidityChecker(_validity(free, cuts))
     info.setMotionValidator(_Limits(info, pricer))
     info.setup()
     make_planner, make_objective = _ALGORITHMS[planner]
@@ -272,7 +368,7 @@ def sample_route(
         solver.setRange(TREE_STEP_CELLS)
     elif places is not None:
         solver.setSamplesPerBatch(_CORRIDOR_BATCH)
-        solver.setUseKNearest(True)  # the radius that BIT* would reckon is that of an open square
+        solver.setUseKNearest(True)  # the radius that BIT* would compute is that of an open square
     solver.setProblemDefinition(problem)
     solver.setup()
     history: list[tuple[float, float]] = []
@@ -306,15 +402,15 @@ def sample_route(
     }
 
 
-def _standable(free: NDArray[np.bool_], cuts: int) -> Callable[[Any], bool]:
-    """Whether a state lies on a True of `free`, which has `cuts` entries to a cell's side."""
+def _validity(free: NDArray[np.bool_], cuts: int) -> Callable[[Any], bool]:
+    """A check whether a state lies on a True of `free`, which has `cuts` entries to a cell's side."""
     last_row, last_col, width, mask = free.shape[0] - 1, free.shape[1] - 1, free.shape[1], free.tobytes()
 
-    def standable(state: Any) -> bool:
+    def valid(state: Any) -> bool:
         row = min(max(int((state[0] + 0.5) * cuts), 0), last_row)
         return mask[row * width + min(max(int((state[1] + 0.5) * cuts), 0), last_col)] == 1
 
-    return standable
+    return valid
 
 
 def _state(space: Any, point: Points) -> Any:

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.errors import BlockedError, InputError, NoRouteError
+from joulemap.model.errors import InputError, NoRouteError
 from joulemap.planner.edges import Points, leg_prices_between
 from joulemap.planner.heuristics import dijkstra_bounds, energy_bounds, guide_towards
 from joulemap.planner.kernels import turn_angle
 from joulemap.planner.landmarks import Landmarks
-from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.states import layer_count, new_search, run_search
 
-PLANNERS = ("astar", "dijkstra")
+GRID_PLANNERS = ("astar", "dijkstra")
 _NONE = -1
 
 
@@ -25,8 +25,14 @@ _NONE = -1
 class GridPath:
     """The answer of a grid search.
 
-    points : (n, 2) (row, col) polyline from start to goal. energy_j : its energy as the search counted it.
-    expanded : settled states.
+    Attributes
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline from start to goal.
+    energy_j : float
+        Its energy as the search counted it [J].
+    expanded : int
+        Number of settled states.
     """
 
     points: Points
@@ -34,41 +40,25 @@ class GridPath:
     expanded: int
 
 
-def check_standing(lattice: CostLattice, x: float, y: float, *, name: str) -> tuple[int, int]:
-    """The cell under a world point. Raises PointError outside the map, BlockedError where every heading
-    is blocked; the reason given is the one that comes first in `Blocked`.
+def joining_legs(lattice: CostLattice, point: Points, *, outward: bool) -> tuple[NDArray[np.int64], Points]:
+    """Return the cells around a point and the energy of the straight leg to or from each of their centres.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    point : ndarray of float, (2,)
+        Fractional (row, col).
+    outward : bool
+        Whether the legs lead from the point to the centres, or from the centres to the point.
+
+    Returns
+    -------
+    cells : ndarray of int, (n, 2)
+        (row, col) of the 1 to 4 cells.
+    energy_j : ndarray of float, (n,)
+        Energy of each leg [J]; NaN where it may not be driven.
     """
-    row, col = lattice.frame.cell_of(x, y, name=name)
-    codes = lattice.window(row, row + 1, col, col + 1).blocked_by_heading()[0, 0]
-    if codes.all():
-        reason = Blocked(int(codes.min()))
-        raise BlockedError(
-            f"{name} ({x:.2f}, {y:.2f}) stands on blocked ground: {reason.label.replace('_', ' ')}",
-            which=name,
-            x=x,
-            y=y,
-            reason=reason.label,
-        )
-    return row, col
-
-
-def standing_point(lattice: CostLattice, x: float, y: float, *, name: str) -> tuple[Points, bool]:
-    """(2,) fractional (row, col) where a route begins or ends, and whether it was moved to its cell's centre.
-
-    The point itself when some leg joins it to a neighbouring cell centre; otherwise (it leans on blocked ground) the
-    centre of its own cell.
-    """
-    cell = check_standing(lattice, x, y, name=name)
-    row, col = lattice.frame.rowcol(x, y)
-    point = np.array([float(row), float(col)])
-    _, legs = _connections(lattice, point, outward=True)
-    if np.isfinite(legs).any():
-        return point, False
-    return np.array(cell, dtype=np.float64), True
-
-
-def _connections(lattice: CostLattice, point: Points, *, outward: bool) -> tuple[NDArray[np.int64], Points]:
-    """The (up to 4) cells around a point, (n, 2), and the energy [J] of the leg to each (or from each), NaN if none."""
     rows, cols = lattice.frame.shape
     near_rows = np.unique(np.clip([math.floor(point[0]), math.ceil(point[0])], 0, rows - 1))
     near_cols = np.unique(np.clip([math.floor(point[1]), math.ceil(point[1])], 0, cols - 1))
@@ -88,14 +78,40 @@ def grid_search(
     planner: str = "astar",
     landmarks: Landmarks | None = None,
 ) -> GridPath:
-    """Least energy from `start` to `goal` over grid moves, exactly.
+    """Return the path of least energy from start to goal over grid moves, exactly.
 
-    start, goal : (2,) fractional (row, col), joined to the cell centres around them by straight legs. With a turn cost
-    the state is (cell, heading) and every change of heading is paid for, at the first and last centre too. landmarks :
-    of this table, for fewer expansions. Raises NoRouteError when the goal cannot be reached.
+    With a turn cost the state is (cell, heading) and every change of heading is paid for, at the first and the last
+    centre too.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    start, goal : ndarray of float, (2,)
+        Fractional (row, col), joined to the cell centres around them by straight legs.
+    planner : {"astar", "dijkstra"}, default "astar"
+        Whether lower bounds of the energy to come lead the search.
+    landmarks : Landmarks, optional
+        Made of this table, for fewer expansions.
+
+    Returns
+    -------
+    GridPath
+        The path, with its energy [J] and the number of settled states.
+
+    Raises
+    ------
+    NoRouteError
+        If the goal cannot be reached.
+
+    References
+    ----------
+    Hart, Nilsson & Raphael 1968 (A*); Dijkstra 1959. Bounds: see `heuristics`. Queue: see `buckets`.
     """
-    if planner not in PLANNERS:
-        raise InputError(f"planner must be one of {', '.join(PLANNERS)}, got {planner!r}", planner=planner)
+    if planner not in GRID_PLANNERS:
+        raise InputError(f"planner must be one of {', '.join(GRID_PLANNERS)}, got {planner!r}", planner=planner)
     layers = layer_count(lattice, table)
     cells, cost = terminals(lattice, table, start, layers, outward=True)
     targets, rest = terminals(lattice, table, goal, layers, outward=False)
@@ -121,7 +137,22 @@ def grid_search(
 
 
 def direct_energy(lattice: CostLattice, start: Points, goal: Points) -> float:
-    """Energy [J] of the straight leg between points a cell apart or less (the way over a centre may be a detour)."""
+    """Return the energy of the straight leg between two points within a cell length of each other.
+
+    The path over a cell centre may be a detour then.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    start, goal : ndarray of float, (2,)
+        Fractional (row, col).
+
+    Returns
+    -------
+    float
+        Energy [J]; infinite where the points are further from each other or the leg may not be driven.
+    """
     if math.dist(start, goal) > 1.0:
         return math.inf
     energy = float(leg_prices_between(lattice, start[None], goal[None])[0])
@@ -129,7 +160,24 @@ def direct_energy(lattice: CostLattice, start: Points, goal: Points) -> float:
 
 
 def joined_points(lattice: CostLattice, start: Points, cells: NDArray[np.int64], goal: Points) -> Points:
-    """(n, 2) polyline from start over flat cell indices to goal, without repeated points."""
+    """Return the polyline from start over cell centres to goal, without repeated points.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Whose cells these are.
+    start : ndarray of float, (2,)
+        Fractional (row, col).
+    cells : ndarray of int, (k,)
+        Flat cell indices, row * cols + col, in order.
+    goal : ndarray of float, (2,)
+        Fractional (row, col).
+
+    Returns
+    -------
+    ndarray of float, (n, 2)
+        (row, col) polyline.
+    """
     cols = lattice.frame.cols
     points = np.vstack([start, np.column_stack([cells // cols, cells % cols]).astype(np.float64), goal])
     keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-12)
@@ -139,12 +187,31 @@ def joined_points(lattice: CostLattice, start: Points, cells: NDArray[np.int64],
 def terminals(
     lattice: CostLattice, table: MoveTable, point: Points, layers: int, *, outward: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Cells that join a point to the grid, as flat indices (S,), and the cost of joining per heading layer (S, L).
+    """Return the cells that join a point to the grid, and the energy of joining it.
 
-    The layer of a seed is the heading of the *next* move, as if the robot had arrived in it; that of a target is the
-    heading of the last move. The turn between a joining leg and that heading is part of the cost.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    point : ndarray of float, (2,)
+        Fractional (row, col).
+    layers : int
+        Number of headings L in a search state, see `states.layer_count`.
+    outward : bool
+        True for a start, False for a goal.
+
+    Returns
+    -------
+    cells : ndarray of int, (S,)
+        Flat cell indices, row * cols + col.
+    cost : ndarray of float, (S, L)
+        Energy [J] of the leg that joins each, by heading. For a start that is the heading of the *next* move, as if the
+        robot had arrived in it; for a goal it is the heading of the last move. The turn between the leg and that
+        heading is included.
     """
-    cells, legs = _connections(lattice, point, outward=outward)
+    cells, legs = joining_legs(lattice, point, outward=outward)
     cost = np.repeat(legs[:, None], layers, axis=1)
     if layers > 1:
         for s, cell in enumerate(cells):

@@ -1,5 +1,6 @@
 """Plans: what is asked, what is refused, and what comes back beside the route."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -36,7 +37,7 @@ def test_every_planner_goes_round_the_wall(planner):
 
 
 @pytest.mark.parametrize("planner", ["rrtstar", "bitstar"])
-def test_a_sampling_planner_started_from_the_grid_is_no_dearer_than_it_and_tells_of_its_progress(planner):
+def test_a_sampling_planner_started_from_the_grid_is_no_dearer_than_it_and_reports_its_progress(planner):
     lattice, at = ascii_lattice(ROOM)
     seen: list[float] = []
     plan = RoutePlanner(lattice).plan(
@@ -90,7 +91,7 @@ def test_walled_in_there_is_no_route():
             RoutePlanner(lattice).plan(at["a"], at["b"], planner=planner, time_limit_s=60.0)
 
 
-def test_a_start_that_leans_on_blocked_ground_moves_to_its_cell_centre_and_says_so():
+def test_a_start_next_to_blocked_ground_moves_to_its_cell_centre_and_says_so():
     lattice, at = ascii_lattice("""
         .....
         .#...
@@ -98,7 +99,7 @@ def test_a_start_that_leans_on_blocked_ground_moves_to_its_cell_centre_and_says_
     """)
     plan = RoutePlanner(lattice).plan((2.05, 1.5), at["b"])  # free cell, but a hand's breadth from the block
     np.testing.assert_allclose(plan.route.points[0, :2], [2.5, 1.5])
-    assert any("start leans on blocked ground" in note for note in plan.route.notes)
+    assert any("start is next to blocked ground" in note for note in plan.route.notes)
 
 
 def test_start_and_goal_need_not_be_cell_centres_nor_in_different_cells():
@@ -148,7 +149,7 @@ def test_turning_is_planned_for_not_only_paid():
         return np.abs(np.angle(np.exp(1j * np.diff(heading)))).sum()
 
     assert radians(dear.route.points) <= radians(free.route.points) + 1e-9
-    assert radians(dear.route.points) < 0.5  # one bend between two moves
+    assert radians(dear.route.points) < 0.5  # one turn between two moves
     assert dear.details["grid_energy_j"] == pytest.approx(dear.route.energy_j, rel=1e-6)
 
 
@@ -169,6 +170,57 @@ def test_the_price_floor_is_below_every_price():
             step = 0.01 * np.array([np.sin(heading), np.cos(heading)])
             price = price_world_path(lattice, [centre, centre + step]) / 0.01
             assert np.isnan(price) or price >= floor - 1e-6
+
+
+def test_heights_beside_a_hole_are_the_nearest_known_and_the_geojson_is_valid():
+    """In the outer half cell heights are continued from two centres, of which one is in the hole."""
+    lattice, at = ascii_lattice("""
+        a....
+        ...#.
+        .....
+    """)
+    x, y = np.meshgrid(*lattice.frame.centres())
+    elevation = (0.1 * x + 0.2 * y).astype(np.float32)
+    hole = lattice.blocked > 0
+    lattice = replace(lattice, elevation_m=np.where(hole, np.float32(np.nan), elevation))
+    goal = (4.9, 1.5)  # 0.4 m beyond the last centre, and the one before it is unknown
+    plan = RoutePlanner(lattice).plan(at["a"], goal)
+    for route in (plan.route, plan.shortest, price_route(lattice, [goal, (4.5, 1.5), goal])):
+        assert np.isfinite(route.points).all()
+        assert np.isfinite([route.climb_m, route.descent_m]).all()
+        assert np.isfinite(route.profile.z).all()
+        json.dumps(geojson(route), allow_nan=False)
+    assert plan.route.points[-1, 2] == pytest.approx(0.1 * 4.5 + 0.2 * 1.5, abs=1e-6)  # that of its own cell's centre
+    far = price_route(lattice, [at["a"], (0.5, 0.1)])
+    np.testing.assert_allclose(far.points[-1, 2], 0.1 * 0.5 + 0.2 * 0.1, atol=1e-6)  # elsewhere continued, as ever
+
+
+def test_a_route_over_ground_of_unknown_height_has_no_heights():
+    lattice, at = ascii_lattice("a...\n...b")
+    route = price_route(replace(lattice, elevation_m=np.full_like(lattice.elevation_m, np.nan)), [at["a"], at["b"]])
+    line = json.loads(json.dumps(geojson(route), allow_nan=False))["geometry"]["coordinates"]
+    assert line == [list(at["a"]), list(at["b"])]
+    assert (route.climb_m, route.descent_m) == (0.0, 0.0)
+
+
+def test_plans_routes_and_lattices_print_in_words_and_units():
+    lattice, at = ascii_lattice(ROOM)
+    plan = RoutePlanner(lattice).plan(at["a"], at["b"])
+    length, seconds = plan.route.length_m, plan.route.duration_s
+    assert repr(plan.route) == f"Route({length:.1f} m, {length:.0f} J, {seconds:.0f} s, 0.0 m up, 0.0 m down)"
+    assert repr(plan).startswith(f"Plan({length:.1f} m, {length:.0f} J, ")
+    assert "0 J less than the shortest path" in repr(plan)
+    assert "energy-optimal route (astar): " in str(plan)
+    assert str(plan.route).startswith("route from (1.50, 3.50) to (8.50, 2.50): ")
+    assert repr(plan.route.profile).startswith(f"Profile({plan.route.profile.z.size} pieces over {length:.1f} m, ")
+    assert (
+        repr(lattice)
+        == f"CostLattice(5 x 10 cells of 1 m, 8 headings, for {lattice.robot.name}, 6.0% of the cells blocked)"
+    )
+    assert "x 0.00..10.00 m, y 0.00..5.00 m, no CRS" in str(lattice)
+    assert "free 94.0%, step 6.0%" in str(lattice)
+    for thing in (plan, plan.route, plan.route.profile, lattice):
+        assert "\n" not in repr(thing)
 
 
 @pytest.mark.parametrize(

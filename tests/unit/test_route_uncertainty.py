@@ -1,4 +1,4 @@
-"""How far off the energy of a route may be, and what that makes of a verdict."""
+"""The standard deviation of a route's energy, and the probability of a verdict that follows from it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def level(spread: Spread | None, std_j: float = 3.0) -> CostLattice:
     return replace(lattice, provenance=provenance, std_j=np.full(lattice.traction_per_m.shape, std_j, np.float32))
 
 
-def test_independent_segments_grow_with_the_root_and_those_that_go_together_in_line() -> None:
+def test_the_std_of_independent_segments_grows_with_the_root_and_of_correlated_ones_in_proportion() -> None:
     energy, std = np.full(16, 50.0), np.full(16, 3.0)
     np.testing.assert_allclose(INDEPENDENT.route_std(energy, std), 3.0 * np.sqrt(np.arange(1, 17)))
     together = Spread(run_share=0.0, correlation_m=1e12)
@@ -56,8 +56,8 @@ def test_against_the_whole_covariance(std: list[float], correlation_m: float, n:
     spread, k = Spread(run_share=0.0, correlation_m=correlation_m), min(n, len(std) - 1)
     neighbour = (correlation_m - 1.0) / (correlation_m + 1.0)
     some = np.array(std[: k + 1])
-    apart = np.abs(np.subtract.outer(np.arange(k + 1), np.arange(k + 1)))
-    variance = some @ neighbour**apart @ some
+    distance = np.abs(np.subtract.outer(np.arange(k + 1), np.arange(k + 1)))
+    variance = some @ neighbour**distance @ some
     assert spread.route_std(np.zeros(len(std)), std)[k] == pytest.approx(math.sqrt(variance), rel=1e-6, abs=1e-6)
 
 
@@ -73,13 +73,13 @@ def test_a_route_of_16_m_is_16_segments_however_it_is_cut(corners: list[tuple[fl
     assert std_along(level(None), [route]) is None
 
 
-def test_the_way_back_shares_what_the_day_is_off_by() -> None:
+def test_the_way_back_shares_the_error_of_the_run() -> None:
     """16 m there and back at 20 J/m are 640 J, of which a tenth, and 32 independent metres of 3 J."""
     lattice = level(Spread(run_share=0.1, correlation_m=1.0))
-    told = assess(lattice, battery=Battery(1.0), path=[(5.0, 20.0), (21.0, 20.0)], round_trip=True).verdict
-    assert told.energy_j == pytest.approx(640.0, rel=1e-5)
-    assert told.energy_std_j == pytest.approx(math.hypot(64.0, 3.0 * math.sqrt(32.0)), rel=1e-5)
-    assert told.probability == pytest.approx(1.0)
+    verdict = assess(lattice, battery=Battery(1.0), path=[(5.0, 20.0), (21.0, 20.0)], round_trip=True).verdict
+    assert verdict.energy_j == pytest.approx(640.0, rel=1e-5)
+    assert verdict.energy_std_j == pytest.approx(math.hypot(64.0, 3.0 * math.sqrt(32.0)), rel=1e-5)
+    assert verdict.probability == 0.99  # 40 standard deviations: at least 0.99 is all that is known
 
 
 def test_a_deviation_between_cells_and_headings_is_a_mean_of_its_neighbours() -> None:
@@ -103,8 +103,35 @@ def test_probabilities_of_the_normal_distribution() -> None:
     battery = Battery(1.0)
     assert judge(3500.0, battery, std_j=100.0).probability == pytest.approx(0.8413, abs=1e-4)
     assert judge(3700.0, battery, std_j=100.0).probability == pytest.approx(0.1587, abs=1e-4)
-    assert judge(3700.0, battery, std_j=0.0).probability == 0.0
     assert judge(3500.0, battery).probability is None
+
+
+@pytest.mark.parametrize(
+    ("energy_j", "std_j", "limit", "words"),
+    [
+        (3300.0, 100.0, 0.99, "more than 99 %"),  # three standard deviations: 0.9987
+        (3900.0, 100.0, 0.01, "less than 1 %"),
+        (3500.0, 0.0, 0.99, "more than 99 %"),
+        (3700.0, 0.0, 0.01, "less than 1 %"),
+        (3600.0, 100.0, 0.5, "50 %"),
+    ],
+)
+def test_beyond_1_and_99_percent_no_probability_is_given(energy_j, std_j, limit, words) -> None:
+    """The tails of the distribution of errors are not known: 0.99 means at least 0.99."""
+    verdicts = [judge(energy_j, Battery(1.0), std_j=std_j)]
+    verdicts.append(judge_along([energy_j, -10.0], Battery(1.0), std_j=[std_j, std_j]))  # at the lowest point
+    for verdict in verdicts:
+        assert verdict.probability == pytest.approx(limit)
+        assert f"lasts with {words}" in str(verdict)
+
+
+def test_a_verdict_prints_as_one_sentence_with_units() -> None:
+    feasible, short = judge(1800.0, Battery(1.0, charge=0.9), std_j=360.0), judge(5400.0, Battery(1.0))
+    assert repr(feasible) == (
+        "Verdict(feasible: 0.50 +- 0.10 Wh needed, 0.90 Wh available above the reserve, lasts with more than 99 %, "
+        "0.40 Wh to spare; charge at the end 40.0%)"
+    )
+    assert str(short) == "not feasible: 1.50 Wh needed, 1.00 Wh available above the reserve, 0.50 Wh short"
 
 
 def test_with_regeneration_the_riskiest_piece_decides() -> None:

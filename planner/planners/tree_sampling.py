@@ -1,0 +1,66 @@
+"""RRT*, Informed RRT* and BIT* of OMPL, which is loaded by the first question to one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from joulemap.model.errors import NoRouteError
+from joulemap.planner.edges import Points, path_price
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.planners.contract import Options, Planner
+from joulemap.planner.search import GridPath, grid_search
+
+Found = tuple[Points, dict[str, Any]]
+
+
+def _tree(lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options, *, name: str) -> Found:
+    """From the grid, sample only where its two energy fields leave room for a better path."""
+    from joulemap.planner.sampling import informed_subset, sample_route
+
+    settings = _settings(options)
+    if not options.from_grid:
+        return sample_route(lattice, start, goal, planner=name, **settings)
+
+    def improve(grid: GridPath) -> Found:
+        places = informed_subset(lattice, table, start, goal)
+        return sample_route(lattice, start, goal, planner=name, places=places, **settings)
+
+    return _from_grid(lattice, table, start, goal, improve)
+
+
+def _bitstar(lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options) -> Found:
+    """From the grid, sample in corridors around its path."""
+    from joulemap.planner.sampling import sample_along, sample_route
+
+    settings = _settings(options)
+    if not options.from_grid:
+        return sample_route(lattice, start, goal, planner="bitstar", **settings)
+    return _from_grid(lattice, table, start, goal, lambda grid: sample_along(lattice, grid.points, **settings))
+
+
+def _settings(options: Options) -> dict[str, Any]:
+    return {"time_limit_s": options.time_limit_s, "seed": options.seed, "progress": options.progress}
+
+
+def _from_grid(
+    lattice: CostLattice, table: MoveTable, start: Points, goal: Points, improve: Callable[[GridPath], Found]
+) -> Found:
+    """The better of the grid's path and of what sampling makes of it."""
+    grid = grid_search(lattice, table, start, goal)
+    details: dict[str, Any] = {"grid_energy_j": grid.energy_j}
+    try:
+        points, found = improve(grid)
+    except NoRouteError:
+        return grid.points, details
+    better = path_price(lattice, points) < path_price(lattice, grid.points)
+    return points if better else grid.points, details | found
+
+
+RRTSTAR = Planner("rrtstar", partial(_tree, name="rrtstar"), uses_time_limit=True, weighs_turning=False)
+INFORMED_RRTSTAR = Planner(
+    "informed_rrtstar", partial(_tree, name="informed_rrtstar"), uses_time_limit=True, weighs_turning=False
+)
+BITSTAR = Planner("bitstar", _bitstar, uses_time_limit=True, weighs_turning=False)
