@@ -8,7 +8,7 @@
     │   ├── RunsError                a measured run that cannot be read
     │   └── PointError               NaN, infinite or out-of-map coordinates
     ├── InfeasibleError              a well-formed question without an answer      422
-    │   ├── BlockedError             start or goal stands on blocked ground
+    │   ├── BlockedError             start or goal is on blocked ground
     │   ├── NoRouteError             no route joins start and goal
     │   └── NegativeCycleError       regeneration pays for driving in circles
     ├── NotFoundError                no such heightmap, cost map or model          404
@@ -80,7 +80,7 @@ class InfeasibleError(JoulemapError):
 
 
 class BlockedError(InfeasibleError):
-    """Start or goal stands on blocked ground; `reason` is in the context."""
+    """Start or goal is on blocked ground; `reason` is in the context."""
 
     code = "blocked"
 

@@ -129,7 +129,7 @@ class Problem(BaseModel):
     type: str = Field(examples=["urn:joulemap:problem:blocked"])
     title: str = Field(examples=["The question has no answer"])
     status: int = Field(examples=[422])
-    detail: str = Field(examples=["start (3, 4) stands on blocked ground: step"])
+    detail: str = Field(examples=["start (3, 4) is on blocked ground: step"])
     code: str = Field(description="the leaf of the error tree", examples=["blocked"])
     request_id: str | None = Field(examples=["3f9c1a7be2d04c55"])
     context: dict[str, Any] = Field(description="the offending value and the limit", examples=[{"reason": "step"}])

@@ -301,7 +301,7 @@ def test_the_installed_command(folder: Path) -> None:
     where = [folder / "dem.zarr", "--start", "35.5,5.5", "--goal", "4.5,14.5"]
     done = subprocess.run([command, "path", *map(str, where)], capture_output=True, text=True)
     assert done.returncode == 4
-    assert done.stderr.startswith("error: start (35.50, 5.50) stands on blocked ground")
+    assert done.stderr.startswith("error: start (35.50, 5.50) is on blocked ground")
     assert done.stdout == ""
 
 
