@@ -34,6 +34,7 @@ _FIELD_RIDGE = 5.0  # as many segments say that a bell curve of a field is flat
 _LEAST_RUNS = 3
 _SLIGHT = 1e-4
 _BETWEEN = 0.05  # what has less of its variance within runs differs between them alone
+_LEAST_SHARE = 0.05  # of the usual energy: shares of less say nothing
 _NEAR_COPIES = 5  # effects on the level are
 
 
@@ -209,15 +210,15 @@ class Evidence:
                 p_values[k] = apart(level_of @ rest, 0.5 * self.level_doubt)
             elif self.moves_level([k]):
                 if (block**2).sum() < _SLIGHT * block.size:
-                    reasons[k] = "these runs do not vary it"
+                    reasons[k] = "it does not vary in these runs"
                 elif asked < _LEAST_RUNS + len(chosen):
-                    reasons[k] = "there are too few runs that differ in it"
+                    reasons[k] = "too few runs differ in it"
                 else:
                     level.append(k)
             elif self.differs[k] or (left**2).sum() < _BETWEEN * max((free**2).sum(), 1e-12):
                 free = self._beyond_level(k, free)
                 if (free**2).sum() < _SLIGHT * free.size:
-                    reasons[k] = "these runs do not vary it"
+                    reasons[k] = "it does not vary in these runs"
                 else:
                     between[k] = level_of @ free
             else:
@@ -225,7 +226,7 @@ class Evidence:
                     left = self._beyond_level(k, left)
                 unique = orthonormal(left, least=0.02)
                 if unique.shape[1] == 0:
-                    reasons[k] = "these runs do not tell it from what else they vary"
+                    reasons[k] = "these runs cannot distinguish it from other quantities that vary with it"
                 else:
                     within[k] = unique
         for k in level:
@@ -240,7 +241,7 @@ class Evidence:
                 seed=self.seed,
             )
             p_values |= told
-            reasons |= {k: "there are too few runs that differ in it" for k in between if k not in told}
+            reasons |= {k: "too few runs differ in it" for k in between if k not in told}
         if within:
             p_values |= by_shifts(_without(basis, z), runs, basis, within, seed=self.seed)
             steps = self._by_steps(z_free, runs, list(within))
@@ -279,7 +280,9 @@ class Evidence:
         value = self.coefficients(active)[-1]
         spread = self.jackknife(active)[-1]
         share = self.x[self.moving][:, self.columns[k]] * self.size[self.columns[k]]
-        lift = float(np.mean(share[:, 0] * self.residuals.scale[self.moving] / self.residuals.predicted[self.moving]))
+        predicted = self.residuals.predicted[self.moving]
+        predicted = np.maximum(predicted, _LEAST_SHARE * np.median(predicted))  # of a descent it may be nil
+        lift = float(np.mean(share[:, 0] * self.residuals.scale[self.moving] / predicted))
         doubtful = self.moves_level([k]) and not self.moves_level(chosen)
         doubt = self.level_doubt / max(abs(lift), 1e-12) if doubtful else 0.0
         freedom = self.folds.size - 1 - len(chosen)

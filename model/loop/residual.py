@@ -19,6 +19,7 @@ LEAST_FOLDS = 4
 
 _FAR = 4.0  # a residual beyond so many predictions is a broken reading, not an effect
 _STAND_NOISE = 0.4  # of what a moving segment of the same energy has: standing draws evenly
+_LEAST_STAND = 0.1  # of the usual energy of a segment: a robot without idle power is predicted to draw nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ class Residuals:
             constant = 1.0
         factor = middle / (constant + share * middle)
         noise = factor * (constant + share * np.maximum(p, 0.0))
-        return np.where(moving, np.maximum(noise, 0.2 * middle), _STAND_NOISE * np.maximum(p, 1e-6))
+        return np.where(moving, np.maximum(noise, 0.2 * middle), _STAND_NOISE * np.maximum(p, _LEAST_STAND * middle))
 
     @cached_property
     def fold(self) -> NDArray[np.int64]:

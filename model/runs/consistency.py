@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
+from joulemap.model.runs.fixes import projected
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -27,11 +28,12 @@ def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
     frame = heightmap.frame
     if not _inside(heightmap, segments.x, segments.y).any():
         west, south, east, north = frame.bounds
-        hint = (
-            "with x and y exchanged they would lie on it"
-            if _inside(heightmap, segments.y, segments.x).any()
-            else f"are they in its coordinate system ({frame.crs or 'which the file does not name'})?"
-        )
+        if _inside(heightmap, segments.y, segments.x).any():
+            hint = "with x and y exchanged they would lie on it"
+        elif _inside(heightmap, *_exchanged(segments, frame.crs)).any():
+            hint = "with 'lat' and 'lon' exchanged they would lie on it"
+        else:
+            hint = f"are they in its coordinate system ({frame.crs or 'which the file does not name'})?"
         raise RunsError(
             f"the runs lie off the heightmap: they span x {_span(segments.x)}, y {_span(segments.y)}, the map x "
             f"{west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}; {hint}",
@@ -47,6 +49,15 @@ def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
             measured=took,
             expected=usual,
         )
+
+
+def _exchanged(segments: Segments, crs: str | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x, y [m] with latitude and longitude exchanged; none of runs that were recorded without them."""
+    lat, lon = (segments.extras.get(key, np.zeros(0)) for key in ("lat", "lon"))
+    if crs is None or lat.size == 0 or lon.size == 0:
+        return np.zeros(0), np.zeros(0)
+    possible = np.abs(lon) <= 90.0
+    return projected(lon[possible], lat[possible], crs)
 
 
 def _inside(heightmap: Heightmap, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:

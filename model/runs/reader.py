@@ -21,7 +21,6 @@ Dropped rows and long blanks leave gaps, which `segments` does not bridge.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,14 +30,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from joulemap.model.errors import RunsError
+from joulemap.model.runs.fixes import positions, usable_fixes
 from joulemap.model.runs.table import LEAST_ROWS, columns_there, count_repair, read_table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-_LONGEST_JUMP_S = 5.0
-_LEAST_GPS_LIMIT_M = 0.05
-_LONGEST_HOLD_S = 1.5
 
 
 @dataclass(frozen=True)
@@ -106,8 +102,8 @@ def run_of(
     texts = {key: values[rows] for key, values in texts.items()}
     t = numbers.pop("t")
     current, voltage = _electric(numbers, t, name, repairs)
-    x, y = _position(numbers, name, crs)
-    x, y, breaks = _usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
+    x, y = positions(numbers, name=name, crs=crs)
+    x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
     if np.isfinite(x).sum() < 2:
         raise RunsError(
             f"run {name}: no usable position is left after the rules for bad fixes", run=name, repairs=repairs
@@ -181,134 +177,6 @@ def _without_spikes(
     count_repair(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
     good = ~(spikes | blank)
     return np.interp(t, t[good], values[good])
-
-
-def _position(numbers: dict[str, FloatArray], name: str, crs: str | None) -> tuple[FloatArray, FloatArray]:
-    if "x" in numbers and "y" in numbers:
-        return numbers.pop("x"), numbers.pop("y")
-    if "lat" not in numbers or "lon" not in numbers:
-        raise RunsError(
-            f"run {name}: there is neither 'x' and 'y' nor 'lat' and 'lon'{columns_there(numbers)}",
-            run=name,
-            column="x",
-        )
-    if crs is None:
-        raise RunsError(f"run {name}: 'lat' and 'lon' need the heightmap's CRS", run=name, column="lat")
-    from rasterio.errors import CRSError
-    from rasterio.warp import transform
-
-    lat, lon = numbers["lat"], numbers["lon"]
-    known = np.isfinite(lat) & np.isfinite(lon)
-    x = np.full(lat.size, np.nan)
-    y = np.full(lat.size, np.nan)
-    try:
-        east, north = transform("EPSG:4326", crs, lon[known].tolist(), lat[known].tolist())
-    except CRSError as error:
-        raise RunsError(f"run {name}: the CRS {crs!r} is not known: {error}", run=name, crs=crs) from error
-    x[known], y[known] = east, north
-    return np.where(np.isfinite(x), x, np.nan), np.where(np.isfinite(y), y, np.nan)
-
-
-def _usable_fixes(
-    t: FloatArray, x: FloatArray, y: FloatArray, gps_error: FloatArray | None, repairs: dict[str, int]
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Positions with NaN where a fix is not to be used, and where the track breaks."""
-    good = np.isfinite(x) & np.isfinite(y)
-    count_repair(repairs, "blank_fixes", int((~good).sum()))
-    if gps_error is not None and (gps_error > 0).any():
-        limit = max(_LEAST_GPS_LIMIT_M, 4.0 * float(np.median(gps_error[gps_error > 0])))
-        bad = good & (gps_error > limit)
-        count_repair(repairs, "bad_fixes", int(bad.sum()))
-        good &= ~bad
-    index = np.flatnonzero(good)
-    held = _held(t[index], x[index], y[index], _LONGEST_HOLD_S)
-    count_repair(repairs, "held_fixes", int(held.sum()))
-    good[index[held]] = False
-    index = index[~held]
-    breaks = np.zeros(t.size, dtype=bool)
-    if index.size > LEAST_ROWS:
-        reach = _reach(t[index], x[index], y[index])
-        verdict = _follow(t[index], x[index], y[index], *reach, _LONGEST_JUMP_S)
-        count_repair(repairs, "position_jumps", int((verdict == 1).sum()))
-        count_repair(repairs, "position_breaks", int((verdict == 2).sum()))
-        good[index[verdict == 1]] = False
-        breaks[index[verdict == 2]] = True
-    return np.where(good, x, np.nan), np.where(good, y, np.nan), breaks
-
-
-def _reach(t: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """(speed [m/s], slack [m]): nobody gets further than speed * dt + slack between two fixes of this run."""
-    step = np.hypot(np.diff(x), np.diff(y))
-    fresh = step > 0
-    if not fresh.any():
-        return 1.0, 0.15
-    step, interval = step[fresh], float(np.median(np.diff(t)[fresh]))
-    lag = max(round(1.0 / max(interval, 1e-3)), 1)
-    far = np.hypot(x[lag:] - x[:-lag], y[lag:] - y[:-lag]) / np.maximum(t[lag:] - t[:-lag], 1e-3)
-    speed = 2.0 * float(np.quantile(far, 0.9)) if far.size else 1.0
-    slack = 0.15 + 8.0 * 1.4826 * float(np.median(np.abs(step - np.median(step))))
-    return speed, slack
-
-
-@njit(cache=True)
-def _held(t: FloatArray, x: FloatArray, y: FloatArray, longest_s: float) -> BoolArray:
-    """True for a fix that repeats the one before exactly, in stretches of up to `longest_s`; longer ones stand."""
-    n = t.size
-    held = np.zeros(n, dtype=np.bool_)
-    k = 0
-    while k < n:
-        j = k + 1
-        while j < n and x[j] == x[k] and y[j] == y[k]:
-            j += 1
-        if t[j - 1] - t[k] <= longest_s:
-            held[k + 1 : j] = True
-        k = j
-    return held
-
-
-@njit(cache=True)
-def _follow(
-    t: FloatArray, x: FloatArray, y: FloatArray, speed: float, slack: float, longest_s: float
-) -> NDArray[np.int64]:
-    """Per fix: 0 kept, 1 part of a stretch reached by a jump, 2 first after a break. All (n,).
-
-    The track is divided wherever a step is impossible. Of all chains of stretches the one that keeps the most seconds
-    wins, where going on from one stretch to another that it cannot reach costs half of `longest_s`.
-    """
-    n = t.size
-    verdict = np.zeros(n, dtype=np.int64)
-    starts = np.empty(n + 1, dtype=np.int64)
-    starts[0] = 0
-    pieces = 1
-    for k in range(1, n):
-        if math.hypot(x[k] - x[k - 1], y[k] - y[k - 1]) > speed * (t[k] - t[k - 1]) + slack:
-            starts[pieces] = k
-            pieces += 1
-    starts[pieces] = n
-    usual = (t[n - 1] - t[0]) / max(n - 1, 1)
-    value = np.zeros(pieces)
-    before = np.full(pieces, -1, dtype=np.int64)
-    jumped = np.zeros(pieces, dtype=np.bool_)
-    for p in range(pieces):
-        here = starts[p]
-        best = 0.0
-        for q in range(max(p - 300, 0), p):
-            end = starts[q + 1] - 1
-            apart = math.hypot(x[here] - x[end], y[here] - y[end]) > speed * (t[here] - t[end]) + slack
-            worth = value[q] - (0.5 * longest_s if apart else 0.0)
-            if worth > best:
-                best = worth
-                before[p] = q
-                jumped[p] = apart
-        value[p] = best + t[starts[p + 1] - 1] - t[here] + usual
-    verdict[:] = 1
-    p = int(np.argmax(value))
-    while p >= 0:
-        verdict[starts[p] : starts[p + 1]] = 0
-        if jumped[p]:
-            verdict[starts[p]] = 2
-        p = before[p]
-    return verdict
 
 
 @njit(cache=True)

@@ -44,6 +44,11 @@ NUMERIC_COLUMNS = frozenset(
 """Columns that must hold numbers; any other column is text as soon as one cell is not a number."""
 
 LEAST_ROWS = 5
+"""Fewer rows are no run."""
+
+_LARGEST = 1e30  # no quantity of a robot is larger, and its square is still a number
+
+_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
 PARQUET_MAGIC = b"PAR1"
 """How the bytes of every Parquet file begin."""
@@ -75,6 +80,13 @@ def read_table(
             header, rows, columns = _csv_columns(_decoded(content, name), name, repairs)
         except csv.Error as error:
             raise RunsError(f"run {name}: not a readable CSV file: {error}", run=name) from error
+    separator = next((mark for mark in _OTHER_SEPARATORS if len(header) == 1 and mark in header[0]), None)
+    if separator is not None:
+        raise RunsError(
+            f"run {name}: its columns are separated by {_OTHER_SEPARATORS[separator]}; write commas, and a point in "
+            "numbers",
+            run=name,
+        )
     twice = sorted({c for c in header if header.count(c) > 1})
     if twice:
         raise RunsError(f"run {name}: column {twice[0]!r} appears twice", run=name, column=twice[0])
@@ -85,19 +97,35 @@ def read_table(
     for column, entries in zip(header, columns, strict=True):
         try:
             values = _numbers(entries)
-            numbers[column] = np.where(np.isfinite(values), values, np.nan)
         except ValueError:
-            if column in NUMERIC_COLUMNS or column.startswith("current_"):
+            if _must_be_number(column):
                 row = next(k for k, entry in enumerate(entries) if not _is_number(entry))
-                raise RunsError(
-                    f"run {name}, column {column!r}, row {row + 2}: {entries[row]!r} is not a number",
-                    run=name,
-                    column=column,
-                    row=row + 2,
-                    value=str(entries[row]),
-                ) from None
+                raise _not_usable(name, column, row, entries[row], "is not a number") from None
             texts[column] = np.array(entries)
+            continue
+        too_large = np.isfinite(values) & (np.abs(values) > _LARGEST)
+        if too_large.any() and _must_be_number(column):
+            row = int(np.argmax(too_large))
+            raise _not_usable(
+                name, column, row, float(values[row]), f"is larger than {_LARGEST:g}: leave unknown cells blank"
+            )
+        numbers[column] = np.where(np.isfinite(values) & ~too_large, values, np.nan)
     return numbers, texts
+
+
+def _must_be_number(column: str) -> bool:
+    return column in NUMERIC_COLUMNS or column.startswith("current_")
+
+
+def _not_usable(name: str, column: str, row: int, value: object, what: str) -> RunsError:
+    line = row + 2  # counted from 1, after the header
+    return RunsError(
+        f"run {name}, column {column!r}, row {line}: {value!r} {what}",
+        run=name,
+        column=column,
+        row=line,
+        value=str(value),
+    )
 
 
 def _decoded(content: str | bytes, name: str) -> str:

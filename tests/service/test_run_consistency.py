@@ -10,6 +10,7 @@ from joulemap.model.errors import RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.fixes import projected
 from joulemap.model.runs.reader import parse_run
 from joulemap.model.runs.segments import Segments, concatenate, cut_segments
 from joulemap.model.terrain.heightmap import Heightmap
@@ -59,6 +60,18 @@ def test_runs_that_belong_to_map_and_robot_pass():
 def test_what_is_wrong_is_named_with_value_and_limit(change, words):
     with pytest.raises(RunsError, match=words):
         check_runs(driven(change), MAP, ROBOT)
+
+
+def test_degrees_exchanged_on_a_map_of_a_whole_world_crs_are_seen_too():
+    lat = 48.0 + 1e-5 * np.arange(60)  # a metre of the ground and 1.5 m of EPSG:3857 a row
+    x, y = projected(lat, np.full(60, 9.7), "EPSG:3857")
+    frame = GridFrame(float(x.min()) - 50.0, float(y.max()) + 50.0, 1.0, 300, 100, "EPSG:3857")
+    heightmap = Heightmap(np.zeros((300, 100), dtype=np.float32), frame)
+    rows = [f"{2 * k},9.7,{degrees:.6f},1,24\n" for k, degrees in enumerate(lat)]
+    table = "t,lat,lon,current,voltage\n" + "".join(rows)
+    segments = cut_segments(parse_run(table, name="run.csv", crs="EPSG:3857"))
+    with pytest.raises(RunsError, match="with 'lat' and 'lon' exchanged they would lie on it"):
+        check_runs(segments, heightmap, ROBOT)
 
 
 def test_a_robot_that_never_moved_is_said_so():

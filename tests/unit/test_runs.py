@@ -158,6 +158,69 @@ def test_latitude_and_longitude_need_the_maps_crs():
         parse(columns, crs="EPSG:99999")
 
 
+def geographic(lat, lon):
+    return log(x=None, y=None, lat=[str(lat)] * 60, lon=[str(lon)] * 60)
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "crs", "message"),
+    [
+        (-93.0, 45.0, "EPSG:32615", r"column 'lat': its values are -93, .*-90..90; with 'lat' and 'lon' exchanged"),
+        (9.7, 48.1, "EPSG:25832", r"'lat' 9.7 and 'lon' 48.1, lie outside .*EPSG:25832; with 'lat' and 'lon' exchang"),
+        (400.0, 45.0, "EPSG:3857", r"column 'lat': its values are 400, but degrees of lat lie within -90..90$"),
+        (45.0, -9300.0, "EPSG:32615", r"column 'lon': its values are -9300, but degrees of lon lie within -360..360$"),
+        (0.0, 0.0, "EPSG:32615", r"lie outside the area of the heightmap's CRS EPSG:32615$"),
+    ],
+)
+def test_positions_that_cannot_be_on_the_map_are_refused_in_one_sentence(lat, lon, crs, message):
+    with pytest.raises(RunsError, match=message):
+        parse(geographic(lat, lon), crs=crs)
+
+
+def test_single_fixes_that_do_not_exist_are_not_used():
+    columns = geographic(45.0, -93.0)
+    columns["lat"] = [f"{45.0 + 5e-7 * k:.8f}" for k in range(60)]
+    columns["lat"][7], columns["lon"][7] = "91", "181"  # "not available" in many receivers
+    columns["lat"][40], columns["lon"][40] = "0", "0"
+    run = parse(columns, crs="EPSG:32615")
+    assert run.repairs == {"blank_fixes": 2}
+    assert np.flatnonzero(np.isnan(run.x)).tolist() == [7, 40]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty"),
+        (b"t,x,y,current\n", "0 rows are too few"),
+        (b"t,x,y,current\n" + b"1,2,3,4\n", "1 rows are too few"),
+        (b"t,x,y,current\n" + b"nan,nan,nan,nan\n" * 9, "only 0 rows have a time"),
+        (b"t,x,y,current,x\n" + b"1,2,3,4,5\n" * 9, "column 'x' appears twice"),
+        (bytes(range(256)) * 4, "neither a text in CSV"),
+        (b"\x00" * 40, "too few"),
+        (text(log()).encode("utf-16"), "neither a text in CSV"),
+        (text(log()).replace(",", ";").encode(), "separated by semicolons; write commas"),
+        (text(log()).replace(",", "\t").encode(), "separated by tabs; write commas"),
+        (text(log(x=["1e308", "-1e308"] * 30)).encode(), r"column 'x', row 2: 1e\+308 is larger than 1e\+30"),
+        (text(log(current=["9"] * 59 + ["1e200"])).encode(), r"column 'current', row 61: 1e\+200 is larger"),
+        (text(log(t=[f"{-k}" for k in range(60)])).encode(), "the clock was set back"),
+        (text(log(t=["noon"] * 60)).encode(), "column 't', row 2: 'noon' is not a number"),
+        (b"PAR1" + b"x" * 60, "not a readable Parquet file"),
+    ],
+)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_what_is_no_log_is_refused_in_words(content, message, tmp_path):
+    (tmp_path / "run.csv").write_bytes(content)
+    with pytest.raises(RunsError, match=message):
+        read_run(tmp_path / "run.csv")
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_stamps_before_zero_are_stamps_and_other_columns_may_hold_anything():
+    run = parse(log(t=[f"{-3.0 + 0.1 * k:.1f}" for k in range(60)], status=["1e308"] * 60))
+    assert run.t[0] == -3.0
+    assert np.isnan(run.extras["status"]).all()
+
+
 @pytest.mark.parametrize(
     ("columns", "message"),
     [

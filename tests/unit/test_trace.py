@@ -11,6 +11,7 @@ from joulemap.model.loop import calibration
 from joulemap.model.loop.bounds import bounded
 from joulemap.model.loop.calibrated import Correction, read_calibrated, save_calibrated
 from joulemap.model.loop.columns import usable_columns
+from joulemap.model.loop.drive import _with_stands
 from joulemap.model.loop.effects import Term, inside
 from joulemap.model.loop.fitting import Fit, fit_terms
 from joulemap.model.loop.record import RECORD_FILE, read_record, save_record
@@ -62,6 +63,19 @@ def test_cost_of_hollows_backwards_driving_and_a_heater_have_names():
     heated = found_in(drive, noisy(rng, drive, heater_j)).effects[0]
     assert heated.term.units[-1] == "W/K"
     assert heated.low[-1] < -1.5 < heated.high[-1]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_robot_declared_without_idle_power_is_calibrated():
+    """Nothing is predicted while it is stationary, and nothing downhill; it draws 12 W and turns at 60 J/rad."""
+    rng = np.random.default_rng(7)
+    drive = replace(made_up(rng), robot=replace(ROBOT, idle_power_w=0.0))
+    drive = _with_stands(drive, np.repeat(np.arange(6), 3), np.full(18, 10.0))
+    assert (drive.predicted == 0.0).sum() > 18  # stationary, and steep descents
+    drawn = noisy(rng, replace(drive, robot=ROBOT), EFFECTS["turning"](drive))
+    found = {e.term.name: float(e.coefficients[0]) for e in found_in(drive, drawn).effects}
+    assert found["hotel_load"] == pytest.approx(12.0, rel=0.1)
+    assert found["turning"] == pytest.approx(60.0, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(6))
