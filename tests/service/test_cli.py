@@ -256,7 +256,7 @@ def test_a_heightmap_without_a_place_is_given_one(tmp_path: Path) -> None:
     bare = ("costmap", tmp_path / "bare.npy", "--model", "physics", "--out", tmp_path / "bare.zarr")
     code, _, errors = joulemap(*bare)
     assert code == 3
-    assert "resolution_m" in errors
+    assert "give --resolution, the side of a cell" in errors
     place = ("--resolution", "0.5", "--west", "100", "--north", "70", "--crs", "EPSG:32630")
     assert joulemap(*bare, *place)[0] == 0
     frame = load_lattice(tmp_path / "bare.zarr").frame

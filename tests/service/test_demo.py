@@ -32,10 +32,15 @@ JOULEMAP = str(Path(sys.executable).with_name("joulemap"))
 
 def test_the_demo_answers_and_ends(tmp_path: Path) -> None:
     out = tmp_path / "demo"
-    command = [JOULEMAP, "demo", "--exit", "--port", "0", "--out", str(out), "--json", str(tmp_path / "demo.json")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [JOULEMAP, "demo", "--exit", "--out", str(out), "--json", str(tmp_path / "demo.json")]
+    where = {"JOULEMAP_HOST": "localhost", "JOULEMAP_PORT": str(port)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, env=os.environ | where)
     assert done.returncode == 0, done.stderr
     said = json.loads((tmp_path / "demo.json").read_text())
+    assert said["url"] == f"http://localhost:{port}"
     path, shortest = said["path"], said["path"]["shortest"]
     assert (said["start"], said["goal"]) == (list(SAMPLE_START), list(SAMPLE_GOAL))
     assert path["energy_j"] < 0.95 * shortest["energy_j"]  # the sample is made so that going round the knoll pays
@@ -56,14 +61,14 @@ def test_the_demo_answers_and_ends(tmp_path: Path) -> None:
 def test_the_service_goes_on_until_it_is_stopped(tmp_path: Path) -> None:
     """On another heightmap, with the wanted port taken; Ctrl-C ends both processes."""
     row, col = np.mgrid[0:24, 0:30]
-    np.savez(tmp_path / "dem.npz", heights=(0.02 * row + 0.3 * np.sin(0.4 * col)).astype(np.float32), resolution_m=1.0)
+    np.save(tmp_path / "dem.npy", (0.02 * row + 0.3 * np.sin(0.4 * col)).astype(np.float32))
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
         command = [JOULEMAP, "demo", "--model", "physics", "--port", str(port), "--out", str(tmp_path / "demo")]
         process = subprocess.Popen(
-            [*command, "--heightmap", str(tmp_path / "dem.npz")],
+            [*command, "--heightmap", str(tmp_path / "dem.npy"), "--resolution", "1"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
