@@ -3,21 +3,40 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from joulemap.model.errors import ModelError
 
 if TYPE_CHECKING:
     from joulemap.model.energy.architectures.contract import Architecture
 
-ARCHITECTURES = {
+A = TypeVar("A", bound="Architecture[Any]")
+
+ARCHITECTURES: dict[str, str | type[Architecture[Any]]] = {
     "compact": "joulemap.model.energy.architectures.compact.architecture:Compact",
     "resnet18": "joulemap.model.energy.architectures.resnet18:ResNet18",
 }
-"""Every architecture: its name, and where its class is (module:class). docs/how-to/add-a-model.md adds one."""
+"""Every architecture: its name, and its class or where that is (module:class). docs/how-to/add-a-model.md adds one."""
 
 DEFAULT_ARCHITECTURE = "compact"
 """The architecture of the shipped network."""
+
+
+def register(architecture: type[A]) -> type[A]:
+    """Make an architecture of your own known to this process. A decorator of its class.
+
+    Parameters
+    ----------
+    architecture : type
+        A subclass of `Architecture`.
+
+    Returns
+    -------
+    type
+        The class itself.
+    """
+    ARCHITECTURES[architecture.name] = architecture
+    return architecture
 
 
 def find_architecture(name: str) -> Architecture[Any]:
@@ -40,6 +59,8 @@ def find_architecture(name: str) -> Architecture[Any]:
     """
     if name not in ARCHITECTURES:
         raise ModelError(f"no architecture {name!r}: known are {', '.join(ARCHITECTURES)}", name=name)
-    module, _, cls = ARCHITECTURES[name].partition(":")
-    found: Architecture[Any] = getattr(import_module(module), cls)()
-    return found
+    found = ARCHITECTURES[name]
+    if isinstance(found, str):
+        module, _, cls = found.partition(":")
+        found = cast("type[Architecture[Any]]", getattr(import_module(module), cls))
+    return found()
