@@ -22,19 +22,12 @@ if TYPE_CHECKING:
     from joulemap.model.robot import Battery, Robot
     from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.service.library.calibrations import CalibrationResult, calibrate
     from joulemap.service.library.costmaps import CostMap, costmap, open_costmap
     from joulemap.service.library.heightmaps import heightmap
-    from joulemap.service.library.learning import (
-        CalibrationResult,
-        Evaluation,
-        Model,
-        Runs,
-        calibrate,
-        evaluate,
-        read_runs,
-        train,
-    )
+    from joulemap.service.library.models import Evaluation, Model, evaluate, train
     from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
+    from joulemap.service.library.run_files import Runs, read_runs
 
 __all__ = [
     "Battery",
@@ -64,19 +57,12 @@ _HOMES = {
     "joulemap.model.robot": ("Battery", "Robot"),
     "joulemap.model.terrain.heightmap": ("Heightmap",),
     "joulemap.model.terrain.readers": ("read_heightmap",),
+    "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
     "joulemap.service.library.costmaps": ("CostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap",),
-    "joulemap.service.library.learning": (
-        "CalibrationResult",
-        "Evaluation",
-        "Model",
-        "Runs",
-        "calibrate",
-        "evaluate",
-        "read_runs",
-        "train",
-    ),
+    "joulemap.service.library.models": ("Evaluation", "Model", "evaluate", "train"),
     "joulemap.service.library.routes": ("Feasibility", "PlannedRoute", "PlannedTour"),
+    "joulemap.service.library.run_files": ("Runs", "read_runs"),
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,9 +49,41 @@ _LEAST_SPAN = 0.1
 """Least span of the colours, as a share of the mean price: a map on which all prices are nearly equal looks so."""
 
 
+@dataclass(frozen=True)
+class CostmapDrawing:
+    """What was drawn of a cost map.
+
+    Attributes
+    ----------
+    scale : matplotlib.cm.ScalarMappable
+        Prices and their colours, for a colour bar.
+    extend : str
+        At which ends prices lie beyond the colours: "neither", "min", "max" or "both".
+    label : str
+        What the colours mean, with the unit.
+    title : str
+        What is shown.
+    handles : list of matplotlib.patches.Patch
+        A legend handle for each reason that something is blocked.
+    """
+
+    scale: ScalarMappable
+    extend: str
+    label: str
+    title: str
+    handles: list[Patch]
+
+
+def new_axes() -> Axes:
+    """Make axes on a new figure of pyplot, so that a notebook shows it."""
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(figsize=(8.0, 6.0), layout="constrained")[1]
+
+
 def draw_costmap(
     axes: Axes, lattice: CostLattice, *, view: str = "mean", heading_deg: float | None = None
-) -> tuple[ScalarMappable, str, list[Patch]]:
+) -> CostmapDrawing:
     """Draw a cost map in colour, with what is blocked and why.
 
     Parameters
@@ -66,12 +99,8 @@ def draw_costmap(
 
     Returns
     -------
-    scale : matplotlib.cm.ScalarMappable
-        For a colour bar. Its `colorbar_extend` says at which ends prices lie beyond the colours.
-    title : str
-        What is shown.
-    handles : list of matplotlib.patches.Patch
-        A legend handle for each reason that occurs.
+    CostmapDrawing
+        What a colour bar, a title and a legend need.
 
     Raises
     ------
@@ -94,26 +123,10 @@ def draw_costmap(
     handles = draw_blocked(axes, codes, extent)
     if view == "heading":
         _compass(axes, math.radians(heading_deg or 0.0))
-    scale = ScalarMappable(norm, colours)
     below, above = bool((priced < low).any()), bool((priced > high).any())
-    scale.colorbar_extend = "both" if below and above else "min" if below else "max" if above else "neither"
-    return scale, title, handles
-
-
-def price_label(view: str) -> str:
-    """Return what the colours of a view mean, with the unit.
-
-    Parameters
-    ----------
-    view : str
-        One of `VIEWS`.
-
-    Returns
-    -------
-    str
-        For a colour bar.
-    """
-    return f"{'dearest - cheapest heading' if view == 'directionality' else 'energy per metre'} [J/m]"
+    extend = "both" if below and above else "min" if below else "max" if above else "neither"
+    label = f"{'dearest - cheapest heading' if view == 'directionality' else 'energy per metre'} [J/m]"
+    return CostmapDrawing(ScalarMappable(norm, colours), extend, label, title, handles)
 
 
 def draw_ground(

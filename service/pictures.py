@@ -25,7 +25,6 @@ from joulemap.service.map_drawing import (
     draw_ground,
     draw_profile,
     draw_routes,
-    price_label,
 )
 
 __all__ = ["VIEWS", "lattice_image", "route_picture"]
@@ -54,19 +53,19 @@ def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: floa
         On another view, or a heading that is missing or not finite.
     """
     figure, axes = _map_figure(lattice.frame, extra_in=1.5)
-    scale, title, handles = draw_costmap(axes, lattice, view=view, heading_deg=heading_deg)
-    bar = figure.colorbar(scale, ax=axes, shrink=0.86, pad=0.02, extend=scale.colorbar_extend)
-    bar.set_label(price_label(view), color=INK)
+    drawn = draw_costmap(axes, lattice, view=view, heading_deg=heading_deg)
+    bar = figure.colorbar(drawn.scale, ax=axes, shrink=0.86, pad=0.02, extend=drawn.extend)
+    bar.set_label(drawn.label, color=INK)
     bar.outline.set_visible(False)
     model = lattice.provenance.get("model", {}).get("name", "unnamed model")
     rows, cols = lattice.frame.shape
-    axes.set_title(title, loc="left", fontsize=13, fontweight="bold", color=INK, pad=22)
+    axes.set_title(drawn.title, loc="left", fontsize=13, fontweight="bold", color=INK, pad=22)
     about = f"{lattice.robot.name}  ·  model {model}  ·  {cols} x {rows} cells of {lattice.frame.resolution_m:g} m"
     axes.annotate(about, (0, 1), (0, 6), xycoords="axes fraction", textcoords="offset points", fontsize=9, color=FAINT)
-    if handles:
+    if drawn.handles:
         below_axes = offset_copy(axes.transAxes, figure, 0.0, -0.5)
         axes.legend(
-            handles=handles,
+            handles=drawn.handles,
             loc="upper center",
             ncols=3,
             frameon=False,

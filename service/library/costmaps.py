@@ -15,6 +15,7 @@ from joulemap.planner.lattice_io import export_geotiff, load_lattice, save_latti
 from joulemap.planner.plan import RoutePlanner
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.html import html_table, text_table
+from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.workflows import PointCosts, assess, costs_at, judge_routes, make_cost_lattice, summarise
@@ -22,8 +23,6 @@ from joulemap.service.workflows import PointCosts, assess, costs_at, judge_route
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from xarray import Dataset
-
-    from joulemap.service.library.learning import Model
 
 Point = Sequence[float]
 """World x, y [m] in the CRS of the map."""
@@ -256,15 +255,14 @@ class CostMap:
         InputError
             On another view, or without a heading where one is needed.
         """
-        from joulemap.service.library.routes import _axes
-        from joulemap.service.map_drawing import draw_costmap, price_label
+        from joulemap.service.map_drawing import draw_costmap, new_axes
 
-        ax = _axes(ax)
-        scale, title, handles = draw_costmap(ax, self.lattice, view=view, heading_deg=heading_deg)
-        ax.figure.colorbar(scale, ax=ax, label=price_label(view), extend=scale.colorbar_extend)
-        ax.set_title(title)
-        if handles:
-            ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
+        ax = new_axes() if ax is None else ax
+        drawn = draw_costmap(ax, self.lattice, view=view, heading_deg=heading_deg)
+        ax.figure.colorbar(drawn.scale, ax=ax, label=drawn.label, extend=drawn.extend)
+        ax.set_title(drawn.title)
+        if drawn.handles:
+            ax.legend(handles=drawn.handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
         return ax
 
     def to_xarray(self) -> Dataset:
@@ -370,7 +368,7 @@ def costmap(
     ground: GroundLike,
     robot: RobotLike = None,
     *,
-    model: str | Path | Model = DEFAULT_MODEL,
+    model: ModelLike = DEFAULT_MODEL,
     spacing_m: float = 1.0,
     headings: int = DEFAULT_HEADINGS,
     progress: Callable[[float], None] | None = None,
@@ -413,9 +411,13 @@ def costmap(
     >>> costs.plan((3.0, 10.0), (27.0, 10.0)).energy_j > costs.plan((27.0, 10.0), (3.0, 10.0)).energy_j
     True
     """
-    folder = getattr(model, "folder", model)
     lattice = make_cost_lattice(
-        ground_of(ground), robot_of(robot), model=folder, spacing_m=spacing_m, headings=headings, progress=progress
+        ground_of(ground),
+        robot_of(robot),
+        model=model_folder(model),
+        spacing_m=spacing_m,
+        headings=headings,
+        progress=progress,
     )
     return CostMap(lattice)
 

@@ -102,9 +102,9 @@ class PlannedRoute:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.map_drawing import blocked_everywhere, draw_ground, draw_routes
+        from joulemap.service.map_drawing import blocked_everywhere, draw_ground, draw_routes, new_axes
 
-        ax = _axes(ax)
+        ax = new_axes() if ax is None else ax
         patches = draw_ground(
             ax, self.lattice.elevation_m, self.lattice.frame, blocked=blocked_everywhere(self.lattice)
         )
@@ -133,11 +133,11 @@ class PlannedRoute:
         InputError
             On another quantity.
         """
-        from joulemap.service.map_drawing import OPTIMAL, SHORTEST, draw_profile
+        from joulemap.service.map_drawing import OPTIMAL, SHORTEST, draw_profile, new_axes
 
         if quantity not in ("energy", "elevation"):
             raise InputError(f"`quantity` is {quantity!r}: give 'energy' or 'elevation'", quantity=quantity)
-        ax = _axes(ax)
+        ax = new_axes() if ax is None else ax
         for route, colour, name in ((self.shortest, SHORTEST, "shortest"), (self.route, OPTIMAL, "energy-optimal")):
             draw_profile(ax, route, quantity=quantity, colour=colour, label=name)
         ax.set_xlabel("distance along the path [m]")
@@ -247,16 +247,16 @@ class PlannedTour:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.map_drawing import OPTIMAL, blocked_everywhere, draw_ground
+        from joulemap.service.map_drawing import OPTIMAL, blocked_everywhere, draw_ground, new_axes
 
-        ax = _axes(ax)
+        ax = new_axes() if ax is None else ax
         draw_ground(ax, self.lattice.elevation_m, self.lattice.frame, blocked=blocked_everywhere(self.lattice))
         for leg in self.legs:
             ax.plot(*leg.points[:, :2].T, color=OPTIMAL, lw=2.5, zorder=3)
         for number, (leg, stop) in enumerate(zip(self.legs, self.order, strict=True)):
             ax.plot(*leg.points[0, :2], "o", ms=15, mfc="white", mec=OPTIMAL, zorder=4)
             name = "home" if number == 0 else str(stop)
-            ax.annotate(name, leg.points[0, :2], ha="center", va="center", fontsize=7, zorder=5)
+            ax.annotate(name, (leg.points[0, 0], leg.points[0, 1]), ha="center", va="center", fontsize=7, zorder=5)
         return ax
 
     def to_geojson(self) -> dict[str, Any]:
@@ -389,11 +389,3 @@ def _geodataframe(routes: Sequence[tuple[str, Route]], crs: str | None) -> GeoDa
         points = route.points if len(route.points) > 1 else np.repeat(route.points, 2, axis=0)
         lines.append(LineString(points))
     return GeoDataFrame(rows, geometry=lines, crs=crs)
-
-
-def _axes(ax: Axes | None) -> Axes:
-    if ax is not None:
-        return ax
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(figsize=(8.0, 6.0), layout="constrained")[1]

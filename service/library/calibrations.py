@@ -1,0 +1,219 @@
+"""Calibration for a Python user: what a model lacks on measured runs, as a report and a model that has it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from joulemap.model.errors import InputError
+from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
+from joulemap.service.library.html import html_table, text_table
+from joulemap.service.library.models import ModelLike, model_folder
+from joulemap.service.library.run_files import RunsLike, find_run_files
+from joulemap.service.models import CALIBRATED_FOLDER, DEFAULT_MODEL
+
+if TYPE_CHECKING:
+    from joulemap.model.robot import Robot
+    from joulemap.model.runs.files import CalibrationRuns
+    from joulemap.model.terrain.heightmap import Heightmap
+    from joulemap.service.loop.rerouting import Task
+
+Point = Sequence[float]
+"""World x, y [m] in the CRS of the map."""
+REPORT_JSON, REPORT_HTML = "report.json", "report.html"
+"""What `calibrate` writes beside the calibrated model."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationResult:
+    """What a model lacks on measured runs. It may be given wherever a model is asked for.
+
+    Attributes
+    ----------
+    out : Path
+        Folder of `report.json`, `report.html` and the calibrated model.
+    report : dict
+        The report, as in `report.json`.
+    """
+
+    out: Path
+    report: dict[str, Any]
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the calibrated model.
+
+        Raises
+        ------
+        InputError
+            If nothing was found, so that there is no calibrated model.
+        """
+        if self.report["model"]["after"] is None:
+            raise InputError(f"nothing was found that the model lacks: {self.out} holds a report and no model")
+        return self.out / CALIBRATED_FOLDER
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """What was found, each with name, coefficients, 95 % intervals and p-value; the strongest first."""
+        return list(self.report["effects"])
+
+    @property
+    def report_html(self) -> Path:
+        """The report for a browser."""
+        return self.out / REPORT_HTML
+
+    def _title(self) -> str:
+        names = ", ".join(effect["name"] for effect in self.effects)
+        return f"Calibration found {names}" if names else "Calibration found nothing that the model lacks"
+
+    def _rows(self) -> dict[str, str]:
+        error = self.report["error"]
+        rows = {
+            effect["name"]: f"p = {effect['p_value']:.2g}, {'used' if effect['in_plans'] else 'not used'} in plans"
+            for effect in self.effects
+        }
+        rows["mean relative error"] = (
+            f"{error['before']['mean_relative']:.1%} before, {error['after']['mean_relative']:.1%} after, of a metre"
+        )
+        return rows | {"report": str(self.report_html)}
+
+    def __repr__(self) -> str:
+        return f"<{self._title()}>"
+
+    def __str__(self) -> str:
+        return text_table(self._title(), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title(), self._rows())
+
+
+def calibrate(
+    ground: GroundLike,
+    runs: RunsLike,
+    *,
+    out: str | Path,
+    model: ModelLike = DEFAULT_MODEL,
+    robot: RobotLike = None,
+    baseline_runs: RunsLike | None = None,
+    test_runs: RunsLike | None = None,
+    start: Point | None = None,
+    goal: Point | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> CalibrationResult:
+    """Find what a model lacks on measured runs, and write a model that has it.
+
+    Parameters
+    ----------
+    ground : Heightmap, str or Path
+        The heightmap that the runs were driven on.
+    runs : Runs, str, Path or sequence of these
+        The runs, or their files.
+    out : str or Path
+        Folder for `report.json`, `report.html` and the calibrated model.
+    model : str, Path or Model, optional
+        The model to be calibrated.
+    robot : Robot, mapping, str, Path or None, optional
+        The robot that drove.
+    baseline_runs : Runs, str, Path or sequence of these, optional
+        Runs in which nothing new is at work. By default those that the model was trained on.
+    test_runs : Runs, str, Path or sequence of these, optional
+        Runs that have no part in the fit; the report has the error on them before and after.
+    start, goal : sequence of float, optional
+        World x, y [m] of a task whose routes before and after are compared.
+    seed : int, optional
+        Of the permutations: the same seed gives the same report.
+    progress : callable, optional
+        Called with the share done, 0..1.
+
+    Returns
+    -------
+    CalibrationResult
+        Effects, errors before and after, and the calibrated model.
+
+    Raises
+    ------
+    RunsError
+        If the runs cannot be used.
+    ConflictError
+        If `out` holds a calibrated model already: a model version is never changed.
+    InputError
+        If only one of `start` and `goal` is given.
+    """
+    from joulemap.model.runs.files import read_calibration_runs
+
+    if (start is None) != (goal is None):
+        raise InputError("give `start` and `goal`, or neither")
+    heightmap, driven_by = ground_of(ground), robot_of(robot)
+    tests = find_run_files(test_runs)
+    kept = {file.resolve() for file in tests}
+    files = [file for file in find_run_files(runs) if file.resolve() not in kept]
+    read = read_calibration_runs(
+        files, driven_by, crs=heightmap.frame.crs, base_files=find_run_files(baseline_runs), aside_files=tests
+    )
+    task = None if start is None or goal is None else ((start[0], start[1]), (goal[0], goal[1]))
+    return calibrate_and_report(
+        model_folder(model),
+        heightmap,
+        driven_by,
+        read,
+        out=Path(out),
+        task=task,
+        seed=seed,
+        progress=progress,
+    )
+
+
+def calibrate_and_report(
+    model: str | Path,
+    heightmap: Heightmap,
+    robot: Robot,
+    runs: CalibrationRuns,
+    *,
+    out: Path,
+    task: Task | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> CalibrationResult:
+    """Calibrate on runs that are read already, and write the report beside the model.
+
+    Parameters
+    ----------
+    model : str or Path
+        Name or folder of the model to be calibrated.
+    heightmap : Heightmap
+        The ground; level ground for runs without positions.
+    robot : Robot
+        The robot that drove.
+    runs : CalibrationRuns
+        What is learned from, compared with, and tested on.
+    out : Path
+        Folder for the report and the model.
+    task : pair of points, optional
+        Start and goal whose routes are compared.
+    seed : int, optional
+        Of the permutations.
+    progress : callable, optional
+        Called with the share done, 0..1.
+
+    Returns
+    -------
+    CalibrationResult
+        As `calibrate`.
+
+    Raises
+    ------
+    RunsError, ConflictError, ModelError
+        As `calibrate`.
+    """
+    from joulemap.service.loop.calibration import calibrate_on_runs
+    from joulemap.service.loop.report_page import report_page
+
+    made = calibrate_on_runs(model, heightmap, robot, runs, out=out, task=task, seed=seed, progress=progress)
+    text = json.dumps(made.document, indent=2, allow_nan=False) + "\n"
+    (out / REPORT_JSON).write_text(text, encoding="utf-8")
+    (out / REPORT_HTML).write_text(report_page(made, heightmap), encoding="utf-8")
+    return CalibrationResult(out, made.document)

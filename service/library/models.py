@@ -1,0 +1,258 @@
+"""Models for a Python user: trained on measured runs, and evaluated on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from joulemap.model.errors import ConflictError
+from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
+from joulemap.service.library.html import html_table, text_table
+from joulemap.service.library.run_files import RunsLike, find_run_files
+from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.words import runs_words
+
+
+class InFolder(Protocol):
+    """Something that has a model in a folder."""
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the model."""
+
+
+ModelLike = str | Path | InFolder
+"""The name of a model ("default", "physics"), its folder, or what `train` and `calibrate` return."""
+
+
+def model_folder(model: ModelLike) -> str | Path:
+    """Return the name or folder of the model that is meant.
+
+    Parameters
+    ----------
+    model : str, Path, Model or CalibrationResult
+        A name, a folder, or what `train` and `calibrate` return.
+
+    Returns
+    -------
+    str or Path
+        As `joulemap.service.models.find_predictor` takes it.
+
+    Raises
+    ------
+    InputError
+        If a calibration found nothing, so that it has no model.
+    """
+    return model if isinstance(model, str | Path) else model.folder
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Model:
+    """A model that was trained or calibrated. It may be given wherever a model is asked for.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it lies.
+    facts : dict
+        What its making left: version, runs, errors.
+    """
+
+    folder: Path
+    facts: dict[str, Any]
+
+    @property
+    def held_out(self) -> dict[str, Any]:
+        """Errors on runs that a network had not seen, as `evaluate` gives them."""
+        return dict(self.facts["held_out"])
+
+    def _rows(self) -> dict[str, str]:
+        facts = self.facts
+        return {
+            "version": facts["version"],
+            "learned from": f"{facts['segments']:,} segments of 1 m of {runs_words(len(facts['runs']))}",
+            "held-out error": f"{facts['held_out']['mean_relative_error']:.1%} of the energy of a metre in the mean",
+            "turning": f"{facts['turn_j_per_rad']:.1f} J/rad beyond straight driving",
+        }
+
+    def __repr__(self) -> str:
+        return f"<Model {self.folder}: held-out error {self.facts['held_out']['mean_relative_error']:.1%} a metre>"
+
+    def __str__(self) -> str:
+        return text_table(f"Model {self.folder}", self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Model {self.folder}", self._rows())
+
+
+def train(
+    ground: GroundLike,
+    runs: RunsLike,
+    *,
+    out: str | Path,
+    robot: RobotLike = None,
+    architecture: str = "compact",
+    start_from: ModelLike | None = None,
+    epochs: int | None = None,
+    seed: int = 0,
+    charge: bool = False,
+    overwrite: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Model:
+    """Train a model on measured runs.
+
+    Parameters
+    ----------
+    ground : Heightmap, str or Path
+        The heightmap that the runs were driven on.
+    runs : Runs, str, Path or sequence of these
+        The runs, or their files.
+    out : str or Path
+        Folder for the model.
+    robot : Robot, mapping, str, Path or None, optional
+        The robot that drove.
+    architecture : str, optional
+        "compact", or "resnet18", the network of the paper.
+    start_from : str, Path or Model, optional
+        Model to fine-tune: "default", a folder, or "none" to train from random weights. By default the shipped network
+        for "compact", "none" otherwise.
+    epochs : int, optional
+        Most passes over the data.
+    seed : int, optional
+        The same seed and data give the same weights.
+    charge : bool, optional
+        Whether charge times nominal voltage is learned instead of energy, for logs whose voltage is wrong.
+    overwrite : bool, optional
+        Whether a model that is there already is replaced.
+    progress : callable, optional
+        Called with the share done, 0..1.
+
+    Returns
+    -------
+    Model
+        Its errors are of runs that a network had not seen.
+
+    Raises
+    ------
+    RunsError
+        If the runs cannot be used.
+    ConflictError
+        If a model is there already, and `overwrite` is false.
+    ModelError
+        If `start_from` is no model.
+    """
+    from dataclasses import asdict
+
+    from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE
+    from joulemap.model.energy.artifact import CONFIG_FILE
+    from joulemap.model.training.measured_runs import train_on_runs
+    from joulemap.service.models import start_folder
+
+    folder = Path(out)
+    if not overwrite and (folder / CONFIG_FILE).exists():
+        raise ConflictError(f"{folder} holds a model already: choose another folder, or say overwrite=True")
+    start = start_from if start_from is not None else ("default" if architecture == DEFAULT_ARCHITECTURE else "none")
+    made = train_on_runs(
+        ground_of(ground),
+        robot_of(robot),
+        find_run_files(runs),
+        out=folder,
+        architecture=architecture,
+        start_from=start_folder(model_folder(start)),
+        epochs=epochs,
+        seed=seed,
+        charge=charge,
+        progress=progress,
+    )
+    return Model(folder, asdict(made))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation:
+    """How well a model predicts measured runs.
+
+    Attributes
+    ----------
+    document : dict
+        All numbers, as `joulemap evaluate --json` writes them.
+    """
+
+    document: dict[str, Any]
+
+    @property
+    def mean_relative_error(self) -> float:
+        """Mean over segments of 1 m of |predicted - measured| / measured."""
+        return float(self.document["mean_relative_error"])
+
+    @property
+    def route_relative_error(self) -> float:
+        """Mean over whole runs of |predicted - measured| / measured energy of the run."""
+        return float(self.document["route_relative_error"])
+
+    @property
+    def warnings(self) -> list[str]:
+        """Why these errors may not hold elsewhere."""
+        return list(self.document["warnings"])
+
+    def _rows(self) -> dict[str, str]:
+        found = self.document
+        rows = {
+            "per metre": f"{found['mean_relative_error']:.1%} mean relative error of {found['segments']:,} segments",
+            "whole runs": f"{found['route_relative_error']:.1%} of a run's energy",
+            "bias": f"{found['bias_j']:+.2f} J per segment (measured - predicted)",
+        }
+        return rows | ({"warning": "; ".join(self.warnings)} if self.warnings else {})
+
+    def __repr__(self) -> str:
+        return f"<Evaluation of {self.document['model']}: {self.mean_relative_error:.1%} a metre>"
+
+    def __str__(self) -> str:
+        return text_table(f"Evaluation of {self.document['model']}", self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(f"Evaluation of {self.document['model']}", self._rows())
+
+
+def evaluate(
+    ground: GroundLike,
+    runs: RunsLike,
+    *,
+    model: ModelLike = DEFAULT_MODEL,
+    robot: RobotLike = None,
+    charge: bool = False,
+) -> Evaluation:
+    """Say how well a model predicts measured runs.
+
+    Parameters
+    ----------
+    ground : Heightmap, str or Path
+        The heightmap that the runs were driven on.
+    runs : Runs, str, Path or sequence of these
+        The runs, or their files.
+    model : str, Path or Model, optional
+        "default", "physics", a model's folder, or what `train` and `calibrate` return.
+    robot : Robot, mapping, str, Path or None, optional
+        The robot that drove.
+    charge : bool, optional
+        Whether charge times nominal voltage is compared instead of energy.
+
+    Returns
+    -------
+    Evaluation
+        Errors per metre and over whole runs.
+
+    Raises
+    ------
+    RunsError
+        If the runs cannot be used.
+    ModelError
+        If there is no such model.
+    """
+    from joulemap.model.training.evaluation import evaluate_on_runs
+    from joulemap.service.models import find_predictor
+
+    predictor = find_predictor(model_folder(model))
+    found = evaluate_on_runs(predictor, ground_of(ground), robot_of(robot), find_run_files(runs), charge=charge)
+    return Evaluation(found)

@@ -1,0 +1,137 @@
+"""Measured runs for a Python user: found by file, folder or pattern, read, and repaired."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path
+
+from joulemap.model.errors import NotFoundError
+from joulemap.model.runs.reader import Run
+from joulemap.service.library.html import html_table, text_table
+from joulemap.service.words import duration_words, runs_words
+
+RUN_SUFFIXES = (".csv", ".parquet")
+"""Files that a folder of runs is searched for."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Runs:
+    """Measured runs, read and repaired.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        Where they were read from.
+    runs : tuple of Run
+        What was read, in the same order.
+    """
+
+    files: tuple[Path, ...]
+    runs: tuple[Run, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """A name of each run, no two alike."""
+        return [run.name for run in self.runs]
+
+    @property
+    def repairs(self) -> dict[str, dict[str, int]]:
+        """Rows that were repaired or dropped, by run and rule."""
+        return {run.name: run.repairs for run in self.runs if run.repairs}
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def _rows(self) -> dict[str, str]:
+        return {
+            run.name: f"{len(run):,} rows, {duration_words(float(run.t[-1] - run.t[0]))}, "
+            f"{'voltage and current' if run.voltage_v is not None else 'current without voltage'}, "
+            f"{sum(run.repairs.values()):,} rows repaired or dropped"
+            for run in self.runs
+        }
+
+    def __repr__(self) -> str:
+        return f"<Runs: {runs_words(len(self))}, {sum(len(run) for run in self.runs):,} rows>"
+
+    def __str__(self) -> str:
+        return text_table(runs_words(len(self)), self._rows())
+
+    def _repr_html_(self) -> str:
+        return html_table(runs_words(len(self)), self._rows())
+
+
+RunsLike = Runs | str | Path | Sequence[str | Path]
+"""Runs, or a file, a folder, a pattern such as "logs/*.csv", or several of these."""
+
+
+def read_runs(files: RunsLike, *, crs: str | None = None) -> Runs:
+    """Read measured runs.
+
+    Parameters
+    ----------
+    files : str, Path or sequence of these
+        Files (CSV or Parquet), folders, or patterns such as "logs/*.csv".
+    crs : str, optional
+        Coordinate system of the heightmap, for logs that have `lat` and `lon` instead of `x` and `y`.
+
+    Returns
+    -------
+    Runs
+        One for each file.
+
+    Raises
+    ------
+    NotFoundError
+        If a file, folder or pattern names no file.
+    RunsError
+        If a file is no usable run. The message names the file, the column and the row.
+    """
+    from joulemap.model.runs.files import distinct_names
+    from joulemap.model.runs.reader import read_run
+
+    if isinstance(files, Runs):
+        return files
+    paths = find_run_files(files)
+    names = distinct_names(paths)
+    runs = tuple(read_run(path, name=name, crs=crs) for path, name in zip(paths, names, strict=True))
+    return Runs(tuple(paths), runs)
+
+
+def find_run_files(files: RunsLike | None) -> list[Path]:
+    """Return the files that are meant, each once.
+
+    Parameters
+    ----------
+    files : str, Path, sequence of these, Runs or None
+        Files, folders (every CSV and Parquet file in them) or patterns. None means no file.
+
+    Returns
+    -------
+    list of Path
+        In the order given, sorted within each pattern.
+
+    Raises
+    ------
+    NotFoundError
+        If one of them names no file.
+    """
+    if files is None:
+        return []
+    if isinstance(files, Runs):
+        return list(files.files)
+    found: dict[Path, Path] = {}
+    for each in [files] if isinstance(files, str | Path) else files:
+        place = Path(each)
+        if place.is_file():
+            here = [place]
+        elif place.is_dir():
+            here = sorted(path for path in place.iterdir() if path.suffix.lower() in RUN_SUFFIXES)
+        else:
+            here = sorted(Path(name) for name in glob(str(each)))
+        if not here:
+            where = f"the folder {each} holds no" if place.is_dir() else f"{str(each)!r} names no"
+            raise NotFoundError(f"{where} CSV or Parquet file (looked for from {Path.cwd()})", pattern=str(each))
+        found |= {path.resolve(): path for path in here if path.resolve() not in found}
+    return list(found.values())
