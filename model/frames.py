@@ -8,7 +8,7 @@ World: x east, y north, metres, in the map's CRS. Raster: row 0 is north; fracti
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numba import njit
@@ -87,11 +87,18 @@ class GridFrame:
         if self.rows < 1 or self.cols < 1:
             raise HeightmapError(f"a map needs at least one cell, got {self.rows} x {self.cols}")
         for key in ("west_m", "north_m", "resolution_m"):
-            # One place has one spelling, which Heightmap.data_hash rests on: no 0 beside 0.0 and -0.0.
+            # One place has one spelling, because Heightmap.data_hash depends on it: no 0 beside 0.0 and -0.0.
             object.__setattr__(self, key, float(getattr(self, key)) + 0.0)
 
     @property
+    def identity(self) -> str:
+        """The frame as one exact text, of which `Heightmap.data_hash` is made; it never changes its form."""
+        values = (f"{field.name}={getattr(self, field.name)!r}" for field in fields(self))
+        return f"GridFrame({', '.join(values)})"
+
+    @property
     def shape(self) -> tuple[int, int]:
+        """Number of rows and columns."""
         return self.rows, self.cols
 
     @property

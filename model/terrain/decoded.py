@@ -1,4 +1,4 @@
-"""What every decoder hands back before it becomes a Heightmap, and the checks they share."""
+"""What every heightmap format returns before it becomes a Heightmap, and the checks they share."""
 
 from __future__ import annotations
 
@@ -16,12 +16,24 @@ UNDECLARED = (-9999.0, -32767.0, -32768.0)
 HEIGHT_LIMIT_M = 50_000.0
 """No ground is farther from zero than this; what is, is a no-data value or a wrong scale."""
 
+SAME_LENGTH = 1e-3
+"""Relative difference of two lengths that still count as the same."""
+
 
 @dataclass(frozen=True)
 class Decoded:
-    """Heights as a file states them. heights : (rows, cols) float32 [m], row 0 north, NaN unknown.
+    """Heights and their place, as a file states them.
 
-    west_m, north_m, resolution_m, crs : None where the file does not say.
+    Attributes
+    ----------
+    heights : ndarray of float32, (rows, cols)
+        Heights [m], row 0 in the north, NaN where unknown.
+    west_m, north_m : float or None
+        Outer edges of the north-west cell [m], None where the file does not say.
+    resolution_m : float or None
+        Side of a cell [m], None where the file does not say.
+    crs : str or None
+        "EPSG:n" or WKT, None where the file does not say.
     """
 
     heights: NDArray[np.float32]
@@ -30,10 +42,31 @@ class Decoded:
     resolution_m: float | None = None
     crs: str | None = None
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and columns."""
+        rows, cols = self.heights.shape
+        return rows, cols
+
 
 @dataclass(frozen=True)
 class Scaling:
-    """How stored values become metres: height = value * scale_m + offset_m; `nodata` is the value of unknown cells."""
+    """How stored values become metres: height = value * scale_m + offset_m.
+
+    Attributes
+    ----------
+    scale_m : float or None
+        Metres per stored unit; None means 1, except where a format needs it said.
+    offset_m : float
+        Height of the stored value 0 [m].
+    nodata : float or None
+        Stored value of unknown cells, in addition to what the file declares.
+
+    Raises
+    ------
+    HeightmapError
+        If scale or offset is no usable number.
+    """
 
     scale_m: float | None = None
     offset_m: float = 0.0
@@ -41,9 +74,9 @@ class Scaling:
 
     def __post_init__(self) -> None:
         if self.scale_m is not None and not (math.isfinite(self.scale_m) and self.scale_m > 0):
-            raise HeightmapError(f"scale_m must be a positive number of metres per count, got {self.scale_m}")
+            raise HeightmapError(f"`scale_m` must be a positive number of metres per count, got {self.scale_m}")
         if not math.isfinite(self.offset_m):
-            raise HeightmapError(f"offset_m must be a finite number of metres, got {self.offset_m}")
+            raise HeightmapError(f"`offset_m` must be a finite number of metres, got {self.offset_m}")
 
     def to_metres(
         self,
@@ -53,10 +86,26 @@ class Scaling:
         band_offset: float = 0.0,
         known: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float32]:
-        """Stored values (any real type and shape) as float32 metres; NaN where `known` is false or the value is nodata.
+        """Turn stored values into metres.
 
-        band_scale, band_offset : the file's own scaling, applied first. Raises HeightmapError on an undeclared
-        no-data value and on heights beyond HEIGHT_LIMIT_M.
+        Parameters
+        ----------
+        values : ndarray
+            Stored values, of any real type and shape.
+        band_scale, band_offset : float, optional
+            The file's own scale and offset, applied first.
+        known : ndarray of bool, optional
+            Where the file says that a height is known, in the shape of `values`.
+
+        Returns
+        -------
+        ndarray of float32
+            Heights [m] in the shape of `values`, NaN where unknown.
+
+        Raises
+        ------
+        HeightmapError
+            On an undeclared no-data value, and on a height beyond `HEIGHT_LIMIT_M`.
         """
         if not (math.isfinite(band_scale) and band_scale != 0.0 and math.isfinite(band_offset)):
             raise HeightmapError(f"the file scales its heights by {band_scale} and {band_offset}: it is corrupt")
@@ -69,7 +118,7 @@ class Scaling:
             if values.dtype.kind != "u" and ((values == suspect) & ~unknown).any():
                 raise HeightmapError(
                     f"some cells hold {suspect:g}, the usual mark of an unknown height, but the file does not declare "
-                    f"it: give nodata={suspect:g} (or `gdal_edit.py -a_nodata {suspect:g} FILE`)",
+                    f"it: give `nodata` as {suspect:g} (or `rio edit-info FILE --nodata {suspect:g}` once)",
                     value=suspect,
                 )
         scale = band_scale * (1.0 if self.scale_m is None else self.scale_m)
@@ -86,7 +135,7 @@ class Scaling:
             worst = float(metres[too_far][0])
             raise HeightmapError(
                 f"the file holds a height of {worst:g} m, beyond {HEIGHT_LIMIT_M:g} m: an undeclared no-data value "
-                "(give nodata=VALUE) or a wrong scale",
+                "(give its value as `nodata`) or a wrong scale (`scale_m`)",
                 value=str(worst),
                 limit=HEIGHT_LIMIT_M,
             )
@@ -94,7 +143,24 @@ class Scaling:
 
 
 def check_cells(rows: int, cols: int, max_cells: int, *, what: str = "the file") -> None:
-    """Refuse a declared size before anything of it is allocated. Raises TooLargeError, or HeightmapError when empty."""
+    """Refuse a declared size before memory is allocated for it.
+
+    Parameters
+    ----------
+    rows, cols : int
+        The declared size.
+    max_cells : int
+        Largest number of cells.
+    what : str, optional
+        What messages call the file.
+
+    Raises
+    ------
+    TooLargeError
+        If there are more than `max_cells` cells.
+    HeightmapError
+        If there is none.
+    """
     if rows < 1 or cols < 1:
         raise HeightmapError(f"{what} declares {rows} x {cols} cells: there is nothing in it", rows=rows, cols=cols)
     if rows * cols > max_cells:

@@ -57,7 +57,7 @@ class Heightmap:
     def data_hash(self) -> str:
         """SHA-256 (16 hex digits) of heights and frame: the heightmap's identity in provenance."""
         digest = hashlib.sha256(self.heights.tobytes())
-        digest.update(repr(self.frame).encode())
+        digest.update(self.frame.identity.encode())
         return digest.hexdigest()[:16]
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:

@@ -1,4 +1,4 @@
-"""Ground by windows: what work that goes tile by tile needs of a heightmap, whole in memory or in a file."""
+"""Heights by windows: what work that proceeds tile by tile needs of a heightmap, whole in memory or in a file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -15,8 +14,8 @@ import numpy as np
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.decoded import Scaling
+from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.raster_files import GeoTiffHeader, geotiff_window
 
 _STRIP_CELLS = 16_000_000  # of a file that are held at a time while it is read through once
 _SAMPLE_CELLS = 16_000_000  # a larger map is judged by windows spread over it
@@ -24,10 +23,11 @@ _BLOCKS = 8  # of them along each side
 
 
 class Ground(Protocol):
-    """A heightmap of any size. `Heightmap` is one; so is a file that is never held whole."""
+    """A heightmap of any size: a `Heightmap`, or a file that is never held in memory as a whole."""
 
     @property
-    def frame(self) -> GridFrame: ...
+    def frame(self) -> GridFrame:
+        """Where the grid lies."""
 
     @property
     def source(self) -> str:
@@ -39,38 +39,79 @@ class Ground(Protocol):
 
     @property
     def known_share(self) -> float:
-        """As `Heightmap.known_share`."""
+        """Share of cells whose height is known, 0..1."""
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
-        """The heights of cells [row0, row1) x [col0, col1), at least 2 x 2 of them."""
+        """Return the heights of cells [row0, row1) x [col0, col1).
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The window, at least 2 x 2 cells.
+
+        Returns
+        -------
+        Heightmap
+            That part of the map.
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class HeightmapFile:
-    """A GeoTIFF read by windows; the same heights, identity and refusals as reading it whole.
+    """A file read by windows, with the same heights, identity and refusals as reading it whole.
 
-    A tiled file is read fastest. Raises HeightmapError where a window cannot be read.
+    Attributes
+    ----------
+    reader : WindowReader
+        The open format.
+    scaling : Scaling
+        How stored values become metres.
+    frame : GridFrame
+        Where the grid lies.
+    source : str
+        The file's name.
     """
 
-    path: Path
-    header: GeoTiffHeader
+    reader: WindowReader
     scaling: Scaling
     frame: GridFrame
     source: str
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
-        """The heights of cells [row0, row1) x [col0, col1), at least 2 x 2 of them."""
-        heights = geotiff_window(self.path, self.header, self.scaling, slice(row0, row1), slice(col0, col1))
+        """Return the heights of cells [row0, row1) x [col0, col1).
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The window, at least 2 x 2 cells.
+
+        Returns
+        -------
+        Heightmap
+            That part of the map.
+
+        Raises
+        ------
+        HeightmapError
+            If the window cannot be read.
+        """
+        heights = self.reader.read(self.scaling, slice(row0, row1), slice(col0, col1))
         return Heightmap(heights, self.frame.window(row0, row1, col0, col1), self.source, part=True)
 
     @property
     def data_hash(self) -> str:
-        """As `Heightmap.data_hash`: SHA-256 (16 hex digits) of heights and frame."""
+        """SHA-256 (16 hex digits) of heights and frame, as `Heightmap.data_hash`."""
         return self._read_through[0]
 
     @property
     def known_share(self) -> float:
-        """Share of cells whose height is known, 0..1. Raises HeightmapError where that is none."""
+        """Share of cells whose height is known, 0..1.
+
+        Raises
+        ------
+        HeightmapError
+            If no height is known.
+        """
         return self._read_through[1]
 
     @cached_property
@@ -79,7 +120,7 @@ class HeightmapFile:
         for heights in self._strips():
             digest.update(heights.tobytes())
             known += int(np.count_nonzero(~np.isnan(heights)))
-        digest.update(repr(self.frame).encode())
+        digest.update(self.frame.identity.encode())
         if not known:
             raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
         return digest.hexdigest()[:16], known / (self.frame.rows * self.frame.cols)
@@ -88,13 +129,21 @@ class HeightmapFile:
         step = max(1, _STRIP_CELLS // self.frame.cols)
         for row in range(0, self.frame.rows, step):
             rows = slice(row, min(row + step, self.frame.rows))
-            yield geotiff_window(self.path, self.header, self.scaling, rows, slice(0, self.frame.cols))
+            yield self.reader.read(self.scaling, rows, slice(0, self.frame.cols))
 
 
 def overview(ground: Ground) -> Heightmap:
-    """The ground, or of a large one windows spread over it with unknown cells between: enough to judge its slopes by.
+    """Return enough of a map to judge its slopes by.
 
-    A map of up to 16 million cells is itself.
+    Parameters
+    ----------
+    ground : Ground
+        A map of any size.
+
+    Returns
+    -------
+    Heightmap
+        The map itself up to 16 million cells; of a larger one, windows spread over it with unknown cells between them.
     """
     frame = ground.frame
     if frame.rows * frame.cols <= _SAMPLE_CELLS:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from joulemap.model.errors import TooLargeError
+from joulemap.model.terrain.formats import formats_in_words
 from joulemap.service.commands.console import (
     JsonFile,
     Output,
@@ -23,6 +24,7 @@ from joulemap.service.commands.options import (
     Reading,
     Reserve,
     RobotFile,
+    Snap,
     StateOfCharge,
     reads_heightmap,
     refuse_to_replace,
@@ -50,9 +52,7 @@ MapFolder = Annotated[
 def costmap(
     heightmap: Annotated[
         Path,
-        typer.Argument(
-            metavar="HEIGHTMAP", callback=there, help="GeoTIFF, ESRI ASCII (.asc), .npy, .npz or 16-bit PNG."
-        ),
+        typer.Argument(metavar="HEIGHTMAP", callback=there, help=f"{formats_in_words()}."),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="MAP.zarr", help="Folder to write the cost map to.")],
     robot: RobotFile = None,
@@ -80,7 +80,7 @@ def costmap(
     *,
     reading: Reading,
 ) -> None:
-    """Make a **cost map**: energy per metre for every cell and heading, and where the robot cannot go and why.
+    """Make a **cost map**: energy per metre for every cell and heading, where the robot cannot go, and why.
 
     Examples:
 
@@ -175,17 +175,21 @@ def path(
         typer.Option(help="astar or dijkstra (exact on the grid); rrtstar, informed_rrtstar or bitstar (sampling)."),
     ] = "astar",
     neighbours: Annotated[int, typer.Option(help="Moves of the grid planners: 8, 16 or 32.")] = 16,
-    refine: Annotated[bool, typer.Option(help="Improve the grid path to any angle.")] = True,
+    refine: Annotated[bool, typer.Option(help="Straighten the grid path to any angle.")] = True,
     time_limit: Annotated[float, typer.Option(min=0.01, help="Seconds for the sampling planners.")] = 5.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the sampling planners.")] = 0,
-    alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Other good ways to look for, at most.")] = 0,
+    alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
+    snap: Snap = False,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw all paths, and the profiles of two (PNG).")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw all paths, and the profiles of the energy-optimal and the shortest one (PNG)."
+        ),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Find the **energy-optimal path** on a cost map, and say what it saves against the shortest one.
+    """Find the **energy-optimal path** on a cost map, and what it saves against the shortest path.
 
     Examples:
 
@@ -193,14 +197,12 @@ def path(
 
     `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --planner bitstar --time-limit 10 --json -`
     """
-    from joulemap.model.terrain.heightmap import Heightmap
-    from joulemap.planner.lattice_io import load_lattice
-    from joulemap.planner.plan import RoutePlanner
+    from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.answers import path_geojson, path_out
 
     output = Output(json_file)
-    lattice = load_lattice(costmap)
-    plan = RoutePlanner(lattice).plan(
+    ground = open_costmap(costmap)
+    route = ground.plan(
         start,
         goal,
         planner=planner,
@@ -209,10 +211,11 @@ def path(
         time_limit_s=time_limit,
         seed=seed,
         alternatives=alternatives,
+        snap=snap,
     )
-    known = lattice.provenance.get("warnings", [])
-    found = path_out(plan, None, known).model_dump(mode="json")
-    output.say(f"[bold]Path[/] for {lattice.robot.name}, planner {plan.planner}")
+    plan = route.found
+    found = path_out(plan, None, ground.warnings).model_dump(mode="json")
+    output.say(f"[bold]Path[/] for {ground.robot.name}, planner {plan.planner}")
     output.table(
         {
             "energy-optimal": route_words(found),
@@ -223,13 +226,13 @@ def path(
     )
     output.warn(found["warnings"])
     if geojson is not None:
-        write_file(geojson, json_text(path_geojson(plan, None, known)).encode())
+        write_file(geojson, json_text(path_geojson(plan, None, ground.warnings)).encode())
     if picture is not None:
         from joulemap.service.pictures import route_picture
 
-        ground = Heightmap(lattice.elevation_m, lattice.frame, source=str(costmap))
-        title = f"{lattice.robot.name} on {costmap.stem}"
-        write_file(picture, route_picture(ground, plan.route, plan.shortest, title=title, alternatives=plan.others))
+        title = f"{ground.robot.name} on {costmap.stem}"
+        drawn = route_picture(ground.lattice, plan.route, plan.shortest, title=title, alternatives=plan.others)
+        write_file(picture, drawn)
     output.document(found)
 
 
@@ -247,6 +250,7 @@ def feasibility(
         ),
     ] = None,
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
+    snap: Snap = False,
     capacity_wh: Annotated[
         float | None, typer.Option(help="Energy of the full battery [Wh]. [default: the robot's battery_wh]")
     ] = None,
@@ -254,9 +258,9 @@ def feasibility(
     reserve: Reserve = 0.0,
     json_file: JsonFile = None,
 ) -> None:
-    """Tell whether the **battery lasts**, for the best route between two points or for a given path.
+    """Say whether the **battery lasts**, for the best route between two points or for a given path.
 
-    Ends with 0 in both cases: that the battery does not last is an answer (`feasible` in the JSON).
+    The exit code is 0 in both cases: "not feasible" is an answer, not an error (`feasible` in the JSON).
 
     Examples:
 
@@ -276,7 +280,7 @@ def feasibility(
         capacity_wh=capacity_wh if capacity_wh is not None else lattice.robot.battery_wh, charge=charge, reserve=reserve
     )
     points = read_path(path) if path is not None else None
-    assessment = assess(lattice, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip)
+    assessment = assess(lattice, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip, snap=snap)
     found = feasibility_out(assessment, lattice.provenance.get("warnings", [])).model_dump(mode="json")
     output.say(f"[bold {'green' if found['feasible'] else 'red'}]{found['message']}[/]")
     rows = {"way out": route_words(found["out"])}

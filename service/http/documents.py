@@ -8,13 +8,14 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
+from joulemap.model.terrain.formats import formats_in_words
 from joulemap.service.problems import MEDIA_TYPE
 from joulemap.service.schemas.base import Problem
 from joulemap.service.schemas.maps import CostmapOptions, CostmapRequest, UploadOptions
 
 _REF = "#/components/schemas/{model}"
 _FILE = {"type": "string", "format": "binary", "contentMediaType": "application/octet-stream"}
-_FORMATS = "GeoTIFF, ESRI ASCII grid, NumPy .npy or .npz, or greyscale PNG (with scale_m)"
+_HEIGHTMAP = f"the heightmap: {formats_in_words()}"
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -39,7 +40,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 def upload_body() -> dict[str, Any]:
     """Return the `openapi_extra` of the heightmap upload: a form with a file, or the file itself."""
-    heightmap = {**_FILE, "description": f"the heightmap: {_FORMATS}"}
+    heightmap = {**_FILE, "description": _HEIGHTMAP}
     fields = UploadOptions.model_json_schema()["properties"]
     return _form_or_file({"file": heightmap, **fields}, {"application/octet-stream": _FILE, "image/tiff": _FILE})
 
@@ -63,7 +64,7 @@ def costmap_body() -> dict[str, Any]:
     options = {"type": "string", "description": "CostmapOptions as JSON", "contentMediaType": "application/json"}
     form = {
         "type": "object",
-        "properties": {"file": {**_FILE, "description": f"the heightmap: {_FORMATS}"}, "options": options, **fields},
+        "properties": {"file": {**_FILE, "description": _HEIGHTMAP}, "options": options, **fields},
         "required": ["file"],
         "additionalProperties": False,
     }

@@ -49,7 +49,7 @@ BAD_FILES = [
     (b"\x89PNG\r\n\x1a\n" + b"\0" * 40, {"scale_m": 0.1, "resolution_m": 1}, 422, "invalid_heightmap", "corrupt"),
     (npy(np.zeros((5, 5))), {"resolution_m": 1e-300}, 422, "invalid_heightmap", "0.001..10000"),
     (npy(np.zeros((5, 5))), {"resolution_m": 1, "west_m": 1e308}, 422, "invalid_heightmap", "1e+09"),
-    (npy(np.full((5, 5), -9999.0)), {"resolution_m": 1}, 422, "invalid_heightmap", "nodata=-9999"),
+    (npy(np.full((5, 5), -9999.0)), {"resolution_m": 1}, 422, "invalid_heightmap", "`nodata` as -9999"),
     (npy(np.full((5, 5), -9999.0)), {"resolution_m": 1, "nodata": -9999}, 422, "invalid_heightmap", "unknown"),
     (npy(np.zeros((5, 5))), {}, 422, "invalid_heightmap", "resolution_m"),
     (npy(np.zeros((5, 5))), {"resolution_m": -1}, 422, "invalid_heightmap", "resolution"),

@@ -1,13 +1,16 @@
 """Heightmaps from GeoTIFF and PNG: what is read, and what is refused with which words."""
 
+import re
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+from click.testing import CliRunner
 from rasterio.enums import ColorInterp
 from rasterio.io import MemoryFile
+from rasterio.rio.main import main_group
 from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError
@@ -61,7 +64,7 @@ def test_bands_keep_their_descriptions_and_tags() -> None:
         assert np.isnan(dataset.nodata)
         np.testing.assert_array_equal(dataset.read(2), -HEIGHTS)
     np.testing.assert_array_equal(read_heightmap(written, band=2).heights, -HEIGHTS)
-    with pytest.raises(HeightmapError, match="2 bands"):
+    with pytest.raises(HeightmapError, match="2 bands: give `band`"):
         read_heightmap(written)
     with pytest.raises(HeightmapError, match="1 to 2, not 3"):
         read_heightmap(written, band=3)
@@ -99,7 +102,11 @@ def test_south_up_geotiff_is_turned() -> None:
         ({"transform": UTM @ Affine.rotation(3.0)}, "rotated"),
         ({"transform": Affine(0.5, 0.0, 0.0, 0.0, -0.6, 0.0)}, r"0\.5 x 0\.6 m"),
         ({"transform": Affine(-0.5, 0.0, 0.0, 0.0, -0.5, 0.0)}, "mirrored"),
-        ({"crs": "EPSG:4326", "transform": Affine(1e-5, 0.0, -4.5, 0.0, -1e-5, 36.7)}, r"degrees.*-t_srs EPSG:326"),
+        (
+            {"crs": "EPSG:4326", "transform": Affine(1e-5, 0.0, -4.5, 0.0, -1e-5, 36.7)},
+            r"degrees.*UTM zone 30N with `rio warp IN OUT --dst-crs EPSG:32630 ",
+        ),
+        ({"crs": "EPSG:3857", "transform": Affine(1.0, 0.0, -5e5, 0.0, -1.0, 4.4e6)}, r"by 24\.8 %.*EPSG:32630"),
         ({"crs": "EPSG:2229"}, r"foot.*0\.3048"),
         ({"unit": "ft"}, "heights are in ft"),
     ],
@@ -107,6 +114,29 @@ def test_south_up_geotiff_is_turned() -> None:
 def test_geotiffs_off_the_metre_grid_are_refused(options: dict, words: str) -> None:
     with pytest.raises(HeightmapError, match=words):
         read_heightmap(geotiff(**options))
+
+
+def test_the_command_in_the_refusal_makes_a_map_that_is_read(tmp_path: Path) -> None:
+    """Of a constant height: the corners that the turned grid adds are unknown, not ground at 0 m."""
+    flat = np.full((40, 60), 100.0, dtype=np.float32)
+    places = (
+        {"crs": "EPSG:4326", "transform": Affine(1e-5, 0.0, -4.5, 0.0, -1e-5, 36.7)},
+        {"crs": "EPSG:3857", "transform": Affine(1.0, 0.0, -5e5, 0.0, -1.0, 4.4e6), "nodata": -1.0},
+        {"transform": UTM @ Affine.rotation(3.0)},
+        {"transform": Affine(0.5, 0.0, 0.0, 0.0, -0.6, 0.0)},
+    )
+    for number, options in enumerate(places):
+        stretched, repaired = tmp_path / f"{number}.tif", tmp_path / f"{number}_utm.tif"
+        stretched.write_bytes(geotiff(flat, **options))
+        with pytest.raises(HeightmapError) as caught:
+            read_heightmap(stretched)
+        command = re.search("`rio (.*?)`", caught.value.message)
+        assert command is not None
+        arguments = command.group(1).replace("IN OUT", f"{stretched} {repaired}").split()
+        assert CliRunner().invoke(main_group, arguments).exit_code == 0
+        heightmap = read_heightmap(repaired)
+        assert np.nanmin(heightmap.heights) == np.nanmax(heightmap.heights) == 100.0
+        assert heightmap.known_share > 0.8
 
 
 def test_a_wkt_without_a_code_is_kept() -> None:
@@ -122,7 +152,7 @@ def test_a_geotiff_without_a_place_needs_a_resolution_and_warns_nobody() -> None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             bare = geotiff(crs=None, transform=Affine.identity())
-        with pytest.raises(HeightmapError, match="resolution_m"):
+        with pytest.raises(HeightmapError, match="`resolution_m`"):
             read_heightmap(bare)
         heightmap = read_heightmap(bare, resolution_m=0.25, crs="EPSG:32630")
     assert heightmap.frame == GridFrame(0.0, 10.0, 0.25, 40, 60, "EPSG:32630")  # south-west corner at (0, 0)
@@ -225,7 +255,7 @@ def test_png_needs_scale_and_resolution_and_one_channel() -> None:
         read_heightmap(data, resolution_m=1.0)
     with pytest.raises(HeightmapError, match="resolution_m"):
         read_heightmap(data, scale_m=0.1)
-    with pytest.raises(HeightmapError, match="scale_m must be"):
+    with pytest.raises(HeightmapError, match="`scale_m` must be"):
         read_heightmap(data, resolution_m=1.0, scale_m=-0.1)
     with pytest.raises(HeightmapError, match="colour"):
         read_heightmap(png(np.zeros((3, 6, 8), dtype=np.uint8)), resolution_m=1.0, scale_m=0.1)

@@ -1,0 +1,145 @@
+"""Coordinate reference systems: their names, and why a map in one of them is not measured in true metres."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import rasterio
+from rasterio import warp
+from rasterio.crs import CRS
+
+from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, is_gdal_error
+
+Bounds = tuple[float, float, float, float]
+"""West, south, east, north, in the units of the CRS."""
+
+_CRS_TEXT = re.compile(r"\s*(?:[A-Za-z]+:\d{1,9}\s*$|[A-Za-z_]+\[)")
+_PROJECTION = re.compile(r'PROJECTION\["([^"]+)"')
+_MERCATOR = ("mercator_1sp", "mercator_2sp", "mercator_auxiliary_sphere", "popular_visualisation_pseudo_mercator")
+_UTM_LATITUDES = (-80.0, 84.0)
+
+
+def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: bool = False) -> str:
+    """Return the name of a CRS whose coordinates are true metres; refuse any other.
+
+    Parameters
+    ----------
+    crs : CRS or str
+        The CRS, or a text: "EPSG:n" or WKT.
+    bounds : tuple of float, optional
+        West, south, east and north of the map, in the units of the CRS. The refusal then says which UTM zone the map
+        lies in.
+    nodata_declared : bool, optional
+        Whether the map's file declares a no-data value, which the command in the refusal needs.
+
+    Returns
+    -------
+    str
+        "EPSG:n" where the CRS has such a code, else WKT.
+
+    Raises
+    ------
+    HeightmapError
+        If the CRS is unknown, in degrees or feet, or a Mercator projection.
+
+    Notes
+    -----
+    A Mercator projection stretches every length by 1 / cos(latitude): Snyder 1987, Map Projections: A Working Manual
+    (USGS Professional Paper 1395), eq. 7-3 on the sphere. UTM stretches by 0.9996 to 1.001.
+    """
+    try:
+        with rasterio.Env(**GDAL_OPTIONS):
+            if isinstance(crs, str):
+                if not _CRS_TEXT.match(crs):  # GDAL would also take file names and addresses
+                    raise ValueError(crs)
+                crs = CRS.from_string(crs)
+            code, wkt = crs.to_epsg(), crs.to_wkt()
+    except Exception as error:
+        if not (is_gdal_error(error) or isinstance(error, (ValueError, OverflowError))):
+            raise
+        raise HeightmapError(
+            f"the coordinate reference system {str(crs)[:80]!r} is not known: give EPSG:n or its WKT", crs=str(crs)[:80]
+        ) from error
+    name = f"EPSG:{code}" if code else wkt
+    short = name[:80]
+    centre = _centre(crs, bounds)
+    if crs.is_geographic:
+        raise HeightmapError(
+            f"the map is in degrees ({short}), not in metres: {_advice(centre, nodata_declared)}", crs=short
+        )
+    if crs.is_projected:
+        unit, metres = crs.linear_units_factor
+        if abs(metres - 1.0) > 1e-9:
+            raise HeightmapError(
+                f"the map is in {unit} ({metres:g} m), not in metres ({short}): {_advice(centre, nodata_declared)}",
+                crs=short,
+                unit=unit,
+            )
+        projection = _PROJECTION.search(wkt)
+        if projection is not None and projection.group(1).lower() in _MERCATOR:
+            raise HeightmapError(
+                f"the map is in a Mercator projection ({short}), whose metres are stretched by 1/cos(latitude)"
+                f"{_stretch_here(centre)}: {_advice(centre, nodata_declared)}",
+                crs=short,
+            )
+    elif not wkt.upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")) or "FOOT" in wkt.upper():
+        raise HeightmapError(f"the map's coordinate reference system is no plane in metres: {short}", crs=short)
+    return name
+
+
+def _centre(crs: CRS, bounds: Bounds | None) -> tuple[float, float] | None:
+    """Longitude and latitude [deg] of the middle of the map, None where they cannot be known."""
+    if bounds is None:
+        return None
+    west, south, east, north = bounds
+    try:
+        with rasterio.Env(**GDAL_OPTIONS):
+            (longitude,), (latitude,) = warp.transform(crs, "EPSG:4326", [(west + east) / 2], [(south + north) / 2])
+    except Exception as error:
+        if not is_gdal_error(error):
+            raise
+        return None
+    if not (abs(longitude) <= 180.0 and abs(latitude) < 90.0):  # also where one is not finite
+        return None
+    return longitude, latitude
+
+
+def _stretch_here(centre: tuple[float, float] | None) -> str:
+    if centre is None:
+        return ""
+    latitude = centre[1]
+    percent = 100.0 * (1.0 / math.cos(math.radians(latitude)) - 1.0)
+    return f"; here, at {abs(latitude):.1f} degrees {'north' if latitude >= 0 else 'south'}, by {percent:.1f} %"
+
+
+def warp_command(options: str, *, nodata_declared: bool) -> str:
+    """Return the command that resamples a raster; `rio` is installed with rasterio.
+
+    Parameters
+    ----------
+    options : str
+        What is to be done, e.g. `--dst-crs EPSG:32630`.
+    nodata_declared : bool
+        Whether the file declares a no-data value. Without one, the corners that are added would be ground at 0 m.
+
+    Returns
+    -------
+    str
+        The command in backticks.
+    """
+    nodata = "" if nodata_declared else " --src-nodata -9999 --dst-nodata -9999"
+    return f"`rio warp IN OUT {options} --resampling bilinear{nodata}`"
+
+
+def _advice(centre: tuple[float, float] | None, nodata_declared: bool) -> str:
+    """What to do instead, and what to type for it."""
+    if centre is None or not _UTM_LATITUDES[0] <= centre[1] <= _UTM_LATITUDES[1]:
+        words = "reproject it to its UTM zone (EPSG:326 and the two digits of the zone, EPSG:327 in the south)"
+        target = "EPSG:326xx"
+    else:
+        zone = min(int((centre[0] + 180.0) // 6.0) + 1, 60)
+        words = f"reproject it to UTM zone {zone}{'N' if centre[1] >= 0 else 'S'}"
+        target = f"EPSG:{326 if centre[1] >= 0 else 327}{zone:02d}"
+    return f"{words} with {warp_command(f'--dst-crs {target}', nodata_declared=nodata_declared)}"

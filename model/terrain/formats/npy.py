@@ -1,0 +1,149 @@
+"""NumPy arrays: one 2-D array of heights in a .npy file, which has no place of its own."""
+
+from __future__ import annotations
+
+import io
+import tokenize
+from typing import IO
+
+import numpy as np
+from numpy.lib import format as npy_format
+from numpy.typing import NDArray
+
+from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
+from joulemap.model.terrain.formats.contract import SourceFile
+
+_MAX_NPY_HEADER = 10_000  # bytes; numpy writes 128 for a plain array
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the signature of .npy files.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a .npy file.
+    """
+    return head.startswith(b"\x93NUMPY")
+
+
+def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
+    """Read one 2-D array of real numbers.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The .npy file; row 0 of its array is the northern one.
+    scaling : Scaling
+        How values become metres.
+    max_cells : int
+        Largest number of cells.
+    band : int, optional
+        Not used: the array has two axes.
+
+    Returns
+    -------
+    Decoded
+        Heights without a place.
+
+    Raises
+    ------
+    HeightmapError
+        If the file is broken or its array is not 2-D and real.
+    TooLargeError
+        If the header declares more than `max_cells` cells.
+    """
+    with source.open() as stream:
+        values = read_array(stream, "the .npy file", max_cells, expected_length=source.size_bytes)
+    return Decoded(scaling.to_metres(values))
+
+
+def read_header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np.dtype, int]:
+    """Read the header of a .npy stream, of limited size.
+
+    Parameters
+    ----------
+    stream : file object
+        At the start of the .npy data.
+    what : str
+        What messages call it.
+
+    Returns
+    -------
+    tuple
+        Shape, whether the order is Fortran's, dtype, and the number of bytes read.
+
+    Raises
+    ------
+    HeightmapError
+        If there is no such header.
+    """
+    magic = stream.read(8)
+    if len(magic) < 8 or magic[:6] != b"\x93NUMPY":
+        raise HeightmapError(f"{what} is not a NumPy array")
+    if tuple(magic[6:8]) not in ((1, 0), (2, 0)):
+        raise HeightmapError(f"{what} has .npy version {magic[6]}.{magic[7]}; 1.0 and 2.0 are read")
+    width = 2 if magic[6] == 1 else 4
+    size_bytes = stream.read(width)
+    size = int.from_bytes(size_bytes, "little")
+    if len(size_bytes) < width or size > _MAX_NPY_HEADER:
+        raise HeightmapError(f"{what} has a header of {size} bytes; at most {_MAX_NPY_HEADER} make sense")
+    header = stream.read(size)
+    parse = npy_format.read_array_header_1_0 if magic[6] == 1 else npy_format.read_array_header_2_0
+    try:
+        shape, fortran, dtype = parse(io.BytesIO(size_bytes + header))
+    except (ValueError, TypeError, SyntaxError, tokenize.TokenError, RecursionError, MemoryError) as error:
+        raise HeightmapError(f"{what} is truncated or corrupt: its header cannot be read") from error
+    return shape, fortran, dtype, 8 + width + size
+
+
+def read_array(stream: IO[bytes], what: str, max_cells: int, *, expected_length: int) -> NDArray:
+    """Read a 2-D real array; nothing is allocated for one that is too large or not there.
+
+    Parameters
+    ----------
+    stream : file object
+        At the start of the .npy data.
+    what : str
+        What messages call it.
+    max_cells : int
+        Largest number of cells.
+    expected_length : int
+        Bytes in the stream.
+
+    Returns
+    -------
+    ndarray, (rows, cols)
+        The values as they are stored.
+
+    Raises
+    ------
+    HeightmapError
+        If the array is truncated, or not 2-D and real.
+    TooLargeError
+        If it declares more than `max_cells` cells.
+    """
+    shape, fortran, dtype, read = read_header(stream, what)
+    if len(shape) != 2:
+        raise HeightmapError(f"{what} must be a 2-D array (rows, cols), got shape {shape}", shape=list(shape))
+    if dtype.kind not in "fiu":
+        raise HeightmapError(f"{what} must hold real numbers, got {dtype.name}", dtype=str(dtype))
+    check_cells(shape[0], shape[1], max_cells, what=what)
+    size = shape[0] * shape[1] * dtype.itemsize
+    if expected_length - read < size:
+        raise HeightmapError(
+            f"{what} is truncated: {shape[0]} x {shape[1]} cells need {size} bytes, "
+            f"{max(expected_length - read, 0)} are there"
+        )
+    data = stream.read(size)
+    if len(data) < size:
+        raise HeightmapError(f"{what} is truncated: {size} bytes declared, {len(data)} there")
+    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C")

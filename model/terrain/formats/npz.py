@@ -1,0 +1,128 @@
+"""NumPy archives: heights and, if they are there, their place, in one .npz file."""
+
+from __future__ import annotations
+
+import lzma
+import math
+import struct
+import zipfile
+import zlib
+from typing import IO
+
+import numpy as np
+
+from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.decoded import Decoded, Scaling
+from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.terrain.formats.npy import read_array, read_header
+
+_MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
+_SCALARS = ("resolution_m", "west_m", "north_m", "crs")
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the signature of zip archives.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a zip archive.
+    """
+    return head.startswith((b"PK\x03\x04", b"PK\x05\x06"))
+
+
+def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
+    """Read the array `heights` (rows, cols) and, where they are there, `resolution_m`, `west_m`, `north_m` and `crs`.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The .npz file.
+    scaling : Scaling
+        How values become metres.
+    max_cells : int
+        Largest number of cells.
+    band : int, optional
+        Not used.
+
+    Returns
+    -------
+    Decoded
+        Heights, and the place that the archive states.
+
+    Raises
+    ------
+    HeightmapError
+        If the archive is broken, or has no array `heights` that is 2-D and real.
+    TooLargeError
+        If `heights` declares more than `max_cells` cells.
+
+    Notes
+    -----
+    Only what the headers declare is decompressed, after the declared size was accepted: a zip bomb stays packed.
+    """
+    try:
+        with source.open() as stream, zipfile.ZipFile(stream) as archive:
+            members = {i.filename.removesuffix(".npy"): i for i in archive.infolist() if i.filename.endswith(".npy")}
+            if "heights" not in members:
+                raise HeightmapError(
+                    f"the .npz file has no array `heights`; it has {', '.join(sorted(members)) or 'none'}",
+                    found=sorted(members)[:20],
+                )
+            with archive.open(members["heights"]) as member:
+                values = read_array(
+                    member, "`heights` of the .npz file", max_cells, expected_length=members["heights"].file_size
+                )
+            scalars = {}
+            for key in _SCALARS:
+                if key in members:
+                    with archive.open(members[key]) as member:
+                        scalars[key] = _read_scalar(member, key)
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        lzma.LZMAError,
+        struct.error,
+        EOFError,
+        OSError,
+        NotImplementedError,
+        RuntimeError,
+        KeyError,
+        ValueError,
+    ) as error:
+        raise HeightmapError(f"the .npz file is truncated or corrupt: {error}") from error
+    return Decoded(
+        scaling.to_metres(values),
+        west_m=_number(scalars, "west_m"),
+        north_m=_number(scalars, "north_m"),
+        resolution_m=_number(scalars, "resolution_m"),
+        crs=str(scalars["crs"]) if "crs" in scalars and scalars["crs"] not in ("", "None") else None,
+    )
+
+
+def _number(scalars: dict[str, object], key: str) -> float | None:
+    if key not in scalars:
+        return None
+    value = scalars[key]
+    if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
+        raise HeightmapError(f'the array "{key}" of the .npz file must be a finite number of metres, got {value!r}')
+    return float(value)
+
+
+def _read_scalar(stream: IO[bytes], key: str) -> object:
+    what = f'the array "{key}" of the .npz file'
+    shape, _, dtype, _ = read_header(stream, what)
+    if math.prod(shape) != 1 or dtype.kind not in "fiuUS" or dtype.itemsize > _MAX_SCALAR_BYTES:
+        raise HeightmapError(f"{what} must be a single number or text, got shape {shape} of {dtype.name}")
+    data = stream.read(dtype.itemsize)
+    if len(data) < dtype.itemsize:
+        raise HeightmapError(f"{what} is truncated")
+    value = np.frombuffer(data, dtype=dtype)[0].item()
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
