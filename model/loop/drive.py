@@ -164,9 +164,9 @@ def describe_segments(
         unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
         runs=tuple(f"{name}@{stamp:.1f}" for name, stamp in zip(segments.runs, first, strict=True)),
     )
-    if not with_stands or not segments.stands:
+    if not with_stands or not segments.stationary:
         return drive, segments.energy_j
-    run, seconds, energy = (np.array(values) for values in zip(*segments.stands, strict=True))
+    run, seconds, energy = (np.array(values) for values in zip(*segments.stationary, strict=True))
     usual = float(np.median(energy / seconds))
     even = np.abs(energy / seconds - usual) < _LIKE_OTHER_STANDS * usual
     even &= np.isin(run, segments.run)  # of a run without a segment nothing else is known

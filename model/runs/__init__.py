@@ -1,1 +1,1 @@
-"""Measured runs: read a log, repair it, smooth its track, and cut it into 1 m segments."""
+"""Measured runs: read a log, repair it, smooth its track, and cut it into segments of 1 m."""

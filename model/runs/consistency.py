@@ -1,4 +1,4 @@
-"""Whether measured runs can have been driven on this heightmap by this robot: asked before anything is made of them."""
+"""Whether measured runs can have been driven on this heightmap by this robot; checked before they are used."""
 
 from __future__ import annotations
 
@@ -15,8 +15,22 @@ _FAR_OFF = 100.0  # thousandfold are milliamperes, millivolts and milliseconds; 
 
 
 def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
-    """Raises RunsError where there is no segment, where none lies on the map, or where a metre took a hundred times
-    more or less than this robot can need.
+    """Refuse runs that cannot have been driven on this heightmap by this robot.
+
+    Parameters
+    ----------
+    segments : Segments
+        Of all runs.
+    heightmap : Heightmap
+        On which they are said to be driven.
+    robot : Robot
+        That is said to have driven.
+
+    Raises
+    ------
+    RunsError
+        If there is no segment, if none lies on the map, or if a metre took a hundred times more or less than this robot
+        needs on level ground.
     """
     if len(segments) == 0:
         rules = ", ".join(f"{count} {rule}" for rule, count in segments.left_out.items() if count)

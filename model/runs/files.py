@@ -1,4 +1,4 @@
-"""Measured runs from files: each with a name of its own, cut into segments, for training and for calibration."""
+"""Measured runs from files, each under a name of its own, cut into segments for training and calibration."""
 
 from __future__ import annotations
 
@@ -9,15 +9,28 @@ from pathlib import Path
 
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
+from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
 from joulemap.model.runs.reader import Run, read_run
-from joulemap.model.runs.segments import CARRIED, Segments, concatenate, cut_segments, driven_only
+from joulemap.model.runs.segments import Segments, concatenate, driven_only
 from joulemap.model.terrain.heightmap import Heightmap
 
 
 def distinct_names(files: Sequence[Path]) -> list[str]:
-    """A name of each file that no other one has: the shortest end of its path that tells it from all files of the same
-    name (`run_01.csv`, or `monday/run_01.csv` and `tuesday/run_01.csv`).
+    """Return a short name for each file that no other file has.
+
+    A name is the shortest end of the path by which the file differs from all others of the same file name:
+    `run_01.csv`, or `monday/run_01.csv` and `tuesday/run_01.csv`.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        The same file may occur twice.
+
+    Returns
+    -------
+    list of str
+        In the order of `files`.
     """
     paths = [file.absolute() for file in files]
     names: dict[Path, str] = {}
@@ -32,15 +45,27 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibrationRuns:
-    """segments : of the runs to learn from, in joules, or in ampere seconds where no run has a voltage. base : of runs
-    in which nothing new is at work. aside : of runs that are neither sought nor fitted in, only judged by. rows : of
-    all files. repairs : by run and rule. placed : whether their positions are places, and not only the way that the
-    wheels went.
+    """The runs that a calibration reads, as segments.
+
+    Attributes
+    ----------
+    segments : Segments
+        Of the runs to learn from: energy in J, or charge in A s where no run has a voltage.
+    baseline : Segments, optional
+        Of runs in which nothing new happens.
+    test : Segments, optional
+        Of runs that take no part in the fit and are only predicted.
+    rows : int
+        Of all files.
+    repairs : dict
+        Counts by name of the run and rule.
+    placed : bool
+        Whether positions are places on a map. False where they are integrated from wheel speeds.
     """
 
     segments: Segments
-    base: Segments | None
-    aside: Segments | None
+    baseline: Segments | None
+    test: Segments | None
     rows: int
     repairs: dict[str, dict[str, int]]
     placed: bool = True
@@ -51,37 +76,79 @@ def read_calibration_runs(
     robot: Robot,
     *,
     crs: str | None,
-    base_files: Sequence[Path] = (),
-    aside_files: Sequence[Path] = (),
+    baseline_files: Sequence[Path] = (),
+    test_files: Sequence[Path] = (),
 ) -> CalibrationRuns:
-    """Runs with positions. crs : for `lat` and `lon`. Raises RunsError for no run to learn from, or where only some
-    have a voltage.
+    """Read runs with positions.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Of the runs to learn from.
+    robot : Robot
+        That drove; segments far above its speed are left out.
+    crs : str, optional
+        The heightmap's CRS, needed for `lat` and `lon`.
+    baseline_files : sequence of Path
+        Of runs in which nothing new happens.
+    test_files : sequence of Path
+        Of runs for the test only.
+
+    Returns
+    -------
+    CalibrationRuns
+        Of all files.
+
+    Raises
+    ------
+    RunsError
+        If there is no run to learn from, if a file is no run, or if only some runs have a voltage.
     """
 
-    def cut(run: Run, charge: bool) -> Segments:
+    def _cut_one(run: Run, charge: bool) -> Segments:
         return cut_segments(run, charge=charge, max_speed_mps=CARRIED * robot.speed_mps)
 
-    read = _read((files, base_files, aside_files), lambda file, name: read_run(file, name=name, crs=crs))
-    return _cut(read, cut)
+    read = _read((files, baseline_files, test_files), lambda file, name: read_run(file, name=name, crs=crs))
+    return _cut(read, _cut_one)
 
 
 def read_odometry_runs(
     files: Sequence[Path],
     odometry: Odometry,
     *,
-    base_files: Sequence[Path] = (),
-    aside_files: Sequence[Path] = (),
+    baseline_files: Sequence[Path] = (),
+    test_files: Sequence[Path] = (),
 ) -> tuple[CalibrationRuns, Heightmap]:
-    """Runs without positions, whose wheel speeds are integrated, and level ground under all of them. Raises RunsError
-    as `read_calibration_runs`.
+    """Read runs without positions, whose wheel speeds are integrated, and lay level ground under them.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Of the runs to learn from.
+    odometry : Odometry
+        How wheel speeds become a track.
+    baseline_files : sequence of Path
+        Of runs in which nothing new happens.
+    test_files : sequence of Path
+        Of runs for the test only.
+
+    Returns
+    -------
+    tuple of (CalibrationRuns, Heightmap)
+        The heightmap covers all runs.
+
+    Raises
+    ------
+    RunsError
+        As `read_calibration_runs`.
     """
-    read = _read((files, base_files, aside_files), lambda file, name: read_odometry(file, odometry, name=name))
+    read = _read((files, baseline_files, test_files), lambda file, name: read_odometry(file, odometry, name=name))
     runs = _cut(read, lambda run, charge: cut_travel(run, charge=charge))
     return replace(runs, placed=False), flat_heightmap([run for some in read for run in some])
 
 
 def _read(files: Sequence[Sequence[Path]], read: Callable[[Path, str], Run]) -> list[list[Run]]:
-    """The runs of each sequence of files, no two of different files under one name."""
+    """The runs of each sequence of files; no two different files have the same name."""
     if not files[0]:
         raise RunsError("there is no run to read: no file has such a name")
     names = iter(distinct_names([file for some in files for file in some]))
@@ -93,24 +160,43 @@ def _cut(read: list[list[Run]], cut: Callable[[Run, bool], Segments]) -> Calibra
     without = [run.name for run in every if run.voltage_v is None]
     if without and len(without) < len(every):
         raise RunsError(
-            f"{len(without)} of {len(every)} runs have no voltage (the first is {without[0]}): calibrate them apart",
+            f"{len(without)} of {len(every)} runs have no voltage (the first is {without[0]}): calibrate them "
+            "separately",
             run=without[0],
         )
-    segments, base, aside = (
+    segments, baseline, test = (
         driven_only(concatenate([cut(run, bool(without)) for run in some])) if some else None for some in read
     )
     assert segments is not None
     repairs = {run.name: run.repairs for run in every if run.repairs}
-    return CalibrationRuns(segments, base, aside, sum(len(run) for run in every), repairs)
+    return CalibrationRuns(segments, baseline, test, sum(len(run) for run in every), repairs)
 
 
 def read_segments(
     files: Sequence[Path], robot: Robot, *, crs: str | None, charge: bool = False
 ) -> tuple[list[Run], Segments]:
-    """Every run, and their 1 m segments in joules.
+    """Read runs for training: every run, and the segments of all in joules.
 
-    Of a run without voltage, and of every run if `charge`, the energy is its charge times the robot's nominal voltage.
-    Raises RunsError.
+    Parameters
+    ----------
+    files : sequence of Path
+        At least one.
+    robot : Robot
+        Its nominal voltage turns charge into energy.
+    crs : str, optional
+        The heightmap's CRS, needed for `lat` and `lon`.
+    charge : bool
+        Use the charge of every run, also of those with a voltage.
+
+    Returns
+    -------
+    tuple of (list of Run, Segments)
+        In the order of `files`. A run without a voltage counts with its charge times the nominal voltage.
+
+    Raises
+    ------
+    RunsError
+        If there is no file, or one is no run.
     """
     if not files:
         raise RunsError("there is no run to read: no file has such a name")

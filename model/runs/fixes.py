@@ -1,4 +1,4 @@
-"""Positions of a log: from its columns to world x, y, and which of the fixes are used."""
+"""Positions of a log: from its columns to world x and y, and which of the fixes are used."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.errors import RunsError
-from joulemap.model.runs.table import LEAST_ROWS, columns_there, count_repair
+from joulemap.model.runs.table import LEAST_ROWS, add_count, columns_there
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -25,7 +25,27 @@ _GREATEST_DEG = {"lat": 90.0, "lon": 360.0}  # a longitude may count from 0 to 3
 
 
 def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> tuple[FloatArray, FloatArray]:
-    """Return the positions as recorded, from `x` and `y` or from `lat` and `lon`."""
+    """Return the positions as recorded, and take the columns `x` and `y` out of `numbers`.
+
+    Parameters
+    ----------
+    numbers : dict of str to ndarray of float, (n,)
+        Columns of a log.
+    name : str
+        Of the run, for messages.
+    crs : str, optional
+        The heightmap's CRS, needed for `lat` and `lon`.
+
+    Returns
+    -------
+    tuple of ndarray of float, (n,)
+        x, y [m], NaN where a row has none, or one that does not exist on Earth.
+
+    Raises
+    ------
+    RunsError
+        If there is no position, if more than half of them do not exist, or if all lie outside the area of the CRS.
+    """
     if "x" in numbers and "y" in numbers:
         return numbers.pop("x"), numbers.pop("y")
     if "lat" not in numbers or "lon" not in numbers:
@@ -57,7 +77,25 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
 
 
 def projected(lat: FloatArray, lon: FloatArray, crs: str) -> tuple[FloatArray, FloatArray]:
-    """x, y [m] in `crs`, NaN where it has no such place."""
+    """Return world coordinates of positions in degrees.
+
+    Parameters
+    ----------
+    lat, lon : ndarray of float, (n,)
+        WGS 84 [deg].
+    crs : str
+        To project to.
+
+    Returns
+    -------
+    tuple of ndarray of float, (n,)
+        x, y [m], NaN for a position that the CRS cannot express.
+
+    Raises
+    ------
+    RunsError
+        If the CRS is not known.
+    """
     from pyproj import Transformer
 
     x, y = Transformer.from_crs("EPSG:4326", _crs(crs), always_xy=True).transform(lon, lat)
@@ -111,32 +149,47 @@ def _range(values: FloatArray) -> str:
 def usable_fixes(
     t: FloatArray, x: FloatArray, y: FloatArray, gps_error: FloatArray | None, repairs: dict[str, int]
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Positions with NaN where a fix is not to be used, and where the track breaks."""
+    """Apply the fourth rule of `joulemap.model.runs.reader`: which fixes are used.
+
+    Parameters
+    ----------
+    t, x, y : ndarray of float, (n,)
+        Stamps [s] and positions [m], NaN where there is none.
+    gps_error : ndarray of float, (n,), optional
+        As the receiver reports it [m].
+    repairs : dict
+        Counts by rule, which are added to.
+
+    Returns
+    -------
+    tuple of ndarray
+        x, y [m], NaN where a fix is not used; and of bool, True where the track breaks. (n,) each.
+    """
     good = np.isfinite(x) & np.isfinite(y)
-    count_repair(repairs, "blank_fixes", int((~good).sum()))
+    add_count(repairs, "blank_fixes", int((~good).sum()))
     if gps_error is not None and (gps_error > 0).any():
         limit = max(_LEAST_GPS_LIMIT_M, 4.0 * float(np.median(gps_error[gps_error > 0])))
         bad = good & (gps_error > limit)
-        count_repair(repairs, "bad_fixes", int(bad.sum()))
+        add_count(repairs, "bad_fixes", int(bad.sum()))
         good &= ~bad
     index = np.flatnonzero(good)
     held = _held(t[index], x[index], y[index], _LONGEST_HOLD_S)
-    count_repair(repairs, "held_fixes", int(held.sum()))
+    add_count(repairs, "held_fixes", int(held.sum()))
     good[index[held]] = False
     index = index[~held]
     breaks = np.zeros(t.size, dtype=bool)
     if index.size > LEAST_ROWS:
         reach = _reach(t[index], x[index], y[index])
         verdict = _follow(t[index], x[index], y[index], *reach, _LONGEST_JUMP_S)
-        count_repair(repairs, "position_jumps", int((verdict == 1).sum()))
-        count_repair(repairs, "position_breaks", int((verdict == 2).sum()))
+        add_count(repairs, "position_jumps", int((verdict == 1).sum()))
+        add_count(repairs, "position_breaks", int((verdict == 2).sum()))
         good[index[verdict == 1]] = False
         breaks[index[verdict == 2]] = True
     return np.where(good, x, np.nan), np.where(good, y, np.nan), breaks
 
 
 def _reach(t: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """(speed [m/s], slack [m]): nobody gets further than speed * dt + slack between two fixes of this run."""
+    """(speed [m/s], slack [m]): between two fixes of this run the robot moves no further than speed * dt + slack."""
     step = np.hypot(np.diff(x), np.diff(y))
     fresh = step > 0
     if not fresh.any():
@@ -151,7 +204,7 @@ def _reach(t: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, float]:
 
 @njit(cache=True)
 def _held(t: FloatArray, x: FloatArray, y: FloatArray, longest_s: float) -> BoolArray:
-    """True for a fix that repeats the one before exactly, in stretches of up to `longest_s`; longer ones stand."""
+    """True for a fix that repeats the one before exactly, in stretches of up to `longest_s`; longer ones are kept."""
     n = t.size
     held = np.zeros(n, dtype=np.bool_)
     k = 0
@@ -193,12 +246,12 @@ def _follow(
         best = 0.0
         for q in range(max(p - 300, 0), p):
             end = starts[q + 1] - 1
-            apart = math.hypot(x[here] - x[end], y[here] - y[end]) > speed * (t[here] - t[end]) + slack
-            worth = value[q] - (0.5 * longest_s if apart else 0.0)
+            jumps = math.hypot(x[here] - x[end], y[here] - y[end]) > speed * (t[here] - t[end]) + slack
+            worth = value[q] - (0.5 * longest_s if jumps else 0.0)
             if worth > best:
                 best = worth
                 before[p] = q
-                jumped[p] = apart
+                jumped[p] = jumps
         value[p] = best + t[starts[p + 1] - 1] - t[here] + usual
     verdict[:] = 1
     p = int(np.argmax(value))

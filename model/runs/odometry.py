@@ -1,7 +1,7 @@
-"""Logs without positions: wheel speeds are integrated into a track, so that the loop runs on a flat map of it.
+"""Logs without positions: wheel speeds are integrated to a track, and segments are cut by the distance rolled.
 
-A skid-steer slides in turns, so that it turns less than its wheels say: `track_m` is the effective distance between
-the sides, not the measured one. Positions drift over minutes; on level ground only the last metre matters.
+A skid-steered robot slips in turns and turns less than its wheels indicate: `track_m` is the effective distance between
+the sides, larger than the measured one. Positions drift within minutes; on level ground only the last metre matters.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import columns_there, read_table
-from joulemap.model.runs.track import TURN_LIMITS_RADPS, find_stands
+from joulemap.model.runs.track import TURN_LIMITS_RADPS, stationary_intervals
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
@@ -33,18 +33,29 @@ _OTHER_NAMES = {
     "curL": "current_left",
     "curR": "current_right",
 }
-"""Of columns in the logs of BorealTC (LaRocque et al., IROS 2024)."""
+"""As in the logs of BorealTC (LaRocque et al., IROS 2024)."""
 
 _LONGEST_GAP_S = 0.75
-_STAND_S = 1.0
-_STANDING_MPS = 0.02
+_STATIONARY_S = 1.0
+_STATIONARY_MPS = 0.02
 _NUMBERED = re.compile(r"[\W_]*\d*$")
 
 
 @dataclass(frozen=True)
 class Odometry:
-    """How logs without positions are read. track_m : distance of the sides as the robot turns [m]. terrain_from_name :
-    a file's name says what ground it was driven on, where it has no such column. Raises InputError.
+    """How logs without positions are read.
+
+    Attributes
+    ----------
+    track_m : float
+        Effective distance between the left and the right wheels while turning [m].
+    terrain_from_name : bool
+        Take the class of ground from the name of a file that has no such column.
+
+    Raises
+    ------
+    InputError
+        If `track_m` is not positive.
     """
 
     track_m: float
@@ -56,12 +67,30 @@ class Odometry:
 
 
 def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = None) -> Run:
-    """Read a log (CSV or Parquet) of wheel speeds as a run that starts at (0, 0) and heads north.
+    """Read a log of wheel speeds (CSV or Parquet) as a run that starts at (0, 0) and heads north.
 
-    Its columns: t [s], speed_left and speed_right [m/s], current or several current_* [A] whose magnitudes are summed
-    (or the names of `_OTHER_NAMES`); optionally voltage [V] and any further one. name : default that of the file. The
-    rules of `runs.reader` hold. Adds heading [deg] and speed [m/s]. Raises RunsError, naming the column that is
-    missing.
+    Its columns are t [s], speed_left and speed_right [m/s], and current or several current_* [A], whose magnitudes are
+    summed; optionally voltage [V] and any others. Columns named as in BorealTC (velL, curL, ...) are known too. The
+    rules of `joulemap.model.runs.reader` apply. The columns heading [deg] and speed [m/s] are added.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the file.
+    odometry : Odometry
+        How wheel speeds become a track.
+    name : str, optional
+        Of the run; without it, that of the file.
+
+    Returns
+    -------
+    Run
+        With positions in a frame of its own.
+
+    Raises
+    ------
+    RunsError
+        If the file cannot be read, or a column is missing.
     """
     path = Path(path)
     name = name or path.name
@@ -87,17 +116,44 @@ def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = No
 
 
 def terrain_in_name(name: str) -> str | None:
-    """What a file's name says of the ground: snow_02.csv was driven on "snow"."""
+    """Return the class of ground that a file is named after.
+
+    Parameters
+    ----------
+    name : str
+        Such as `snow_02.csv`.
+
+    Returns
+    -------
+    str or None
+        Such as `snow`; None where the name is a number only.
+    """
     return _NUMBERED.sub("", Path(name).stem) or None
 
 
 def integrate(
     t: FloatArray, left_mps: FloatArray, right_mps: FloatArray, *, track_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """x, y [m] and heading [rad, clockwise from north, not wrapped] of a robot that starts at (0, 0) to the north.
+    """Integrate wheel speeds from (0, 0), heading north.
 
-    All (n,). Speeds hold as the mean of both ends of a step, and each step is an arc (exact at constant speeds); over
-    gaps of more than 0.75 s and steps back in time nothing is driven.
+    Parameters
+    ----------
+    t : ndarray of float, (n,)
+        Stamps [s].
+    left_mps, right_mps : ndarray of float, (n,)
+        Speeds of the sides [m/s].
+    track_m : float
+        Effective distance between the sides [m].
+
+    Returns
+    -------
+    tuple of ndarray of float, (n,)
+        x, y [m], and heading [rad], clockwise from north and not wrapped.
+
+    Notes
+    -----
+    Each step has the mean speeds of its two ends and is an arc, which is exact at constant speeds. Nothing is driven
+    across gaps of more than 0.75 s and steps back in time.
     """
     dt = np.diff(t)
     dt = np.where((dt > 0) & (dt <= _LONGEST_GAP_S), dt, 0.0)
@@ -112,12 +168,30 @@ def integrate(
 
 
 def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segments:
-    """Segments by what the wheels roll, mean of both sides, so that turning on the spot counts too; of energy [J], or
-    (`charge`) of charge [A s].
+    """Cut a run into segments by the distance that the wheels roll.
 
-    `run` is one of `read_odometry`. driven_m is what the wheels rolled, heading_rad where the robot points in the
-    middle; gaps and stands of a second or more divide a run, ends of pieces shorter than a segment are left out. Raises
-    RunsError where the voltage is missing and `charge` is not asked for.
+    The distance is the mean of both sides, so that turning on the spot counts too. `driven_m` is what the wheels
+    rolled, `heading_rad` where the robot points in the middle. Gaps, and stationary intervals of a second or more,
+    divide a run; ends of pieces that are shorter than a segment are left out.
+
+    Parameters
+    ----------
+    run : Run
+        From `read_odometry`.
+    length_m : float
+        Of a segment [m].
+    charge : bool
+        Integrate the current alone [A s] instead of the power [J].
+
+    Returns
+    -------
+    Segments
+        In driving order.
+
+    Raises
+    ------
+    RunsError
+        If the run has no voltage and `charge` is False.
     """
     if run.voltage_v is None and not charge:
         raise RunsError(f"run {run.name}: no voltage was recorded; ask for charge [A s] instead", run=run.name)
@@ -140,11 +214,11 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
     middle = (starts + ends) / 2
     row = np.clip(np.searchsorted(t, middle), 0, t.size - 1)
 
-    def between(cumulated: FloatArray) -> FloatArray:
+    def _between(cumulated: FloatArray) -> FloatArray:
         return np.interp(ends, t, cumulated) - np.interp(starts, t, cumulated)
 
-    def mean(values: FloatArray) -> FloatArray:
-        return between(_summed(0.5 * (values[1:] + values[:-1]) * dt)) / np.maximum(ends - starts, 1e-9)
+    def _mean(values: FloatArray) -> FloatArray:
+        return _between(_summed(0.5 * (values[1:] + values[:-1]) * dt)) / np.maximum(ends - starts, 1e-9)
 
     usable = np.isfinite(run.x)
     logged = {key: _without_blanks(values) for key, values in run.extras.items() if key not in _SIDES}
@@ -152,33 +226,53 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
         x=np.interp(middle, t[usable], run.x[usable]),
         y=np.interp(middle, t[usable], run.y[usable]),
         heading_rad=np.mod(np.interp(middle, t, heading), 2.0 * np.pi),
-        energy_j=between(energy),
+        energy_j=_between(energy),
         duration_s=ends - starts,
         driven_m=np.full(starts.size, length_m),
-        heading_change_rad=between(heading),
-        turned_abs_rad=between(_summed(np.abs(step))),
+        heading_change_rad=_between(heading),
+        turned_abs_rad=_between(_summed(np.abs(step))),
         gentle_turn_rad=np.stack(
-            [between(_summed(np.minimum(np.abs(step), limit * dt))) for limit in TURN_LIMITS_RADPS], axis=1
+            [_between(_summed(np.minimum(np.abs(step), limit * dt))) for limit in TURN_LIMITS_RADPS], axis=1
         ),
-        gained_m2ps2=between(_summed(np.maximum(np.diff(0.5 * speed**2), 0.0))),
-        voltage_v=np.full(starts.size, np.nan) if run.voltage_v is None else mean(run.voltage_v),
-        current_a=mean(run.current_a),
+        gained_m2ps2=_between(_summed(np.maximum(np.diff(0.5 * speed**2), 0.0))),
+        voltage_v=np.full(starts.size, np.nan) if run.voltage_v is None else _mean(run.voltage_v),
+        current_a=_mean(run.current_a),
         ripple=np.ones(starts.size),
         t0=starts,
         run=np.zeros(starts.size, dtype=np.int64),
         runs=(run.name,),
         length_m=length_m,
         charge=charge,
-        extras={key: mean(values) for key, values in logged.items()}
-        | {"heading": np.degrees(np.interp(middle, t, heading)) % 360.0, "speed": mean(speed)},
+        extras={key: _mean(values) for key, values in logged.items()}
+        | {"heading": np.degrees(np.interp(middle, t, heading)) % 360.0, "speed": _mean(speed)},
         texts={key: words[row] for key, words in run.texts.items()},
-        stands=find_stands(t, run.x, run.y, piece, t, power, rolling),
+        stationary=stationary_intervals(t, run.x, run.y, piece, t, power, rolling),
         left_out={"remainders": remainders} if remainders else {},
     )
 
 
 def flat_heightmap(runs: Sequence[Run], *, resolution_m: float = 1.0, margin_m: float = 3.0) -> Heightmap:
-    """Level ground under all tracks, with `margin_m` around. Raises InputError without a run."""
+    """Return level ground under all runs.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        At least one.
+    resolution_m : float
+        Side of a cell [m].
+    margin_m : float
+        Ground beyond the outermost positions [m].
+
+    Returns
+    -------
+    Heightmap
+        Of height 0.
+
+    Raises
+    ------
+    InputError
+        If there is no run.
+    """
     if not runs:
         raise InputError("there is no run to lay a map under")
     x, y = (np.concatenate([getattr(run, key)[np.isfinite(run.x)] for run in runs]) for key in ("x", "y"))
@@ -200,12 +294,12 @@ def _without_blanks(values: FloatArray) -> FloatArray:
 
 
 def _pieces(t: FloatArray, rolling: FloatArray, gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first row, last row) of each stretch without a gap or a stand."""
-    still = rolling < _STANDING_MPS
+    """(first row, last row) of each stretch without a gap or a stationary interval."""
+    still = rolling < _STATIONARY_MPS
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
     moving = np.ones(t.size, dtype=bool)
     for first, after in zip(edges[::2], edges[1::2], strict=True):
-        if t[after - 1] - t[first] >= _STAND_S:
+        if t[after - 1] - t[first] >= _STATIONARY_S:
             moving[first:after] = False
     fresh = np.concatenate([[True], gap | ~moving[:-1]]) & moving
     firsts = np.flatnonzero(fresh)

@@ -1,22 +1,24 @@
-"""Measured runs: read a log (CSV or Parquet), repair what loggers break by stated rules, and count every repair.
+"""Measured runs: read a log (CSV or Parquet), repair the usual faults of loggers by stated rules, count every repair.
 
-Rules, in this order (the key in `Run.repairs` in brackets; a key is there only when its count is not zero):
+Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key is there only if its count is not zero:
 
 1. A last line that breaks off is dropped [truncated_rows]. Any other line of the wrong length is an error.
 2. Rows without a time are dropped [rows_without_time].
-3. Of the stamps the longest strictly increasing sequence is kept; a row with the stamp of a kept one is dropped as
+3. Of the stamps, the longest strictly increasing sequence is kept. A row with the stamp of a kept one is dropped as
    repeated [duplicate_stamps], any other as out of order [backward_stamps]. More than a fifth out of order is an error.
-4. Fixes with a gps_error above the larger of 5 cm and four times its median are not used [bad_fixes]; a gps_error of
-   exactly 0 means "not reported". Neither are blank fixes [blank_fixes]; a fix that is written again in the rows after
-   it because the receiver is slower than the log, for up to 1.5 s [held_fixes]; and, of what is left, stretches of up
-   to 5 s (2.5 s at an end) that the robot can only have reached by a jump [position_jumps]. A jump to where the log
-   then stays is kept as a break [position_breaks]: no segment spans it.
-5. Voltage and current further from the median of the eleven samples around than six times their spread and a quarter
-   (voltage) or once (current) of the run's median are spikes [voltage_spikes, current_spikes]; they and blanks
-   [blank_voltage, blank_current] are replaced by straight lines in time.
-6. A single current that is mostly negative counts discharge as negative and is turned round [current_sign_flipped].
+4. Some fixes are not used: those with a gps_error above the larger of 5 cm and four times its median [bad_fixes], where
+   a gps_error of exactly 0 means "not reported"; blank ones, and those with a latitude or longitude that does not exist
+   [blank_fixes]; a fix that is written again in the next rows because the receiver is slower than the log, for up to
+   1.5 s [held_fixes]; and, of the rest, stretches of up to 5 s (2.5 s at an end) that the robot can have reached only
+   by a jump [position_jumps]. A jump to where the log then stays is kept as a break, which no segment spans
+   [position_breaks].
+5. A voltage or current is a spike if it differs from the median of the eleven samples around it by more than six times
+   their spread plus a share of the run's median, a quarter for voltage and one for current [voltage_spikes,
+   current_spikes]. Spikes and blanks [blank_voltage, blank_current] are replaced by straight lines in time.
+6. If a single current is mostly negative, it counts discharge as negative, and its sign is changed
+   [current_sign_flipped].
 
-Dropped rows and long blanks leave gaps, which `segments` does not bridge.
+Dropped rows and long blanks leave gaps, which `joulemap.model.runs.segments` does not bridge.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from scipy.ndimage import median_filter
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.fixes import positions, usable_fixes
-from joulemap.model.runs.table import LEAST_ROWS, columns_there, count_repair, read_table
+from joulemap.model.runs.table import LEAST_ROWS, add_count, columns_there, read_table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -39,11 +41,28 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Run:
-    """One measured run, cleaned. All arrays are (n,), stamps strictly increasing.
+    """One measured run, cleaned.
 
-    t [s]; x, y [m] in the heightmap's CRS, NaN where the fix is not usable; current_a [A] > 0 discharging; voltage_v
-    [V] or None when it was not recorded. extras : further numeric columns as recorded (NaN is blank); texts : text
-    columns. breaks : True where the position jumped between this row and the one before. repairs : rule -> count.
+    Attributes
+    ----------
+    name : str
+        Of the run.
+    t : ndarray of float, (n,)
+        Stamps [s], strictly increasing.
+    x, y : ndarray of float, (n,)
+        Position [m] in the heightmap's CRS, NaN where the fix is not used.
+    current_a : ndarray of float, (n,)
+        Current [A], positive while the battery discharges.
+    voltage_v : ndarray of float, (n,), optional
+        Voltage [V]; None if it was not recorded.
+    extras : dict of str to ndarray of float, (n,)
+        Further columns of numbers as recorded; NaN is blank.
+    texts : dict of str to ndarray of str, (n,)
+        Columns of text.
+    breaks : ndarray of bool, (n,)
+        True where the position jumped between this row and the one before.
+    repairs : dict
+        Count by rule.
     """
 
     name: str
@@ -66,9 +85,29 @@ class Run:
 
 
 def read_run(path: str | Path, *, name: str | None = None, crs: str | None = None) -> Run:
-    """Read a run in CSV or Parquet: `t`, `x`,`y` (or `lat`,`lon` with the map's `crs`), `current` or `current_*`, and
-    optionally `voltage` and any further column. name : default that of the file. Raises RunsError naming file, column
-    and row.
+    """Read a run from a file in CSV or Parquet.
+
+    It needs the columns `t` [s], `x` and `y` [m] (or `lat` and `lon` [deg] with the map's `crs`), and `current` or
+    several `current_*` [A]. `voltage` [V] and any other column are optional.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the file.
+    name : str, optional
+        Of the run; without it, that of the file.
+    crs : str, optional
+        The heightmap's CRS, needed for `lat` and `lon`.
+
+    Returns
+    -------
+    Run
+        Repaired by the rules above.
+
+    Raises
+    ------
+    RunsError
+        With file, column and row.
     """
     path = Path(path)
     try:
@@ -79,7 +118,27 @@ def read_run(path: str | Path, *, name: str | None = None, crs: str | None = Non
 
 
 def parse_run(content: str | bytes, *, name: str, crs: str | None = None) -> Run:
-    """`read_run` of a text in CSV, or of the bytes of a file, already read."""
+    """Read a run from a text in CSV, or from the bytes of a file.
+
+    Parameters
+    ----------
+    content : str or bytes
+        Of the whole file.
+    name : str
+        Of the run.
+    crs : str, optional
+        As in `read_run`.
+
+    Returns
+    -------
+    Run
+        As `read_run`.
+
+    Raises
+    ------
+    RunsError
+        As `read_run`.
+    """
     repairs: dict[str, int] = {}
     numbers, texts = read_table(content, name, repairs)
     return run_of(numbers, texts, name=name, crs=crs, repairs=repairs)
@@ -93,7 +152,31 @@ def run_of(
     crs: str | None = None,
     repairs: dict[str, int] | None = None,
 ) -> Run:
-    """`read_run` of columns already read; repairs : what reading them has counted so far."""
+    """Make a run of columns that are read already.
+
+    Parameters
+    ----------
+    numbers : dict of str to ndarray of float, (n,)
+        Columns of numbers, NaN where blank.
+    texts : dict of str to ndarray of str, (n,)
+        Columns of text.
+    name : str
+        Of the run.
+    crs : str, optional
+        As in `read_run`.
+    repairs : dict, optional
+        What was counted while they were read.
+
+    Returns
+    -------
+    Run
+        As `read_run`.
+
+    Raises
+    ------
+    RunsError
+        As `read_run`.
+    """
     repairs = {} if repairs is None else repairs
     if "t" not in numbers:
         raise RunsError(f"run {name}: there is no column 't' (seconds){columns_there(numbers)}", run=name, column="t")
@@ -113,14 +196,14 @@ def run_of(
 
 def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[np.int64]:
     known = np.flatnonzero(np.isfinite(t))
-    count_repair(repairs, "rows_without_time", t.size - known.size)
+    add_count(repairs, "rows_without_time", t.size - known.size)
     if known.size < LEAST_ROWS:
         raise RunsError(f"run {name}, column 't': only {known.size} rows have a time", run=name, column="t")
     kept = known[_longest_increasing(t[known])]
     again = int(np.isin(t[np.setdiff1d(known, kept)], t[kept]).sum())
     backward = known.size - kept.size - again
-    count_repair(repairs, "duplicate_stamps", again)
-    count_repair(repairs, "backward_stamps", backward)
+    add_count(repairs, "duplicate_stamps", again)
+    add_count(repairs, "backward_stamps", backward)
     if backward > 0.2 * known.size:
         row = int(known[np.flatnonzero(np.diff(t[known]) < 0)[0] + 1]) + 2
         raise RunsError(
@@ -142,7 +225,7 @@ def _electric(
         current = numbers.pop("current")
         if np.isfinite(current).any() and np.nanmedian(current) < 0:
             current = -current
-            count_repair(repairs, "current_sign_flipped", 1)
+            add_count(repairs, "current_sign_flipped", 1)
     elif parts:
         current = np.sum([np.abs(numbers.pop(key)) for key in parts], axis=0)
     else:
@@ -168,20 +251,20 @@ def _without_spikes(
         raise RunsError(
             f"run {name}, column {key!r}: {int(blank.sum())} of {t.size} cells are blank", run=name, column=key
         )
-    count_repair(repairs, f"blank_{key}", int(blank.sum()))
+    add_count(repairs, f"blank_{key}", int(blank.sum()))
     filled = np.interp(t, t[~blank], values[~blank])
     middle = median_filter(filled, 11, mode="nearest")
     away = np.abs(filled - middle)
     spread = 1.4826 * median_filter(away, 11, mode="nearest")
     spikes = away > 6.0 * spread + share * abs(float(np.median(filled)))
-    count_repair(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
+    add_count(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
     good = ~(spikes | blank)
     return np.interp(t, t[good], values[good])
 
 
 @njit(cache=True)
 def _longest_increasing(t: FloatArray) -> NDArray[np.int64]:
-    """Positions of a longest strictly increasing subsequence of t (n,), the first of equal stamps first."""
+    """Indices of a longest strictly increasing subsequence of t (n,), the first of equal stamps first."""
     n = t.size
     tails = np.empty(n, dtype=np.int64)  # tails[l]: where the best sequence of length l + 1 ends
     before = np.empty(n, dtype=np.int64)

@@ -1,6 +1,6 @@
-"""The cells of a log in CSV or Parquet by column, as numbers or texts; what is no table is refused, its place named.
+"""The cells of a log in CSV or Parquet by column, as numbers or texts; what is no table is refused with its place.
 
-A Parquet file is read as the CSV that it would be: nulls are blank, times are seconds, categories are texts.
+A Parquet file is read as if it were CSV: nulls are blank, times are seconds, categories are texts.
 """
 
 from __future__ import annotations
@@ -54,24 +54,63 @@ PARQUET_MAGIC = b"PAR1"
 """How the bytes of every Parquet file begin."""
 
 
-def count_repair(repairs: dict[str, int], key: str, count: int) -> None:
-    """Add to a count of repairs; a key is there only when its count is not zero."""
+def add_count(counts: dict[str, int], key: str, count: int) -> None:
+    """Add to a count by key; a key is there only if its count is not zero.
+
+    Parameters
+    ----------
+    counts : dict
+        Counts by key, which are added to.
+    key : str
+        Of a rule, or of a reason.
+    count : int
+        To add.
+    """
     if count:
-        repairs[key] = repairs.get(key, 0) + int(count)
+        counts[key] = counts.get(key, 0) + int(count)
 
 
 def columns_there(numbers: Iterable[str]) -> str:
-    """The end of a sentence about a column that is missing."""
+    """Return the end of a sentence about a missing column.
+
+    Parameters
+    ----------
+    numbers : iterable of str
+        Names of the columns of numbers that are there.
+
+    Returns
+    -------
+    str
+        That lists them.
+    """
     return f"; its other columns of numbers are {', '.join(sorted(numbers)) or 'none'}"
 
 
 def read_table(
     content: str | bytes, name: str, repairs: dict[str, int]
 ) -> tuple[dict[str, FloatArray], dict[str, TextArray]]:
-    """Columns of numbers (NaN is blank, nan or inf) and of texts, from a text in CSV or the bytes of a file.
+    """Read a table from a text in CSV, or from the bytes of a file in CSV or Parquet.
 
-    A last line of a CSV that breaks off is dropped and counted. Raises RunsError for anything else that is not a table,
-    or for a known numeric column with a text in it.
+    A last line of a CSV that breaks off is dropped and counted.
+
+    Parameters
+    ----------
+    content : str or bytes
+        Of the whole file.
+    name : str
+        Of the run, for messages.
+    repairs : dict
+        Counts by rule, which are added to.
+
+    Returns
+    -------
+    tuple of dict
+        Columns of numbers, (n,) of float, NaN for blank, nan, inf and what is too large; and columns of text.
+
+    Raises
+    ------
+    RunsError
+        If it is no table, or a column that must hold numbers holds something else.
     """
     if isinstance(content, bytes) and content.startswith(PARQUET_MAGIC):
         header, rows, columns = _parquet_columns(content, name)
@@ -144,7 +183,7 @@ def _csv_columns(text: str, name: str, repairs: dict[str, int]) -> tuple[list[st
         raise RunsError(f"run {name}: the file is empty", run=name)
     if widths and widths[-1] < len(header):
         del cells[len(cells) - widths.pop() :]
-        count_repair(repairs, "truncated_rows", 1)
+        add_count(repairs, "truncated_rows", 1)
     for k, width in enumerate(widths):
         if width != len(header):
             raise RunsError(

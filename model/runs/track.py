@@ -1,4 +1,4 @@
-"""From stamps and positions to a track: smoothed, in pieces, with headings, speeds and stands, and cut into chords."""
+"""From stamps and positions to a track: smoothed, in pieces, with headings, speeds and stationary intervals."""
 
 from __future__ import annotations
 
@@ -20,15 +20,33 @@ SMOOTHING_S = 0.3
 
 _TRACK_HEADING_S = 0.5  # directions need more smoothing than places
 _COMPASS_AGREES_RAD = 0.25
-_STANDS_WITHIN_M = 0.05
-_STANDS_EVENLY = 0.25
+_STATIONARY_WITHIN_M = 0.05
+_STATIONARY_EVENLY = 0.25
 
 
 def track_headings(
     run: Run, good: NDArray[np.int64], piece: NDArray[np.int64], interval: float, speed: FloatArray
 ) -> FloatArray:
-    """Where the robot points [rad] at the rows `good`: its `heading` column where that agrees with the track, which it
-    knows better than positions do; else the direction of the track.
+    """Return where the robot points.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    good : ndarray of int, (m,)
+        Its rows with a usable fix.
+    piece : ndarray of int, (m,)
+        Number of the piece between gaps.
+    interval : float
+        The usual time between fixes [s].
+    speed : ndarray of float, (m,)
+        Of the track [m/s].
+
+    Returns
+    -------
+    ndarray of float, (m,)
+        Heading [rad]: the column `heading` where it agrees with the track, because a compass knows it better than
+        positions do; otherwise the direction of the track.
     """
     t, x, y = run.t[good], run.x[good], run.y[good]
     _, _, vx, vy = smooth(t, x, y, piece, max(_TRACK_HEADING_S, interval))
@@ -47,35 +65,68 @@ def track_headings(
 
 
 def turns_between(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Heading change between fractional positions, followed through every sample: signed (> 0 to the right), absolute,
-    and absolute with every rate up to the limits only (n, limits).
+    """Return the heading change of segments, followed through every sample.
+
+    Parameters
+    ----------
+    t : ndarray of float, (m,)
+        Stamps [s].
+    heading : ndarray of float, (m,)
+        At these stamps [rad].
+    ends : ndarray of float, (n, 2)
+        Fractional positions of p and q.
+
+    Returns
+    -------
+    tuple of ndarray of float
+        Signed [rad], positive to the right, (n,); absolute, (n,); and absolute, where a rate counts only up to each of
+        `TURN_LIMITS_RADPS`, (n, limits).
     """
     step, dt = wrap_angle(np.diff(heading)), np.diff(t)
     station = np.arange(t.size, dtype=np.float64)
 
-    def between(steps: FloatArray) -> FloatArray:
+    def _between(steps: FloatArray) -> FloatArray:
         total = np.concatenate([[0.0], np.cumsum(steps)])
         return np.interp(ends[:, 1], station, total) - np.interp(ends[:, 0], station, total)
 
-    gentle = [between(np.minimum(np.abs(step), limit * dt)) for limit in TURN_LIMITS_RADPS]
-    return between(step), between(np.abs(step)), np.stack(gentle, axis=1)
+    gentle = [_between(np.minimum(np.abs(step), limit * dt)) for limit in TURN_LIMITS_RADPS]
+    return _between(step), _between(np.abs(step)), np.stack(gentle, axis=1)
 
 
 def track_speeds(
     run: Run, good: NDArray[np.int64], piece: NDArray[np.int64], interval: float, track: FloatArray
 ) -> FloatArray:
-    """Speed at the rows `good` [m/s]: the `speed` column, evened out, where it agrees with the track; else its."""
+    """Return the speed of the robot.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    good : ndarray of int, (m,)
+        Its rows with a usable fix.
+    piece : ndarray of int, (m,)
+        Number of the piece between gaps.
+    interval : float
+        The usual time between fixes [s].
+    track : ndarray of float, (m,)
+        Speed of the track [m/s].
+
+    Returns
+    -------
+    ndarray of float, (m,)
+        Speed [m/s]: the column `speed`, smoothed, where it agrees with the track; otherwise that of the track.
+    """
     logged = run.extras.get("speed")
     if logged is None or np.isfinite(logged[good]).mean() < 0.8:
         return track
     known = np.isfinite(logged)
-    told = np.interp(run.t[good], run.t[known], logged[known])
-    if np.median(np.abs(told - track)) > 0.2 * float(np.median(track)):
+    recorded = np.interp(run.t[good], run.t[known], logged[known])
+    if np.median(np.abs(recorded - track)) > 0.2 * float(np.median(track)):
         return track
-    return smooth(run.t[good], told, told, piece, max(SMOOTHING_S, interval))[0]
+    return smooth(run.t[good], recorded, recorded, piece, max(SMOOTHING_S, interval))[0]
 
 
-def find_stands(
+def stationary_intervals(
     t: FloatArray,
     x: FloatArray,
     y: FloatArray,
@@ -84,8 +135,26 @@ def find_stands(
     power: FloatArray,
     speed: FloatArray | None,
 ) -> tuple[tuple[int, float, float], ...]:
-    """(0, seconds, energy) of every stand, without its first and last half second. The robot stays where it is and
-    draws evenly and little: one that turns on the spot, or that lost its position on the way, is not standing.
+    """Return the stationary intervals of a run.
+
+    In such an interval the robot stays where it is and draws evenly and little. A robot that turns on the spot, or that
+    lost its position while driving, is not stationary.
+
+    Parameters
+    ----------
+    t, x, y : ndarray of float, (m,)
+        Stamps [s] and smoothed positions [m].
+    piece : ndarray of int, (m,)
+        As `pieces_of` returns it.
+    stamps, power : ndarray of float, (n,)
+        Stamps [s] and power [W], or current [A], of all rows.
+    speed : ndarray of float, (n,), optional
+        Logged speed [m/s].
+
+    Returns
+    -------
+    tuple of (int, float, float)
+        0, duration [s] and energy of each, without its first and last half second.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[1], (piece != 0).astype(int), [1]])))
     usual = float(np.median(power))
@@ -94,11 +163,11 @@ def find_stands(
         start, end = float(t[first]) + 0.5, float(t[after - 1]) - 0.5
         rows = (stamps >= start) & (stamps <= end)
         drawn = power[rows]
-        if end - start < 1.0 or drawn.size < 5 or drawn.std() > _STANDS_EVENLY * drawn.mean() > 0:
+        if end - start < 1.0 or drawn.size < 5 or drawn.std() > _STATIONARY_EVENLY * drawn.mean() > 0:
             continue
         moved = math.hypot(x[after - 1] - x[first], y[after - 1] - y[first])
-        told = 0.0 if speed is None else float(np.nan_to_num(np.abs(speed[rows])).mean())
-        if moved < _STANDS_WITHIN_M and told < _STANDS_WITHIN_M and 0.0 < drawn.mean() < 0.7 * usual:
+        logged = 0.0 if speed is None else float(np.nan_to_num(np.abs(speed[rows])).mean())
+        if moved < _STATIONARY_WITHIN_M and logged < _STATIONARY_WITHIN_M and 0.0 < drawn.mean() < 0.7 * usual:
             ends = integral(stamps, power, np.array([start, end]))
             found.append((0, end - start, float(ends[1] - ends[0])))
     return tuple(found)
@@ -108,7 +177,22 @@ def find_stands(
 def smooth(
     t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], sigma_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Local straight lines in time with Gaussian weights, never across pieces: position and velocity, (n,) each."""
+    """Fit local straight lines in time with Gaussian weights, never across pieces.
+
+    Parameters
+    ----------
+    t, x, y : ndarray of float, (n,)
+        Stamps [s] and positions [m].
+    piece : ndarray of int, (n,)
+        Number of the piece.
+    sigma_s : float
+        Standard deviation of the weights [s].
+
+    Returns
+    -------
+    tuple of ndarray of float, (n,)
+        x, y [m] and their velocities [m/s].
+    """
     n = t.size
     sx, sy, vx, vy = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
     reach = 3.0 * sigma_s + 1e-6  # rounding must not take one side's last sample
@@ -142,7 +226,24 @@ def smooth(
 def pieces_of(
     t: FloatArray, speed: FloatArray, gap: NDArray[np.bool_], standing_mps: float, standing_s: float
 ) -> tuple[NDArray[np.int64], int]:
-    """Number of the piece each sample belongs to (0 while standing for `standing_s` or more), and how many stands."""
+    """Divide a track at gaps and stationary intervals.
+
+    Parameters
+    ----------
+    t, speed : ndarray of float, (n,)
+        Stamps [s] and speeds [m/s].
+    gap : ndarray of bool, (n,)
+        True where a gap lies before the sample.
+    standing_mps : float
+        Below this speed the robot is stationary [m/s].
+    standing_s : float
+        Shortest stationary interval [s].
+
+    Returns
+    -------
+    tuple of (ndarray of int, int)
+        Number of the piece of each sample, (n,), 0 while stationary; and the number of stationary intervals.
+    """
     n = t.size
     piece = np.zeros(n, dtype=np.int64)
     now = 0
@@ -170,7 +271,22 @@ def pieces_of(
 
 @njit(cache=True)
 def cut_chords(x: FloatArray, y: FloatArray, piece: NDArray[np.int64], length: float) -> tuple[FloatArray, int]:
-    """Fractional positions (n, 2) of p and q, `length` apart in a straight line, and the number of remainders."""
+    """Cut a track into chords of equal length, one after the other within each piece.
+
+    Parameters
+    ----------
+    x, y : ndarray of float, (n,)
+        Positions [m].
+    piece : ndarray of int, (n,)
+        Number of the piece; 0 is not cut.
+    length : float
+        Of a chord, in a straight line [m].
+
+    Returns
+    -------
+    tuple of (ndarray of float, int)
+        Fractional positions of both ends, (chords, 2); and how many pieces end in a remainder.
+    """
     n = x.size
     ends = np.empty((n + 1, 2))
     count = 0
@@ -212,7 +328,20 @@ def cut_chords(x: FloatArray, y: FloatArray, piece: NDArray[np.int64], length: f
 
 
 def integral(t: FloatArray, power: FloatArray, at: FloatArray) -> FloatArray:
-    """Integral of piecewise linear `power` from t[0] to `at`, exactly."""
+    """Integrate a piecewise linear power from the first stamp, exactly.
+
+    Parameters
+    ----------
+    t, power : ndarray of float, (n,)
+        Stamps [s] and values.
+    at : ndarray of float, (m,)
+        Stamps to integrate to [s].
+
+    Returns
+    -------
+    ndarray of float, (m,)
+        The integrals.
+    """
     total = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
     there = np.interp(at, t, power)

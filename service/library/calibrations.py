@@ -152,7 +152,7 @@ def calibrate(
     kept = {file.resolve() for file in tests}
     files = [file for file in find_run_files(runs) if file.resolve() not in kept]
     read = read_calibration_runs(
-        files, driven_by, crs=heightmap.frame.crs, base_files=find_run_files(baseline_runs), aside_files=tests
+        files, driven_by, crs=heightmap.frame.crs, baseline_files=find_run_files(baseline_runs), test_files=tests
     )
     task = None if start is None or goal is None else ((start[0], start[1]), (goal[0], goal[1]))
     return calibrate_and_report(

@@ -177,6 +177,6 @@ def test_runs_of_one_name_in_several_folders_stay_apart(tmp_path):
     found = evaluate_on_runs(find_predictor("physics"), waves(), ROBOT, files)
     assert list(found["route_relative_errors"]) == names
     assert found["route_relative_error"] == pytest.approx(np.mean(list(found["route_relative_errors"].values())))
-    with_base = read_calibration_runs(files[:1], ROBOT, crs=None, base_files=files[1:2], aside_files=files[2:])
-    parts = with_base.segments, with_base.base, with_base.aside
+    with_base = read_calibration_runs(files[:1], ROBOT, crs=None, baseline_files=files[1:2], test_files=files[2:])
+    parts = with_base.segments, with_base.baseline, with_base.test
     assert [part.runs for part in parts] == [(name,) for name in names]

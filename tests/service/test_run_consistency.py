@@ -10,9 +10,10 @@ from joulemap.model.errors import RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.fixes import projected
 from joulemap.model.runs.reader import parse_run
-from joulemap.model.runs.segments import Segments, concatenate, cut_segments
+from joulemap.model.runs.segments import Segments, concatenate
 from joulemap.model.terrain.heightmap import Heightmap
 from tests.service.test_cli import joulemap
 

@@ -32,8 +32,8 @@ from joulemap.model.field.simulation import simulate_trace, with_stands
 from joulemap.model.field.sites import Site
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import read_run
-from joulemap.model.runs.segments import cut_segments
 from joulemap.model.terrain.heightmap import Heightmap
 from tests.loop.cases import extra_energy
 

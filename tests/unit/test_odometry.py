@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import InputError, RunsError
+from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, integrate, read_odometry, terrain_in_name
-from joulemap.model.runs.segments import cut_segments
 
 HUSKY_TRACK_M = 1.07
 """Effective track of a Clearpath Husky A200: wheel_separation 0.571 m times wheel_separation_multiplier 1.875.

@@ -10,8 +10,9 @@ from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.drive import describe_segments
 from joulemap.model.robot import Robot
+from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import Run
-from joulemap.model.runs.segments import concatenate, cut_segments, driven_only
+from joulemap.model.runs.segments import concatenate, driven_only
 from joulemap.model.terrain.heightmap import Heightmap
 
 
@@ -51,7 +52,7 @@ def test_a_stand_counts_beside_segments_of_its_run_only():
         amps = np.where(np.arange(x.size) < 100, 0.5, 2.0)
         runs.append(cut_segments(run_along(x, y, name=name, amps=amps, temperature=np.full(x.size, 12.0))))
     segments = concatenate(runs)
-    assert {stand[0] for stand in segments.stands} == {0, 1}
+    assert {stand[0] for stand in segments.stationary} == {0, 1}
     ground = Heightmap(np.zeros((120, 120), np.float32), GridFrame(50.0, 130.0, 1.0, 120, 120))
     for some, runs_left in ((segments, {0, 1}), (segments.take(segments.run == 0), {0})):
         drive, measured = describe_segments(some, ground, Robot(), np.full(len(some), 30.0))
