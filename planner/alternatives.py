@@ -1,9 +1,9 @@
-"""Other good ways from a start to a goal: each locally as good as the best, none a mere bulge of another.
+"""Alternative routes from a start to a goal: each locally as good as the best, none a small variation of another.
 
 Plateaus (Jones 2007; Abraham et al. 2013, "Alternative routes in road networks"): a stretch of moves that both the
-least-energy tree from the start and the one towards the goal use. The way start - plateau - goal follows least-energy
+least-energy tree from the start and the one towards the goal use. The path start - plateau - goal follows least-energy
 paths into the plateau, along it and out of it, so no detour shorter than the plateau makes it cheaper. Both trees are
-energy fields, and all plateaus come out of them at once.
+energy fields, and all plateaus are found in them at once.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from joulemap.planner.search import GridPath, grid_search, joined_points
 from joulemap.planner.states import Search
 
 STRETCH = 1.3
-"""Most energy of another way, in multiples of the best one's."""
+"""Most energy of an alternative, in multiples of the best path's."""
 LEAST_SHARE = 0.3
-"""Of another way's length, how much lies apart from every way before it."""
+"""Least share of an alternative's length that lies away from every path before it."""
 
 
 def alternative_paths(
@@ -41,15 +41,46 @@ def alternative_paths(
     count: int = 3,
     stretch: float = STRETCH,
     plateau: float = 0.1,
-    apart_m: float | None = None,
+    separation_m: float | None = None,
     share: float = LEAST_SHARE,
 ) -> list[GridPath]:
-    """The best way and up to `count` - 1 others, cheapest first.
+    """Return the best path and good alternatives, cheapest first.
 
-    start, goal : (2,) (row, col). stretch : the most energy of another way, in multiples of the best one's; plateau :
-    the least energy of the stretch that makes it a way of its own, as a share of the best one's; apart_m, share : at
-    least this share of its length lies more than `apart_m` [m] (default: a twentieth of the best way's length, at least
-    three cells) from every way before it. Raises NoRouteError, InputError.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    start, goal : ndarray of float, (2,)
+        Fractional (row, col).
+    count : int, default 3
+        Most paths, the best one included.
+    stretch : float, default 1.3
+        Most energy of an alternative, in multiples of the best path's.
+    plateau : float, default 0.1
+        Least energy of its plateau, as a share of the best path's energy.
+    separation_m : float, optional
+        Distance from which a place counts as away from a path [m]: a twentieth of the best path's length, at least
+        three cells, where None.
+    share : float, default 0.3
+        Least share of its length that lies away from every path before it.
+
+    Returns
+    -------
+    list of GridPath
+        The paths.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of range.
+    NoRouteError
+        If the goal cannot be reached.
+
+    References
+    ----------
+    Jones 2007; Abraham, Delling, Goldberg & Werneck 2013.
     """
     if count < 1 or stretch < 1.0 or not 0.0 < plateau <= 1.0 or not 0.0 <= share <= 1.0:
         raise InputError(
@@ -60,45 +91,59 @@ def alternative_paths(
     found = [best]
     if count == 1 or best.energy_j <= 0.0:
         return found
-    apart_m = _least_apart_m(lattice, best.points) if apart_m is None else apart_m
+    separation_m = _separation_m(lattice, best.points) if separation_m is None else separation_m
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
     via, length = _plateaus(ahead, behind, table)
     good = np.flatnonzero((length >= plateau * best.energy_j) & (via <= stretch * best.energy_j))
-    apart = _metres_from(lattice, best.points)
+    away_m = _metres_from(lattice, best.points)
     for state in good[np.argsort(via[good] - length[good], kind="stable")]:  # long plateaus first
         into = ahead.trace(table, int(state))[::-1] // ahead.layers
         cells = np.append(into, behind.trace(table, int(state))[1:] // behind.layers)
         cells = cells[np.append(True, np.diff(cells) != 0)]  # turns on the spot
-        if np.unique(cells).size < cells.size or np.mean(apart[cells] > apart_m) < share:
+        if np.unique(cells).size < cells.size or np.mean(away_m[cells] > separation_m) < share:
             continue
         found.append(GridPath(joined_points(lattice, start, cells, goal), float(via[state]), 0))
         if len(found) == count:
             break
-        apart = np.minimum(apart, _metres_from(lattice, found[-1].points))
+        away_m = np.minimum(away_m, _metres_from(lattice, found[-1].points))
     return sorted(found, key=lambda path: path.energy_j)
 
 
 def improved_ways(lattice: CostLattice, best: Points, others: Sequence[Points]) -> list[Points]:
-    """Grid paths (n, 2) (row, col) after the any-angle step, those that still lie apart from `best` and each other.
+    """Return alternatives after the any-angle step, those that still differ from the best path and each other.
 
-    Where the step draws one into a way before it, both sides of its place farthest from them are improved instead.
+    Where the step draws one into a path before it, both sides of its place farthest from them are improved instead.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    best : ndarray of float, (n, 2)
+        (row, col) polyline of the best path, improved already.
+    others : sequence of ndarray of float, (m, 2)
+        Alternatives over grid moves.
+
+    Returns
+    -------
+    list of ndarray of float, (k, 2)
+        The improved alternatives that are left.
     """
-    apart_m, limit = _least_apart_m(lattice, best), STRETCH * max(path_price(lattice, best), 0.0)
-    apart, kept = _metres_from(lattice, best), []
+    separation_m, limit = _separation_m(lattice, best), STRETCH * max(path_price(lattice, best), 0.0)
+    away_m, kept = _metres_from(lattice, best), []
     for other in others:
         way = refine_path(lattice, other)
-        if _share_beyond(lattice, way, apart, apart_m) < LEAST_SHARE:
-            far = int(np.argmax(apart[_cells(lattice, other)][1:-1])) + 1
+        if _share_beyond(lattice, way, away_m, separation_m) < LEAST_SHARE:
+            far = int(np.argmax(away_m[_cells(lattice, other)][1:-1])) + 1
             ahead, behind = (refine_path(lattice, half) for half in (other[: far + 1], other[far:]))
             way = np.vstack([ahead, behind[1:]])
-        if _share_beyond(lattice, way, apart, apart_m) >= LEAST_SHARE and path_price(lattice, way) <= limit:
+        if _share_beyond(lattice, way, away_m, separation_m) >= LEAST_SHARE and path_price(lattice, way) <= limit:
             kept.append(way)
-            apart = np.minimum(apart, _metres_from(lattice, way))
+            away_m = np.minimum(away_m, _metres_from(lattice, way))
     return kept
 
 
-def _least_apart_m(lattice: CostLattice, best: Points) -> float:
-    """A twentieth of the best way's length, at least three cells [m]."""
+def _separation_m(lattice: CostLattice, best: Points) -> float:
+    """A twentieth of the best path's length, at least three cells [m]."""
     return lattice.frame.resolution_m * max(3.0, 0.05 * float(np.hypot(*np.diff(best, axis=0).T).sum()))
 
 
@@ -107,19 +152,19 @@ def _cells(lattice: CostLattice, points: Points) -> NDArray[np.int64]:
     return np.asarray(row * lattice.frame.cols + col)
 
 
-def _share_beyond(lattice: CostLattice, way: Points, apart: NDArray[np.float64], apart_m: float) -> float:
-    return float(np.mean(apart[_cells(lattice, subdivided(way, 1.0))] > apart_m))
+def _share_beyond(lattice: CostLattice, way: Points, away_m: NDArray[np.float64], separation_m: float) -> float:
+    return float(np.mean(away_m[_cells(lattice, subdivided(way, 1.0))] > separation_m))
 
 
 def _metres_from(lattice: CostLattice, way: Points) -> NDArray[np.float64]:
-    """(cells,) distance [m] of every cell from the nearest that lies along a way."""
+    """(cells,) distance [m] of every cell from the nearest that lies along a path."""
     away = np.ones(lattice.frame.shape, dtype=bool)
     away.ravel()[_cells(lattice, subdivided(way, 1.0))] = False
     return distance_transform_edt(away).ravel() * lattice.frame.resolution_m
 
 
 def _plateaus(ahead: Search, behind: Search, table: MoveTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(states,) energy [J] of the best way through each state that begins a plateau (inf elsewhere), and the plateau's.
+    """(states,) energy [J] of the best path through each state that begins a plateau (else inf), and of the plateau.
 
     ahead, behind : the searches from the start and towards the goal.
     """

@@ -1,8 +1,8 @@
-"""Compiled best-first search over the implicit grid: buckets of energy take the place of a heap.
+"""Compiled best-first search over the implicit grid, with buckets of energy instead of a heap.
 
-A bucket holds what may be settled within `width` joules, in no order. Whoever is improved after it was settled is
-settled again, so the answer is exact for any width and for any admissible guide, and on ties of rounding too
-(Meyer & Sanders 2003, delta-stepping, on one thread). Buckets lie in a ring; what belongs beyond its end waits in the
+A bucket holds the cells that may be settled within `width` joules, in no order. A cell that is improved after it was
+settled is settled again, so the answer is exact for any width and any admissible guide, and on ties of rounding too
+(Meyer & Sanders 2003, delta-stepping, on one thread). Buckets form a ring; what belongs beyond its end waits in the
 last one and is sorted in again when that comes up.
 """
 
@@ -23,13 +23,25 @@ NEVER = np.int64(1) << 62
 
 
 class Guide(NamedTuple):
-    """What a search knows of the energy still to come from a cell: the largest of some lower bounds, `heuristics`.
+    """Lower bounds of the energy still to come from a cell, of which the largest counts (see `heuristics`).
 
-    Each of `pairs` (a, b) bounds it by a * cells to `goal` - b * surface + rest; each column of `marks` by its value
-    there + marks_rest. Without either the bound is nothing.
+    Each of `pairs` (a, b) gives the bound a * cells to `goal` - b * surface + rest; each column of `marks` gives its
+    value at the cell + marks_rest. Without either the bound is 0.
 
-    pairs : (B, 2) float64; rest : (B,) float64; goal : (2,) float64 (row, col); surface : (cells,) float64;
-    marks : (cells, M) float32; marks_rest : (M,) float64.
+    Attributes
+    ----------
+    pairs : ndarray of float64, (B, 2)
+        a [J per cell length] and b (share of the rise).
+    rest : ndarray of float64, (B,)
+        [J].
+    goal : ndarray of float64, (2,)
+        Fractional (row, col).
+    surface : ndarray of float64, (cells,)
+        What a rise is counted on [J].
+    marks : ndarray of float32, (cells, M)
+        Landmark energies [J].
+    marks_rest : ndarray of float64, (M,)
+        [J].
     """
 
     pairs: NDArray[np.float64]
@@ -42,7 +54,22 @@ class Guide(NamedTuple):
 
 @njit(cache=True)
 def bound_at(guide, cell, cols):
-    """The bound at a cell; inf where the goal is known to be out of reach."""
+    """Return the bound at a cell.
+
+    Parameters
+    ----------
+    guide : Guide
+        The bounds.
+    cell : int
+        Flat index.
+    cols : int
+        Columns of the map.
+
+    Returns
+    -------
+    float
+        Energy [J]; infinite where it is known that the goal cannot be reached.
+    """
     best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
     if guide.pairs.shape[0] > 0:
         row = np.int64(cell) // cols
@@ -53,7 +80,7 @@ def bound_at(guide, cell, cols):
             best = max(best, guide.pairs[k, 0] * cells - guide.pairs[k, 1] * height + guide.rest[k])
     for k in range(guide.marks.shape[1]):
         bound = guide.marks[cell, k] + guide.marks_rest[k]
-        if bound > best:  # false where neither end knows the landmark
+        if bound > best:  # false where neither end is joined to the landmark
             best = bound
     return best
 
@@ -69,7 +96,24 @@ def _grown(queue, count):
 
 @njit(cache=True, inline="always")
 def put(queue, count, bucket, cell):
-    """Lay a cell into a bucket of the ring; the ring, a wider one where that bucket was full."""
+    """Put a cell into a bucket of the ring.
+
+    Parameters
+    ----------
+    queue : ndarray of uint32, (BUCKETS, capacity)
+        The ring.
+    count : ndarray of int64, (BUCKETS,)
+        Cells in each bucket; it is changed.
+    bucket : int
+        Number of the bucket, not wrapped.
+    cell : int
+        Flat index.
+
+    Returns
+    -------
+    ndarray of uint32
+        The ring, a wider one where that bucket was full.
+    """
     slot = bucket & (BUCKETS - 1)
     if count[slot] == queue.shape[1]:
         queue = _grown(queue, count)
@@ -80,10 +124,31 @@ def put(queue, count, bucket, cell):
 
 @njit(cache=True)
 def open_ring(first, least, guide, cols, per_j):
-    """A ring of buckets with the cells `first` (S,), reached with `least` (S,) [J], where they are due.
+    """Return a ring of buckets with the cells that a search begins with.
 
-    Returns the ring, how many cells each bucket holds, the first one that holds any, and the bucket in which every cell
-    is due (S,), be it beyond the ring's end; NEVER for a cell from where the goal is out of reach.
+    Parameters
+    ----------
+    first : ndarray of int64, (S,)
+        Flat indices of the cells.
+    least : ndarray of float64, (S,)
+        Energy with which they are reached [J].
+    guide : Guide
+        Lower bounds of the energy to come.
+    cols : int
+        Columns of the map.
+    per_j : float
+        Buckets per joule.
+
+    Returns
+    -------
+    queue : ndarray of uint32, (BUCKETS, capacity)
+        The ring.
+    count : ndarray of int64, (BUCKETS,)
+        Cells in each bucket.
+    current : int
+        The first bucket that holds any.
+    due : ndarray of int64, (S,)
+        The bucket of every cell, also beyond the ring's end; NEVER for a cell from which the goal cannot be reached.
     """
     due = np.full(first.size, NEVER)
     for k in range(first.size):
@@ -101,22 +166,55 @@ def open_ring(first, least, guide, cols, per_j):
 
 @njit(cache=True, nogil=True)
 def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, cols, width, slack, backward):
-    """Settle cells until no bucket may improve the way to a target, or all of them where there is none.
+    """Settle cells until no bucket may improve the path to a target, or all cells where there is no target.
 
-    energy : (cells,) float64 [J], the labels to start from; pred : (cells,) uint8 move + 1 by which a label came, 0 a
-    seed, with `SETTLED` where nothing is left to do; both are changed. price : (cells, N) float32 [J] of the move that
-    leaves a cell; jump : (N,) step of a move in flat cells. first : (S,) cells to begin with. targets : (T,) cells,
-    target_rest : (T,) [J] from there on. slack : relative gain below which a label stays, above 0 where prices may be
-    negative. Backward, moves are run against their direction, each at its own price.
+    Parameters
+    ----------
+    energy : ndarray of float64, (cells,)
+        Labels to start from [J]; they are changed.
+    pred : ndarray of uint8, (cells,)
+        Move + 1 by which a cell was reached, 0 for a seed, with the flag `SETTLED` where nothing is left to do; it is
+        changed.
+    price : ndarray of float32, (cells, N)
+        Energy of the move that leaves a cell [J]; NaN where there is none.
+    jump : ndarray of int64, (N,)
+        Step of each move in flat indices.
+    first : ndarray of int64, (S,)
+        Cells to begin with.
+    targets : ndarray of int64, (T,)
+        Cells that are joined to the goal.
+    target_rest : ndarray of float64, (T,)
+        Energy from them to the goal [J].
+    guide : Guide
+        Lower bounds of the energy to come.
+    cols : int
+        Columns of the map.
+    width : float
+        Width of a bucket [J].
+    slack : float
+        Relative gain below which a label stays; above 0 where prices may be negative.
+    backward : bool
+        Whether moves are run against their direction, each at its own price.
 
-    Returns the last cell (-1: not reached), the energy to the goal, and the number of settled cells.
+    Returns
+    -------
+    last : int
+        The last cell, -1 where the goal was not reached.
+    total : float
+        Energy to the goal [J].
+    expanded : int
+        Number of settled cells.
+
+    References
+    ----------
+    Meyer & Sanders 2003 (delta-stepping).
     """
     cells = np.uintp(energy.size)
     moves = jump.size
     steps = (-jump if backward else jump).astype(np.uintp)
     prices = price.reshape(-1)
     free = guide.pairs.shape[0] + guide.marks.shape[1] == 0
-    known = np.full(1 if free else energy.size, np.nan)  # bounds, each reckoned once
+    known = np.full(1 if free else energy.size, np.nan)  # bounds, each computed once
     per_j = 1.0 / width
     queue, count, current, due_first = open_ring(first, energy[first], guide, cols, per_j)
     beyond = False  # whether something may wait in the last bucket of the ring before its time
@@ -182,7 +280,24 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
 
 @njit(cache=True, nogil=True)
 def trace_cells(pred, jump, last, backward):
-    """(n,) int64 cells that lead from `last` to the seed it was reached from, `last` first."""
+    """Return the cells that lead from one cell to the seed that it was reached from.
+
+    Parameters
+    ----------
+    pred : ndarray of uint8, (cells,)
+        As `search_cells` left it.
+    jump : ndarray of int64, (N,)
+        Step of each move in flat indices.
+    last : int
+        The cell to begin with.
+    backward : bool
+        Whether the search was backward.
+
+    Returns
+    -------
+    ndarray of int64, (n,)
+        Flat indices, `last` first.
+    """
     sign = 1 if backward else -1
     count = 1
     cell = last

@@ -23,8 +23,16 @@ _NONE = -1
 class EnergyField:
     """Least energies over grid moves between some places and every cell, and the moves that achieve them.
 
-    energy_j : (rows, cols) float64 [J]; inf where there is no way. With a turn cost the least over the headings that
-    the robot may look in there. search : the same for every heading, with the moves.
+    Attributes
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Its priced moves.
+    places : ndarray of float, (k, 2)
+        Fractional (row, col) of the start, or of the goals.
+    search : Search
+        Energies for every heading that the robot may have there, with the moves.
     """
 
     lattice: CostLattice
@@ -34,13 +42,29 @@ class EnergyField:
 
     @cached_property
     def energy_j(self) -> NDArray[np.float64]:
+        """Least energy [J] over all headings of the robot: float64, (rows, cols); inf where there is no path."""
         states = self.search.energy_j.reshape(*self.lattice.frame.shape, self.search.layers)
         return states[..., 0] if self.search.layers == 1 else states.min(axis=2)
 
     def path_from(self, start: Points) -> GridPath:
-        """The cheapest way from `start` (2,) (row, col) to the nearest goal of a field towards goals.
+        """Return the cheapest path from a place to the nearest goal, of a field towards goals.
 
-        Costs a walk along the path, no search. Raises NoRouteError.
+        It is read from the field along the path, without a search.
+
+        Parameters
+        ----------
+        start : ndarray of float, (2,)
+            Fractional (row, col).
+
+        Returns
+        -------
+        GridPath
+            The path and its energy [J].
+
+        Raises
+        ------
+        NoRouteError
+            If no goal can be reached.
         """
         lattice, layers = self.lattice, self.search.layers
         cells, cost = terminals(lattice, self.table, start, layers, outward=True)
@@ -63,7 +87,7 @@ class EnergyField:
     def _without_moves(
         self, start: Points, cells: NDArray[np.int64], cost: NDArray[np.float64], goal: Points
     ) -> GridPath:
-        """The best way to a goal so near that no grid move is needed; inf where there is none."""
+        """The best path to a goal so near that no grid move is needed; inf where there is none."""
         best = GridPath(np.vstack([start, goal]), direct_energy(self.lattice, start, goal), 0)
         if np.abs(start - goal).max() < 2.0:
             ends, rest = terminals(self.lattice, self.table, goal, self.search.layers, outward=False)
@@ -75,19 +99,51 @@ class EnergyField:
 
 
 def field_from(lattice: CostLattice, table: MoveTable, start: Points) -> EnergyField:
-    """Least energy from `start` (2,) (row, col) to every cell."""
+    """Return the least energy from one place to every cell.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    start : ndarray of float, (2,)
+        Fractional (row, col).
+
+    Returns
+    -------
+    EnergyField
+        Its `energy_j` is (rows, cols) [J].
+    """
     cells, cost = terminals(lattice, table, start, layer_count(lattice, table), outward=True)
     return _field(lattice, table, start[None], cells, cost, backward=False)
 
 
 def field_towards(lattice: CostLattice, table: MoveTable, goals: Points) -> EnergyField:
-    """Least energy from every cell to the nearest (in energy) of `goals` (k, 2) (row, col), by one search.
+    """Return the least energy from every cell to the nearest (in energy) of some goals, by one search.
 
-    Raises BlockedError for a goal that no leg reaches.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    goals : ndarray of float, (k, 2)
+        Fractional (row, col).
+
+    Returns
+    -------
+    EnergyField
+        Its `energy_j` is (rows, cols) [J], and `path_from` answers every start.
+
+    Raises
+    ------
+    BlockedError
+        If no leg reaches one of the goals.
     """
     joints = [terminals(lattice, table, goal, layer_count(lattice, table), outward=False) for goal in goals]
     if any(cells.size == 0 for cells, _ in joints):
-        raise BlockedError("a goal leans on blocked ground: no leg reaches it", which="goal")
+        raise BlockedError("a goal is next to blocked ground: no leg reaches it", which="goal")
     cells, costs = zip(*joints, strict=True)
     return _field(lattice, table, goals, np.concatenate(cells), np.concatenate(costs), backward=True)
 

@@ -1,4 +1,4 @@
-"""What is told of a lattice in numbers: the range of its prices, and how much of it is blocked and why."""
+"""Figures of a lattice: the range of its prices, and how much of it is blocked and why."""
 
 from __future__ import annotations
 
@@ -15,8 +15,18 @@ from joulemap.planner.lattice import Blocked, CostLattice
 
 
 def figures_of(lattice: CostLattice) -> dict[str, Any]:
-    """What `joined_figures` needs of a part of a lattice, JSON-able. min, max, total of the prices [J/m] of all (cell,
-    heading) pairs that may be driven, None where there is none; counts : pairs under each `Blocked` code.
+    """Return what `joined_figures` needs of a part of a lattice.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The part, or the whole.
+
+    Returns
+    -------
+    dict
+        JSON-able: `min`, `max` and `total` of the prices [J/m] of all (cell, heading) pairs that may be driven, the
+        first two None where there is none; `counts`, the pairs under each `Blocked` code.
     """
     counts = np.zeros(len(Blocked), dtype=np.int64)
     least, most, total = _tally(
@@ -34,10 +44,18 @@ def figures_of(lattice: CostLattice) -> dict[str, Any]:
 
 
 def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """JSON-able figures of a lattice out of those of its parts.
+    """Return the figures of a lattice from those of its parts.
 
-    energy_per_m : min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None where there is none;
-    blocked : share of all pairs under each reason, `free` included.
+    Parameters
+    ----------
+    parts : sequence of dict
+        What `figures_of` returned for each.
+
+    Returns
+    -------
+    dict
+        JSON-able: `energy_per_m`, the min, mean and max [J/m] over all (cell, heading) pairs that may be driven, None
+        where there is none; `blocked`, the share of all pairs under each reason, `free` included.
     """
     counts = np.sum([part["counts"] for part in parts], axis=0)
     driven = [part for part in parts if part["counts"][Blocked.FREE]]

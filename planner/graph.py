@@ -15,10 +15,25 @@ MAX_GRAPH_CELLS = 250_000
 
 
 def lattice_graph(lattice: CostLattice, *, neighbours: int = 16) -> nx.DiGraph:
-    """A directed graph of all free cells and permitted grid moves.
+    """Return a directed graph of all free cells and permitted grid moves.
 
-    Nodes are (row, col) with attributes x, y, elevation_m; edges carry energy_j and length_m, each priced by `edges` on
-    its own. Raises TooLargeError above `MAX_GRAPH_CELLS` cells.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    neighbours : {16, 8, 32}
+        Moves per cell.
+
+    Returns
+    -------
+    networkx.DiGraph
+        Nodes are (row, col) with attributes `x`, `y` and `elevation_m` [m]; edges carry `energy_j` [J] and `length_m`
+        [m], each priced by `edges` on its own.
+
+    Raises
+    ------
+    TooLargeError
+        Above `MAX_GRAPH_CELLS` cells.
     """
     rows, cols = lattice.frame.shape
     if rows * cols > MAX_GRAPH_CELLS:

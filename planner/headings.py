@@ -10,20 +10,58 @@ from numba import njit
 from joulemap.planner.buckets import BUCKETS, NEVER, bound_at, open_ring, put
 
 SEED, DROVE, TURNED_RIGHT, TURNED_LEFT = 0, 1, 2, 3
-"""How a state of `search_headings` came by its energy."""
+"""How a state of `search_headings` was reached."""
 
 
 @njit(cache=True, nogil=True)
 def search_headings(energy, pred, price, jump, gap, first, targets, target_rest, guide, cols, width, slack, backward):
-    """`search_cells` where turning costs: the state is cell * N + the heading (a move's) that the robot looks in.
+    """Settle states where turning costs, as `search_cells` does without turning.
 
-    A state has three ways on: the move straight ahead, and a turn on the spot to the next heading on either side. Turns
-    add up, so these reach every heading at its own price, and one round from the cheapest heading of a cell relaxes
-    them all. The buckets therefore hold cells, each with a set of headings still to be driven in.
+    The state is cell * N + the heading of the robot, which is that of a move.
 
-    energy : (states,) float64 [J]; pred : (states,) uint8 `SEED`, `DROVE`, `TURNED_RIGHT` or `TURNED_LEFT`;
-    gap : (N,) [J] of turning from heading k to k + 1; first : (S,) cells; target_rest : (T, N) [J]. The rest, and what
-    comes back, as there, with a state for the last cell.
+    Parameters
+    ----------
+    energy : ndarray of float64, (states,)
+        Labels to start from [J]; they are changed.
+    pred : ndarray of uint8, (states,)
+        `SEED`, `DROVE`, `TURNED_RIGHT` or `TURNED_LEFT`; it is changed.
+    price : ndarray of float32, (cells, N)
+        Energy of the move that leaves a cell [J]; NaN where there is none.
+    jump : ndarray of int64, (N,)
+        Step of each move in flat indices.
+    gap : ndarray of float64, (N,)
+        Energy of turning from heading k to k + 1 [J].
+    first : ndarray of int64, (S,)
+        Cells to begin with.
+    targets : ndarray of int64, (T,)
+        Cells that are joined to the goal.
+    target_rest : ndarray of float64, (T, N)
+        Energy from them to the goal by heading [J].
+    guide : Guide
+        Lower bounds of the energy to come.
+    cols : int
+        Columns of the map.
+    width : float
+        Width of a bucket [J].
+    slack : float
+        Relative gain below which a label stays; above 0 where prices may be negative.
+    backward : bool
+        Whether moves are run against their direction, each at its own price.
+
+    Returns
+    -------
+    last : int
+        The last state, -1 where the goal was not reached.
+    total : float
+        Energy to the goal [J].
+    expanded : int
+        Number of settled states.
+
+    Notes
+    -----
+    From a state the robot drives straight ahead, or turns on the spot to the next heading on either side. Turns add up,
+    so these reach every heading at its own price, and one round from the cheapest heading of a cell relaxes them all.
+    The buckets therefore hold cells, each with a set of headings still to be driven in.
     """
     moves = jump.size
     cells = energy.size // moves
@@ -133,7 +171,24 @@ def _turn(energy, pred, base, gap):
 
 @njit(cache=True, nogil=True)
 def trace_headings(pred, jump, last, backward):
-    """(n,) int64 states that lead from `last` to the seed it was reached from, `last` first."""
+    """Return the states that lead from one state to the seed that it was reached from.
+
+    Parameters
+    ----------
+    pred : ndarray of uint8, (states,)
+        As `search_headings` left it.
+    jump : ndarray of int64, (N,)
+        Step of each move in flat indices.
+    last : int
+        The state to begin with.
+    backward : bool
+        Whether the search was backward.
+
+    Returns
+    -------
+    ndarray of int64, (n,)
+        States, `last` first.
+    """
     count = 1
     state = last
     while pred[state] != SEED:
@@ -148,7 +203,24 @@ def trace_headings(pred, jump, last, backward):
 
 @njit(cache=True)
 def state_before(code, state, jump, backward):
-    """The state that this one was reached from."""
+    """Return the state that one was reached from.
+
+    Parameters
+    ----------
+    code : int
+        `DROVE`, `TURNED_RIGHT` or `TURNED_LEFT`.
+    state : int
+        The state.
+    jump : ndarray of int64, (N,)
+        Step of each move in flat indices.
+    backward : bool
+        Whether the search was backward.
+
+    Returns
+    -------
+    int
+        The state before it.
+    """
     moves = jump.size
     heading = state % moves
     if code == DROVE:

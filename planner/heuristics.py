@@ -1,4 +1,4 @@
-"""Lower bounds in joules for the energy that is still to come.
+"""Lower bounds [J] of the energy that is still to come.
 
 Every move of a `MoveTable` satisfies  energy >= a_s * length + s * rise  for each tabulated share s of the rise of its
 surface p, with a_s = bound_per_m the largest such number. Summed along any grid path from n to a cell m, the rises
@@ -16,10 +16,10 @@ c_s = min over m of (r_m + s p_m - a_s |m - g|),
 A landmark L (`landmarks.py`) with least energies d gives d(n, L) - d(m, L) <= d(n, m) and d(L, m) - d(L, n) <= d(n, m),
 for which the least over m of r_m and the part of m may be taken at once too (Goldberg & Harrelson 2005).
 
-The maximum of consistent bounds is consistent. s = 0 is the plain cheapest-metre bound; s = 1 counts the climb to a
-higher goal in full; and where some prices are negative (regeneration), any s with a_s >= 0 is the height potential that
-makes energy - s * rise >= 0 on every move, which is what Dijkstra needs (Johnson 1977; Sachenbacher et al., AAAI-11).
-`potential.py` sees to it that s = 1 is one wherever there is any.
+The maximum of consistent bounds is consistent. s = 0 is the plain bound by the cheapest metre. s = 1 counts the climb
+to a higher goal in full. Where some prices are negative (regeneration), any s with a_s >= 0 is the height potential
+that makes energy - s * rise >= 0 on every move, which is what Dijkstra needs (Johnson 1977; Sachenbacher et
+al. 2011). `potential.py` makes the surface such that s = 1 is one of them wherever there is any.
 """
 
 from __future__ import annotations
@@ -35,14 +35,36 @@ _NO_MARKS = np.empty((0, 0), dtype=np.float32)
 
 
 def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
-    """(B, 2) usable pairs (a_s [J/m], s) for A*."""
+    """Return the bounds that A* may use.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+
+    Returns
+    -------
+    ndarray of float, (B, 2)
+        Pairs (a_s [J/m], s) with a_s >= 0.
+    """
     pairs = np.column_stack([table.bound_per_m, table.rise_share])
     usable = pairs[(pairs[:, 0] >= 0.0) & np.isfinite(pairs[:, 0])]
     return usable if usable.size else np.zeros((1, 2))  # no move at all
 
 
 def dijkstra_bounds(table: MoveTable) -> NDArray[np.float64]:
-    """(1, 2) the pair (0, s) that turns A* into Dijkstra: s = 0, or the least share of the rise that is needed."""
+    """Return the bound that turns A* into Dijkstra's search.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+
+    Returns
+    -------
+    ndarray of float, (1, 2)
+        The pair (0, s): s = 0, or the least share of the rise that negative prices need.
+    """
     usable = energy_bounds(table)
     return np.array([[0.0, usable[:, 1].min()]])
 
@@ -57,15 +79,37 @@ def guide_towards(
     marks: NDArray[np.float32] | None = None,
     slack_j: float = 0.0,
 ) -> Guide:
-    """What leads a search to `goal` (2,) (row, col), which is joined to the cells `targets` (T,) at `rest` (T,) [J].
+    """Return the bounds that lead a search to a goal.
 
-    bounds : (B, 2) from above; marks : (cells, M) of `Landmarks`, each known to within slack_j / 2.
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+    bounds : ndarray of float, (B, 2)
+        Pairs (a_s [J/m], s), from `energy_bounds` or `dijkstra_bounds`.
+    goal : ndarray of float, (2,)
+        Fractional (row, col).
+    targets : ndarray of int, (T,)
+        Flat cells that the goal is joined to.
+    rest : ndarray of float, (T,)
+        Energy from each of them to the goal [J].
+    spacing_m : float
+        Side of a cell [m].
+    marks : ndarray of float32, (cells, M), optional
+        Of `Landmarks` [J].
+    slack_j : float, default 0.0
+        Rounding error of a difference of two marks [J].
+
+    Returns
+    -------
+    Guide
+        For `run_search`.
     """
     surface = table.surface.ravel()
     pairs = bounds * [[spacing_m, 1.0]]  # [J per cell length]
     row, col = np.divmod(targets, table.energy.shape[1])
-    apart = np.hypot(row - goal[0], col - goal[1])
-    least = (rest + pairs[:, 1:] * surface[targets] - pairs[:, :1] * apart).min(axis=1, initial=np.inf)
+    away = np.hypot(row - goal[0], col - goal[1])
+    least = (rest + pairs[:, 1:] * surface[targets] - pairs[:, :1] * away).min(axis=1, initial=np.inf)
     if marks is None:
         marks = _NO_MARKS
     marks_rest = (rest[:, None] - marks[targets]).min(axis=0, initial=np.inf) - slack_j if marks.size else np.empty(0)
@@ -73,7 +117,24 @@ def guide_towards(
 
 
 def guide_everywhere(table: MoveTable, *, backward: bool) -> Guide:
-    """For a search to all cells: nothing, or the potential that negative prices ask for (backward it changes sign)."""
+    """Return the bounds for a search to all cells: none, or the potential that negative prices need.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+    backward : bool
+        Whether moves are run against their direction; the potential then changes sign.
+
+    Returns
+    -------
+    Guide
+        For `run_search`.
+
+    References
+    ----------
+    Johnson 1977.
+    """
     pairs = dijkstra_bounds(table) * ([[1.0, -1.0]] if backward else [[1.0, 1.0]])
     pairs = pairs[pairs[:, 1] != 0.0]
     return Guide(pairs, np.zeros(len(pairs)), np.zeros(2), table.surface.ravel(), _NO_MARKS, np.empty(0))

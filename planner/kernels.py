@@ -2,9 +2,9 @@
 
 A leg is a straight line between two fractional (row, col) points. Between cell centres the traction of a leg's heading
 is bilinear, so along a leg it is a quadratic within every square of four centres, and its price
-hotel + max(t, 0) + regeneration * min(t, 0) is integrated in closed form, kink included. Cutting a leg anywhere, or
-joining two that are collinear, therefore leaves its energy unchanged. A leg that leans on a blocked cell, or on one
-that is too steep in the leg's heading, has no price: NaN.
+hotel + max(t, 0) + regeneration * min(t, 0) is integrated in closed form, kink included; the hotel load is the idle
+power over the speed. Cutting a leg anywhere, or joining two that are collinear, therefore leaves its energy unchanged.
+A leg that touches a blocked cell, or one that is too steep in the leg's heading, has no price: NaN.
 """
 
 from __future__ import annotations
@@ -22,9 +22,21 @@ TOUCH = 1e-9
 
 @njit(cache=True)
 def heading_weights(heading_rad, weights):
-    """Fill `weights` (K,) with the trigonometric interpolation of K equal bins at a heading.
+    """Fill an array with the weights of the trigonometric interpolation between equal heading bins.
 
-    Exact for every Fourier series of order below K / 2. Source: the periodic sinc (Dirichlet) kernel, e.g.
+    Parameters
+    ----------
+    heading_rad : float
+        Heading [rad, clockwise from north].
+    weights : ndarray of float64, (K,)
+        Is filled with the weight of each bin; they sum to 1.
+
+    Notes
+    -----
+    The periodic sinc (Dirichlet) kernel: exact for every Fourier series of order below K / 2.
+
+    References
+    ----------
     Berrut & Trefethen 2004, section 7.
     """
     count = weights.size
@@ -45,7 +57,20 @@ def heading_weights(heading_rad, weights):
 
 @njit(cache=True)
 def mean_response(t0, tm, t1, regeneration):
-    """Mean over a piece of max(t, 0) + regeneration * min(t, 0), t the quadratic through start, middle and end."""
+    """Return the mean price of motion over a piece of a leg.
+
+    Parameters
+    ----------
+    t0, tm, t1 : float
+        Traction at the start, the middle and the end of the piece [J/m].
+    regeneration : float
+        Share of the energy that comes back where the traction is negative, 0..1.
+
+    Returns
+    -------
+    float
+        Mean of max(t, 0) + regeneration * min(t, 0) [J/m], t the quadratic through the three.
+    """
     mean = (t0 + 4.0 * tm + t1) / 6.0
     if t0 >= 0.0 and t1 >= 0.0 and 4.0 * tm >= t0 + t1:  # concave enough to stay above its chord
         return mean
@@ -99,10 +124,27 @@ def _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cr
 
 @njit(cache=True)
 def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
-    """Energy [J] of the straight leg from (row0, col0) to (row1, col1); NaN when it may not be driven.
+    """Return the energy of the straight leg from (row0, col0) to (row1, col1).
 
-    traction : (rows, cols, K) float32; gradient : (rows, cols, 2) float32; blocked : (rows, cols) uint8;
-    terms : (5,) = spacing [m], hotel [J/m], regeneration, max grade, max cross slope (tangents).
+    Parameters
+    ----------
+    traction : ndarray of float32, (rows, cols, K)
+        Traction of the lattice [J/m].
+    gradient : ndarray of float32, (rows, cols, 2)
+        Rise per metre towards east and north.
+    blocked : ndarray of uint8, (rows, cols)
+        `Blocked` codes for every heading.
+    terms : ndarray of float64, (5,)
+        Side of a cell [m], idle energy per metre [J/m], regeneration, tangents of the greatest grade and cross slope.
+    row0, col0 : float
+        Start.
+    row1, col1 : float
+        End.
+
+    Returns
+    -------
+    float
+        Energy [J]; NaN where the leg may not be driven.
     """
     spacing, hotel, regeneration, max_grade, max_cross = terms[0], terms[1], terms[2], terms[3], terms[4]
     rows, cols, bins = traction.shape
@@ -176,9 +218,29 @@ def _blend(corners, u, v):
 
 @njit(cache=True, nogil=True)
 def leg_energies(traction, gradient, blocked, terms, legs):
-    """`leg_energy` of many legs. legs : (n, 4) float64 of row0, col0, row1, col1. Returns (n,) float64 [J].
+    """Return the energies of many straight legs.
 
-    On one thread: most questions are a handful of legs, and on a busy machine waiting for a second thread takes longer.
+    Parameters
+    ----------
+    traction : ndarray of float32, (rows, cols, K)
+        As for `leg_energy`, like the next three.
+    gradient : ndarray of float32, (rows, cols, 2)
+        Rise per metre.
+    blocked : ndarray of uint8, (rows, cols)
+        `Blocked` codes.
+    terms : ndarray of float64, (5,)
+        Terms of the price.
+    legs : ndarray of float64, (n, 4)
+        row0, col0, row1, col1 of each.
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        Energy [J]; NaN where a leg may not be driven.
+
+    Notes
+    -----
+    On one thread: most questions are a few legs, and on a busy machine waiting for a second thread takes longer.
     """
     out = np.empty(legs.shape[0])
     for k in range(legs.shape[0]):
@@ -188,7 +250,22 @@ def leg_energies(traction, gradient, blocked, terms, legs):
 
 @njit(cache=True)
 def turn_angle(row0, col0, row1, col1, row2, col2):
-    """Absolute change of heading [rad, 0..pi] between the legs 0-1 and 1-2; zero beside an empty leg."""
+    """Return the absolute change of heading between the legs 0-1 and 1-2.
+
+    Parameters
+    ----------
+    row0, col0 : float
+        Point 0.
+    row1, col1 : float
+        Point 1, where the turn is.
+    row2, col2 : float
+        Point 2.
+
+    Returns
+    -------
+    float
+        Angle [rad, 0..pi]; zero beside a leg of no length.
+    """
     a, b = row1 - row0, col1 - col0
     c, d = row2 - row1, col2 - col1
     if (a == 0.0 and b == 0.0) or (c == 0.0 and d == 0.0):
@@ -198,7 +275,28 @@ def turn_angle(row0, col0, row1, col1, row2, col2):
 
 @njit(cache=True)
 def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
-    """Energy [J] of a polyline with its turns. points : (n, 2) float64 (row, col). NaN when a leg may not be driven."""
+    """Return the energy of a polyline with its turns.
+
+    Parameters
+    ----------
+    traction : ndarray of float32, (rows, cols, K)
+        As for `leg_energy`, like the next three.
+    gradient : ndarray of float32, (rows, cols, 2)
+        Rise per metre.
+    blocked : ndarray of uint8, (rows, cols)
+        `Blocked` codes.
+    terms : ndarray of float64, (5,)
+        Terms of the price.
+    turn_j_per_rad : float
+        Energy of turning on the spot [J/rad].
+    points : ndarray of float64, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    float
+        Energy [J]; NaN where a leg may not be driven.
+    """
     energy = 0.0
     for k in range(1, points.shape[0]):
         energy += leg_energy(

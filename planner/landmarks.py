@@ -1,4 +1,4 @@
-"""Landmarks: least energies to and from a few places at the rim, which tell A* far more than distance and height do."""
+"""Landmarks: least energies to and from a few places at the rim, sharper bounds for A* than distance and height."""
 
 from __future__ import annotations
 
@@ -23,9 +23,20 @@ _EPS = float(np.finfo(np.float32).eps)
 class Landmarks:
     """Energies between every cell and some places, as bounds on what is still to come (see `heuristics`).
 
-    cells : (L,) flat indices. marks : (cells, 2 L) float32 [J], the least energy to each place, then minus the least
-    energy from each; infinite where there is no way. slack_j : what rounding to float32 may have added to a difference
-    of two. Turns do not count in them, which makes them lower bounds where turning costs.
+    Turns do not count in them, which makes them lower bounds where turning costs.
+
+    Attributes
+    ----------
+    cells : ndarray of int, (L,)
+        Flat indices of the places.
+    marks : ndarray of float32, (cells, 2 L)
+        Least energy to each place [J], then minus the least energy from each; infinite where there is no path.
+    slack_j : float
+        What rounding to float32 may have added to a difference of two marks [J].
+
+    References
+    ----------
+    Goldberg & Harrelson 2005.
     """
 
     cells: NDArray[np.int64]
@@ -36,15 +47,34 @@ class Landmarks:
 def make_landmarks(
     table: MoveTable, *, count: int = DEFAULT_LANDMARKS, progress: Callable[[float], None] | None = None
 ) -> Landmarks:
-    """Two energy fields for each of `count` landmarks: O(count * cells) time, 8 * count bytes per cell to keep.
+    """Compute two energy fields for each of some landmarks.
 
     They are the outermost cells in equally spaced directions (for 4: the corners) of the largest connected ground.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+    count : int, default 4
+        Number of landmarks.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    Landmarks
+        For A* searches over this table.
+
+    Notes
+    -----
+    O(count * cells) time; 8 * count bytes per cell are kept.
     """
     cells = _outermost(table, count)
     marks = np.empty((table.surface.size, 2 * cells.size), dtype=np.float32)
     largest = 0.0
 
-    def fill(column: int) -> float:
+    def _fill(column: int) -> float:
+        """Compute one column; the largest finite energy in it [J]."""
         backward = column < cells.size
         search = new_search(table, 1, cells[column % cells.size, None], np.zeros((1, 1)), backward=backward)
         run_search(search, table, cells[column % cells.size, None], guide_everywhere(table, backward=backward))
@@ -52,7 +82,7 @@ def make_landmarks(
         return float(np.abs(search.energy_j[np.isfinite(search.energy_j)]).max())
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for k, size in enumerate(pool.map(fill, range(marks.shape[1]))):
+        for k, size in enumerate(pool.map(_fill, range(marks.shape[1]))):
             largest = max(largest, size)
             if progress is not None:
                 progress((k + 1) / marks.shape[1])

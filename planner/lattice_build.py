@@ -212,33 +212,62 @@ def write_lattice(
         If something else than a cost lattice is at `path`.
     """
     folder = LatticeFolder(path)
-    with _ending_by_exception(), folder.whole_or_nothing():
-        folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
+    with _Interruptions() as interruptions, folder.whole_or_nothing():
+        with interruptions.held_back():
+            folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
         for number, place in enumerate(tiling):
             part = build_tile(ground, robot, source, tiling, *place)
-            folder.write(part, *place)
+            with interruptions.held_back():
+                folder.write(part, *place)
             if each is not None:
                 each(part)
             if progress is not None:
                 progress((number + 1) / len(tiling))
         provenance = provenance_of(ground, robot, source, tiling)
-        folder.finish(provenance)
+        with interruptions.held_back(to_the_end=True):
+            folder.finish(provenance)
     return provenance
 
 
-@contextmanager
-def _ending_by_exception() -> Iterator[None]:
-    """Let SIGTERM raise SystemExit, as Ctrl-C raises KeyboardInterrupt, where nobody else listens to it."""
-    listens = threading.current_thread() is threading.main_thread() and (
-        signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    )
-    if listens:
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    try:
-        yield
-    finally:
-        if listens:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+class _Interruptions:
+    """Ctrl-C and SIGTERM raise an exception, but not while zarr writes: its own thread would go on writing, into a
+    folder that is being removed. Where somebody else listens to a signal, it is left to them.
+    """
+
+    def __init__(self) -> None:
+        self._held = False
+        self._came: int | None = None
+
+    def __enter__(self) -> _Interruptions:
+        usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+        here = threading.current_thread() is threading.main_thread()
+        self._before = {n: old for n, old in usual.items() if here and signal.getsignal(n) == old}
+        for number in self._before:
+            signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, _: object) -> None:
+        if self._held:
+            self._came = number
+        elif number == signal.SIGINT:
+            raise KeyboardInterrupt
+        else:
+            sys.exit(128 + number)
+
+    @contextmanager
+    def held_back(self, *, to_the_end: bool = False) -> Iterator[None]:
+        """Let what comes meanwhile wait for the end of the block; after the last block there is nothing to end."""
+        self._held = True
+        try:
+            yield
+        finally:
+            self._held = to_the_end
+            if self._came is not None and not to_the_end:
+                self._handle(self._came, None)
 
 
 def knows_spread(source: TractionSource, robot: Robot) -> bool:

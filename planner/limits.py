@@ -1,4 +1,4 @@
-"""Where the robot can stand at all: slope, steps and unknown ground, read off the heightmap around every cell."""
+"""Where the robot can be at all: slope, steps and unknown ground, from the heightmap around every cell."""
 
 from __future__ import annotations
 
@@ -24,15 +24,33 @@ _ROWS_AT_ONCE = 32
 def ground_limits(
     heightmap: Heightmap, frame: GridFrame, robot: Robot
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
-    """Elevation, gradient and heading-free blocked codes of every cell of `frame`.
+    """Return elevation, gradient and the blocked codes that hold for every heading.
 
-    elevation : (rows, cols) float32 [m] at the centre. gradient : (rows, cols, 2) float32, the least-squares plane
-    through the square metre around the cell, rise per metre to east and north. blocked : (rows, cols) uint8.
+    Parameters
+    ----------
+    heightmap : Heightmap
+        Heights of the cells and of the square metre around each.
+    frame : GridFrame
+        The cells.
+    robot : Robot
+        The robot, whose wheel radius counts.
 
-    A step is what a wheel or the belly meets, either of
+    Returns
+    -------
+    elevation : ndarray of float32, (rows, cols)
+        At the cell centre [m].
+    gradient : ndarray of float32, (rows, cols, 2)
+        Rise per metre to east and north of the least-squares plane through the square metre around the cell.
+    blocked : ndarray of uint8, (rows, cols)
+        `Blocked` codes.
+
+    Notes
+    -----
+    A step is what a wheel or the underside of the robot hits, either of
+
     - a rise within one wheel diameter (to whole pixels, so only maps finer than a wheel show it), along a row or a
       column of the heightmap, that exceeds the wheel radius and that neither the run before it nor the one after
-      shares: a kerb, a wall or a ditch, but not a steep slope, which is a matter of grade;
+      shares: a kerb, a wall or a ditch, but not a steep slope, which is limited by the grade;
     - ground that departs from the plane by more than the wheel diameter: a boulder, a post or a hole.
     """
     samples = int(np.clip(round(SQUARE_M / heightmap.resolution_m) + 1, 9, 21))

@@ -1,4 +1,4 @@
-"""The price of every grid move: 8, 16 or 32 neighbours of every cell, priced as `edges` would, all at once."""
+"""The price of every grid move: 8, 16 or 32 neighbours of every cell, priced as by `edges`, all at once."""
 
 from __future__ import annotations
 
@@ -30,13 +30,23 @@ RISE_SHARES = np.array([0.0, 0.5, 1.0])
 class MoveTable:
     """Energies of all grid moves of a lattice.
 
-    offsets : (N, 2) int64 (drow, dcol), clockwise from north. heading_rad, length_m : (N,).
-    energy : (rows, cols, N) float32 [J] of the move that leaves a cell; NaN where it may not be driven.
-    turn_j : (N, N) float64 [J] of turning from one move's heading into another's.
-    surface : (rows, cols) float64 [J], what a rise is counted on: weight times elevation, evened out (`potential`).
-    rise_share : (B,) shares s of the rise, ascending from 0.
-    bound_per_m : (B,) float64 [J/m], the largest a with energy >= a * length + s * rise for every move of the map (up
-        positive): the heuristics and the potential for negative prices rest on it.
+    Attributes
+    ----------
+    offsets : ndarray of int64, (N, 2)
+        (drow, dcol) of each move, clockwise from north.
+    heading_rad, length_m : ndarray of float64, (N,)
+        Heading [rad, clockwise from north] and length [m] of each move.
+    energy : ndarray of float32, (rows, cols, N)
+        Energy of the move that leaves a cell [J]; NaN where it may not be driven.
+    turn_j : ndarray of float64, (N, N)
+        Energy of turning from one move's heading (row) to another's (column) [J].
+    surface : ndarray of float64, (rows, cols)
+        What a rise is counted on [J]: weight times elevation, smoothed (see `potential`).
+    rise_share : ndarray of float64, (B,)
+        Shares s of the rise, ascending from 0.
+    bound_per_m : ndarray of float64, (B,)
+        The largest a [J/m] with energy >= a * length + s * rise for every move of the map (up positive). The heuristics
+        and the potential for negative prices are made of it.
     """
 
     offsets: NDArray[np.int64]
@@ -50,7 +60,7 @@ class MoveTable:
 
     @property
     def jump(self) -> NDArray[np.int64]:
-        """(N,) step of every move in flat cell indices."""
+        """Step of every move in flat cell indices: int64, (N,)."""
         return self.offsets @ np.array([self.energy.shape[1], 1], dtype=np.int64)
 
     @property
@@ -60,7 +70,7 @@ class MoveTable:
 
     @property
     def gap_j(self) -> NDArray[np.float64]:
-        """(N,) energy [J] of turning from each move's heading to the next one's, clockwise."""
+        """Energy of turning from each move's heading to the next one's, clockwise: (N,) [J]."""
         return np.append(np.diagonal(self.turn_j, 1), self.turn_j[-1, 0])
 
     @cached_property
@@ -76,14 +86,41 @@ class MoveTable:
 
 
 def distance_table(table: MoveTable) -> MoveTable:
-    """The same moves at 1 J per metre, with neither climbs nor turns to pay: its cheapest paths are the shortest."""
+    """Return the same moves at 1 J per metre, without climbs and turns: its cheapest paths are the shortest.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+
+    Returns
+    -------
+    MoveTable
+        The table of distances.
+    """
     length = np.where(np.isnan(table.energy), np.float32(np.nan), table.length_m.astype(np.float32))
     flat = np.zeros(1)
     return replace(table, energy=length, turn_j=np.zeros_like(table.turn_j), rise_share=flat, bound_per_m=flat + 1.0)
 
 
 def move_offsets(neighbours: int) -> NDArray[np.int64]:
-    """(N, 2) int64 (drow, dcol) of the N = 8, 16 or 32 shortest moves of different heading, clockwise from north."""
+    """Return the shortest moves of different heading.
+
+    Parameters
+    ----------
+    neighbours : {8, 16, 32}
+        Number of moves N.
+
+    Returns
+    -------
+    ndarray of int64, (N, 2)
+        (drow, dcol), clockwise from north.
+
+    Raises
+    ------
+    InputError
+        If `neighbours` is another number.
+    """
     if neighbours not in NEIGHBOURS:
         raise InputError(f"neighbours must be 8, 16 or 32, got {neighbours}", neighbours=neighbours)
     reach = {8: 1, 16: 2, 32: 3}[neighbours]
@@ -93,7 +130,31 @@ def move_offsets(neighbours: int) -> NDArray[np.int64]:
 
 
 def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
-    """Price all grid moves of a lattice; O(rows * cols * N), two compiled passes."""
+    """Price all grid moves of a lattice.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    neighbours : {16, 8, 32}
+        Moves per cell N.
+
+    Returns
+    -------
+    MoveTable
+        The priced moves.
+
+    Raises
+    ------
+    InputError
+        If `neighbours` is another number.
+    NegativeCycleError
+        If driving in a circle would fill the battery.
+
+    Notes
+    -----
+    O(rows * cols * N) time, two compiled passes.
+    """
     offsets = move_offsets(neighbours)
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * lattice.frame.resolution_m
@@ -107,10 +168,27 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
 
 
 def repriced(table: MoveTable, lattice: CostLattice, window: tuple[int, int, int, int]) -> MoveTable:
-    """The table of a lattice that differs from the one `table` was made of in a window (row0, row1, col0, col1) only.
+    """Return the moves of a lattice that differs in one window only from the one that a table was made of.
 
-    Prices are written into `table.energy`, the surface stays, and the bounds hold for both lattices. Where the prices
-    call for another surface, everything is priced anew.
+    Parameters
+    ----------
+    table : MoveTable
+        Moves of the lattice before; prices are written into its `energy`.
+    lattice : CostLattice
+        The lattice now.
+    window : tuple of int
+        (row0, row1, col0, col1) that holds every changed cell.
+
+    Returns
+    -------
+    MoveTable
+        The moves now. The surface stays and the bounds hold for both lattices; where the prices need another surface,
+        everything is priced again.
+
+    Raises
+    ------
+    NegativeCycleError
+        If driving in a circle would fill the battery now.
     """
     row0, row1, col0, col1 = window
     rows, cols = lattice.frame.shape
@@ -208,7 +286,7 @@ def _pieces(drow: int, dcol: int) -> list[tuple[float, NDArray[np.int64], NDArra
 
 
 def _stack_stencils(offsets, pieces):
-    """Per move, the cells it leans on (N, S, 2) and their shares of the mean traction (N, S); padded with share -1."""
+    """Per move, the cells it touches (N, S, 2) and their shares of the mean traction (N, S); padded with share -1."""
     stencils = []
     for move in pieces:
         total: dict[tuple[int, int], float] = {}

@@ -1,10 +1,10 @@
-"""A surface whose rise explains as much of the prices as one surface can: heuristics and negative prices rest on it.
+"""A surface whose rise explains as much of the prices as one surface can: heuristics and negative prices use it.
 
-Robot weight times elevation explains the climbs but for noise: a price comes from the slope of a square metre, a rise
-from two heights. Taken as it is, the noisiest move of the map would set the bound for all. A surface may be anything,
-so it is first averaged towards what the prices there and back say, then lowered here and there until every move costs
-at least its rise and some `a` per metre beside it. How large `a` may grow is set by the cheapest loop of the map,
-around which every rise cancels (Bellman-Ford; Johnson 1977).
+Robot weight times elevation explains the climbs except for noise: a price comes from the slope of a square metre, a
+rise from two heights. Taken as it is, the noisiest move of the map would set the bound for all. The surface need not be
+the ground, so it is first averaged towards the prices there and back, then lowered in places until every move costs at
+least its rise and some `a` per metre on top. How large `a` may be is set by the cheapest loop of the map, around which
+every rise cancels (Bellman-Ford; Johnson 1977).
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from joulemap.model.errors import NegativeCycleError
 
 SWEEPS = 3
-"""Averages over neighbours: they take out noise, which is all that has to go."""
+"""Averages over neighbours: they remove noise, which is all that has to go."""
 HALVINGS = 6
-"""How closely the largest `a` is found: this often the span it may lie in, which is a few J/m, is halved."""
+"""How closely the largest `a` is found: the span that it may lie in, which is a few J/m, is halved this many times."""
 EFFORT = 0.5
-"""Looks at cells that one try may take, as a share of all cells; where a loop forbids it they never end."""
+"""Visits of cells that one try may take, as a share of all cells; where a loop forbids it they never end."""
 ROUNDING_J = 1e-9
 """What a move may cost less than its rise: it would be rounding."""
 
@@ -30,11 +30,32 @@ ROUNDING_J = 1e-9
 def even_surface(
     energy: NDArray[np.float32], offsets: NDArray[np.int64], length_m: NDArray[np.float64], surface: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(rows, cols) float64 [J]: `surface` evened out, so that every move costs as much beside its rise as can be had.
+    """Return a smoothed surface, so that every move costs as much as possible beyond its rise.
 
-    energy : (rows, cols, N) float32 [J], NaN where there is no such move; offsets : (N, 2) clockwise all the way
-    round; length_m : (N,); surface : (rows, cols) float64 [J]. Where some prices are negative no move costs less than
-    its rise afterwards; NegativeCycleError, with a place on the loop, where no surface can do that.
+    Parameters
+    ----------
+    energy : ndarray of float32, (rows, cols, N)
+        Energy of every move [J]; NaN where there is none.
+    offsets : ndarray of int64, (N, 2)
+        (drow, dcol) of the moves, clockwise over the whole circle.
+    length_m : ndarray of float64, (N,)
+        Their lengths [m].
+    surface : ndarray of float64, (rows, cols)
+        The surface to begin with [J].
+
+    Returns
+    -------
+    ndarray of float64, (rows, cols)
+        The surface [J]. Where some prices are negative, no move costs less than its rise on it.
+
+    Raises
+    ------
+    NegativeCycleError
+        If no surface can do that; the context has a place on the loop.
+
+    References
+    ----------
+    Johnson 1977; Cherkassky & Goldberg 1999 (negative cycles).
     """
     for _ in range(SWEEPS):
         surface = _levelled(energy, offsets, surface)
@@ -93,7 +114,24 @@ def _levelled(energy, offsets, surface):
 
 @njit(cache=True, parallel=True)
 def spare_per_m(energy, offsets, length_m, surface):
-    """(rows, cols) float64 [J/m]: the least over a cell's moves of (energy - rise) / length; inf where it has none."""
+    """Return the least energy per metre beyond the rise, over the moves of each cell.
+
+    Parameters
+    ----------
+    energy : ndarray of float32, (rows, cols, N)
+        Energy of every move [J]; NaN where there is none.
+    offsets : ndarray of int64, (N, 2)
+        (drow, dcol) of the moves.
+    length_m : ndarray of float64, (N,)
+        Their lengths [m].
+    surface : ndarray of float64, (rows, cols)
+        What a rise is counted on [J].
+
+    Returns
+    -------
+    ndarray of float64, (rows, cols)
+        Least (energy - rise) / length [J/m]; infinite where a cell has no move.
+    """
     rows, cols, moves = energy.shape
     least = np.full((rows, cols), np.inf)
     for i in prange(rows):
@@ -110,8 +148,8 @@ def spare_per_m(energy, offsets, length_m, surface):
 def _lower(energy, offsets, length_m, surface, least, floor, effort):
     """Lower `surface` until each move costs at least its rise and `floor` per metre: -1, or a cell where that failed.
 
-    least : `spare_per_m` of the surface, which says where to begin; effort : looks at cells before it counts as failed.
-    With boundless effort it fails only for good: the cell lies on a loop that costs less (`_loop`).
+    least : `spare_per_m` of the surface, which says where to begin; effort : visits of cells before it counts as
+    failed. With unlimited effort it fails only where it must: the cell lies on a loop that costs less (`_loop`).
     """
     rows, cols, moves = energy.shape
     cells = rows * cols

@@ -1,8 +1,8 @@
 """Any-angle improvement of a grid path: never dearer, never over blocked ground, priced by the one integrator.
 
-Two moves alternate from coarse to fine. *Shortcut* keeps, out of all vertices, the chain of straight legs that costs
-least (a dynamic programme, so zigzags stay where they pay). *Relax* cuts long legs and shifts every vertex, and every
-leg as a whole, by ever smaller steps as long as the energy falls.
+Two steps alternate from coarse to fine. *Shortcut* keeps, out of all vertices, the chain of straight legs that costs
+least (dynamic programming, so zigzags stay where they pay). *Relax* cuts long legs and shifts every vertex, and every
+leg as a whole, by ever smaller steps as long as the energy falls (a pattern search, Hooke & Jeeves 1961).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from joulemap.planner.kernels import leg_energy, turn_angle
 from joulemap.planner.lattice import CostLattice
 
 PAIR_BUDGET = 300_000
-"""Cells that the legs of one shortcut pass may cross in all; longer paths look less far ahead."""
+"""Cells that the legs of one shortcut pass may cross in total; on longer paths a shortcut spans fewer vertices."""
 Levels = tuple[tuple[float, float, float], ...]
 LEVELS: Levels = (
     (math.inf, 8.0, 0.5),
@@ -25,16 +25,28 @@ LEVELS: Levels = (
     (2.0, 0.5, 0.03125),
     (math.inf, 0.25, 0.015625),
 )
-"""Longest leg, first and last shift of its vertices [cells]. Coarse to fine, so that small bends are found too; whole
-legs first and last, so that a zigzag can change its angle as one."""
+"""Longest leg, first and last shift of its vertices [cells]. Coarse to fine, so that small changes of direction are
+found too; whole legs first and last, so that a zigzag can change its angle as one."""
 SWEEPS = 24
-"""Most sweeps over the vertices with one shift."""
+"""Largest number of sweeps over the vertices with one shift."""
 
 
 def refine_path(lattice: CostLattice, points: Points, *, levels: Levels = LEVELS) -> Points:
-    """A polyline (m, 2) of (row, col) with the same ends and at most the energy of `points` (n, 2).
+    """Return a polyline of any angles with the same ends and at most the same energy.
 
-    Ground is only left out or added where each new leg may be driven. Returns `points` when nothing is gained.
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+    levels : tuple of tuple of float
+        Longest leg, first and last shift of its vertices [cells], from coarse to fine.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline whose legs may all be driven; `points` where nothing is gained.
     """
     best = _distinct(np.ascontiguousarray(points, dtype=np.float64))
     if len(best) < 3:
@@ -65,7 +77,20 @@ def _distinct(points: Points) -> Points:
 
 
 def subdivided(points: Points, leg_cells: float) -> Points:
-    """The same polyline with no leg longer than `leg_cells`."""
+    """Return the same polyline with no leg longer than a limit.
+
+    Parameters
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+    leg_cells : float
+        Longest leg [cells].
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline.
+    """
     out = [points[:1]]
     for a, b in zip(points[:-1], points[1:], strict=True):
         count = max(1, math.ceil(math.dist(a, b) / leg_cells))
@@ -137,7 +162,7 @@ def _local_energy(traction, gradient, blocked, terms, turn_j_per_rad, points, i,
 def _relax(traction, gradient, blocked, terms, turn_j_per_rad, points, step, last_step, sweeps):
     """Pattern search over vertices and whole legs, with shifts from `step` halved down to `last_step`.
 
-    A vertex is looked at again only after it or one of its neighbours has moved.
+    A vertex is tried again only after it or one of its neighbours has moved.
     """
     points = points.copy()
     n = points.shape[0]

@@ -1,8 +1,9 @@
-"""Planning again when a part of the map has changed, or the robot has moved: only what depends on it is searched anew.
+"""Planning again when a part of the map has changed, or the robot has moved: only what depends on it is searched again.
 
 The energy field towards the goals is a tree. A price that rose, or a move that is gone, takes the branch behind it out
 of the tree; the search then goes on from the ground around the gap, and from the moves that became cheaper (Ramalingam
-& Reps 1996; the same idea as D* Lite, with a field that answers every start). A robot that has moved costs a walk.
+& Reps 1996; the same idea as D* Lite of Koenig & Likhachev 2002, with a field that answers every start). For a robot
+that has moved, the path is read from the field.
 """
 
 from __future__ import annotations
@@ -25,20 +26,67 @@ Window = tuple[int, int, int, int]
 
 
 class Replanner:
-    """The cheapest ways to some goals on a map that changes. Its answers are those of a field made anew."""
+    """The cheapest paths to some goals on a map that changes; its answers are those of a new field.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    goals : ndarray of float, (k, 2)
+        Fractional (row, col).
+    neighbours : {16, 8, 32}
+        Moves per cell.
+
+    Raises
+    ------
+    BlockedError
+        If no leg reaches one of the goals.
+    """
 
     def __init__(self, lattice: CostLattice, goals: Points, *, neighbours: int = 16) -> None:
-        """goals : (k, 2) (row, col). Raises BlockedError for a goal that no leg reaches."""
         self.field: EnergyField = field_towards(lattice, move_table(lattice, neighbours=neighbours), goals)
 
     def path_from(self, start: Points) -> GridPath:
-        """The cheapest way from `start` (2,) (row, col) to the nearest goal. Raises NoRouteError."""
+        """Return the cheapest path from a place to the nearest goal.
+
+        Parameters
+        ----------
+        start : ndarray of float, (2,)
+            Fractional (row, col).
+
+        Returns
+        -------
+        GridPath
+            The path and its energy [J].
+
+        Raises
+        ------
+        NoRouteError
+            If no goal can be reached.
+        """
         return self.field.path_from(start)
 
     def change(self, lattice: CostLattice, *, window: Window | None = None) -> int:
-        """Go over to a lattice of the same frame, robot and headings; the states whose way was taken out.
+        """Change to another lattice of the same frame, robot and headings.
 
-        window : (row0, row1, col0, col1) that holds every changed cell; found by comparing the lattices where None.
+        Parameters
+        ----------
+        lattice : CostLattice
+            Prices and limits now.
+        window : tuple of int, optional
+            (row0, row1, col0, col1) that holds every changed cell; found by comparing the lattices where None.
+
+        Returns
+        -------
+        int
+            Number of states whose path was lost and searched again.
+
+        Raises
+        ------
+        BlockedError
+            If no leg reaches one of the goals any more.
+        NegativeCycleError
+            If driving in a circle would fill the battery now.
         """
         field = self.field
         window = changed_window(field.lattice, lattice) if window is None else window
@@ -74,7 +122,18 @@ class Replanner:
 
 
 def changed_window(before: CostLattice, after: CostLattice) -> Window | None:
-    """The smallest (row0, row1, col0, col1) outside which two lattices of one frame are the same; None: everywhere."""
+    """Return the smallest window outside which two lattices of one frame are the same.
+
+    Parameters
+    ----------
+    before, after : CostLattice
+        The lattices.
+
+    Returns
+    -------
+    tuple of int or None
+        (row0, row1, col0, col1); None where they are the same everywhere.
+    """
     differs = before.blocked != after.blocked
     for name in ("traction_per_m", "gradient", "elevation_m"):
         a, b = getattr(before, name), getattr(after, name)
@@ -100,7 +159,7 @@ def _same(before: list, after: list) -> bool:
 
 @njit(cache=True, nogil=True)
 def _cut_off(energy, pred, changed, jump, layers):
-    """(states,) bool: whose way to the goals uses a dearer move. changed : (cells, N) 1 cheaper, 2 dearer or gone."""
+    """(states,) bool: whose path to the goals uses a dearer move. changed : (cells, N) 1 cheaper, 2 dearer or gone."""
     fate = np.zeros(energy.size, dtype=np.uint8)  # 1: stays, 2: goes
     way = np.empty(energy.size, dtype=np.int64)
     for state in range(energy.size):

@@ -1,4 +1,4 @@
-"""The states of a search, their labels, and the compiled search that settles them: what paths and fields share."""
+"""The states of a search, their labels, and the compiled search that settles them: shared by paths and fields."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 
 _SLACK = 1e-12
-"""Relative gain that is taken for rounding where prices may be negative, so that no loop goes on for ever."""
+"""Relative gain that counts as rounding where prices may be negative, so that no loop goes on for ever."""
 _CELL_WIDTH, _TURN_WIDTH = 2.0, 0.6
 """Width of a bucket in typical prices, and with turning the share of a full turn that it spans; measured: wide buckets
 settle some cells again, and walk through memory in better order."""
@@ -21,10 +21,21 @@ settle some cells again, and walk through memory in better order."""
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Search:
-    """What a search leaves behind: a label [J] and a code of how it came there for every state (cell * layers + layer).
+    """The result of a search: for every state the energy and how it was reached.
 
-    With one layer a state is a cell; with as many as there are moves it is a cell and the heading that the robot looks
-    in. Backward, labels count towards the seeds.
+    A state has the index cell * layers + layer. With one layer it is a cell; with as many as there are moves it is a
+    cell and the heading of the robot.
+
+    Attributes
+    ----------
+    energy_j : ndarray of float, (states,)
+        Least energy [J]: from the seeds, or, backward, to them.
+    pred : ndarray of uint8, (states,)
+        Code of the move or turn by which each state was reached.
+    layers : int
+        Headings per cell.
+    backward : bool
+        Whether moves were run against their direction.
     """
 
     energy_j: NDArray[np.float64]
@@ -33,7 +44,15 @@ class Search:
     backward: bool
 
     def seed(self, cells: NDArray[np.int64], cost: NDArray[np.float64]) -> None:
-        """Let cells (S,) be reached at cost (S, layers) [J], where that is less than they have."""
+        """Set the energy of some cells where that is less than they have.
+
+        Parameters
+        ----------
+        cells : ndarray of int, (S,)
+            Flat indices.
+        cost : ndarray of float, (S, layers)
+            Energy [J].
+        """
         for cell, joined in zip(cells.tolist(), cost, strict=True):
             states = slice(cell * self.layers, (cell + 1) * self.layers)
             less = joined < self.energy_j[states]
@@ -41,20 +60,65 @@ class Search:
             self.pred[states][less] = SEED
 
     def trace(self, table: MoveTable, last: int) -> NDArray[np.int64]:
-        """(n,) states from `last` back to the seed it was reached from (for backward searches: on to the goal)."""
+        """Return the states from one state back to the seed that it was reached from.
+
+        Parameters
+        ----------
+        table : MoveTable
+            The moves of the search.
+        last : int
+            The state to begin with.
+
+        Returns
+        -------
+        ndarray of int, (n,)
+            `last` first; for a backward search the way on to the goal.
+        """
         trace = trace_cells if self.layers == 1 else trace_headings
         return trace(self.pred, table.jump, last, self.backward)
 
 
 def layer_count(lattice: CostLattice, table: MoveTable) -> int:
-    """Headings in a search state: all of the moves' where turning costs, else one."""
+    """Return the number of headings in a search state: all of the moves' where turning costs, else one.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Whose robot counts.
+    table : MoveTable
+        Priced moves.
+
+    Returns
+    -------
+    int
+        Number of layers L.
+    """
     return len(table.offsets) if lattice.robot.turn_j_per_rad > 0.0 else 1
 
 
 def new_search(
     table: MoveTable, layers: int, cells: NDArray[np.int64], cost: NDArray[np.float64], *, backward: bool
 ) -> Search:
-    """Labels of nothing but the seeds: cells (S,) at cost (S, layers) [J]."""
+    """Return a search in which nothing but the seeds has been reached.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+    layers : int
+        Headings in a search state L, see `layer_count`.
+    cells : ndarray of int, (S,)
+        Flat indices of the seeds.
+    cost : ndarray of float, (S, L)
+        Their energies [J].
+    backward : bool
+        Whether moves will be run against their direction.
+
+    Returns
+    -------
+    Search
+        For `run_search`.
+    """
     states = table.surface.size * layers
     search = Search(np.full(states, np.inf), np.zeros(states, dtype=np.uint8), layers, backward)
     search.seed(cells, cost)
@@ -69,7 +133,32 @@ def run_search(
     targets: NDArray[np.int64] | None = None,
     rest: NDArray[np.float64] | None = None,
 ) -> tuple[int, float, int]:
-    """Settle what follows from the cells `first`, in place: the last state, the energy to the goal, states settled."""
+    """Settle what follows from some cells, in place.
+
+    Parameters
+    ----------
+    search : Search
+        Labels so far; they are changed.
+    table : MoveTable
+        Priced moves.
+    first : ndarray of int, (F,)
+        Flat indices of the cells to begin with, each once.
+    guide : Guide
+        Lower bounds of the energy to come.
+    targets : ndarray of int, (T,), optional
+        Flat indices of cells that are joined to the goal; without them all cells are settled.
+    rest : ndarray of float, (T, layers), optional
+        Energy from them to the goal [J].
+
+    Returns
+    -------
+    last : int
+        The last state before the goal, -1 where it was not reached.
+    energy_j : float
+        Energy to the goal [J].
+    settled : int
+        Number of settled states.
+    """
     layers = search.layers
     cols = table.energy.shape[1]
     price = table.energy.reshape(-1, len(table.offsets))

@@ -18,15 +18,22 @@ TILE_CELLS = 256
 HEADING_LIMITS = (4, 360)
 _TILE_HEIGHTS = 64_000_000
 _LEAST_CELLS = 16
-_LOOKS_M = 2.0  # a model looks at the square of at most 2 m around a place, turned by any heading
-_LOOKS_PIXELS = 4  # and interpolates
+_REACH_M = 2.0  # a model reads the square of at most 2 m around a place, turned by any heading
+_REACH_PIXELS = 4  # and interpolates
 
 
 @dataclass(frozen=True)
 class Tiling:
     """The cells of a lattice in square tiles, row by row from the north-west.
 
-    frame : of the whole lattice; headings : number of bins; side : cells along a tile (fewer at the south and east).
+    Attributes
+    ----------
+    frame : GridFrame
+        Of the whole lattice.
+    headings : int
+        Number of heading bins.
+    side : int
+        Cells along a tile; fewer at the southern and eastern edge.
     """
 
     frame: GridFrame
@@ -35,9 +42,30 @@ class Tiling:
 
     @classmethod
     def of(cls, ground: GridFrame, *, spacing_m: float, headings: int, side: int | None = None) -> Tiling:
-        """The tiles of a lattice of `spacing_m` cells over a heightmap's frame; the same on every machine.
+        """Return the tiles of a lattice over a heightmap; the same on every machine.
 
-        Raises InputError on a bad number of headings, HeightmapError where the spacing does not fit the map.
+        Parameters
+        ----------
+        ground : GridFrame
+            The heightmap's frame.
+        spacing_m : float
+            Side of a cell of the lattice [m].
+        headings : int
+            Number of heading bins, 4 to 360.
+        side : int, optional
+            Cells along a tile; chosen from the heightmap's resolution where None.
+
+        Returns
+        -------
+        Tiling
+            The tiles.
+
+        Raises
+        ------
+        InputError
+            If the number of headings is out of range.
+        HeightmapError
+            If the spacing does not fit the map.
         """
         low, high = HEADING_LIMITS
         if not low <= headings <= high:
@@ -59,11 +87,11 @@ class Tiling:
 
     @property
     def values(self) -> int:
-        """rows * cols * headings."""
+        """Number of values of the lattice: rows * cols * headings."""
         return self.frame.rows * self.frame.cols * self.headings
 
     def __getitem__(self, number: int) -> tuple[slice, slice]:
-        """(rows, cols) of a tile."""
+        """Return (rows, cols) of a tile."""
         if not 0 <= number < len(self):
             raise IndexError(number)
         down, right = divmod(number, -(-self.frame.cols // self.side))
@@ -74,13 +102,29 @@ class Tiling:
 
 
 def ground_of(ground: Ground, cells: GridFrame, robot: Robot) -> Heightmap:
-    """The heights that the lattice's `cells` depend on: theirs, and an overlap as wide as any model looks.
+    """Return the heights that some cells of a lattice depend on.
 
-    A model looks at the square around a place and at what lies under the robot there; limits look as far as a wheel
-    rolls beyond the square.
+    Parameters
+    ----------
+    ground : Ground
+        The heightmap, in memory or in a file.
+    cells : GridFrame
+        The cells.
+    robot : Robot
+        The robot, whose size counts.
+
+    Returns
+    -------
+    Heightmap
+        The heights of the cells and of a margin around them.
+
+    Notes
+    -----
+    A model reads the square around a place and what lies under the robot there; limits reach as far as a wheel rolls
+    beyond the square.
     """
-    reach = _LOOKS_M + robot.length_m + robot.width_m + 6.0 * robot.wheel_radius_m
-    more = reach / ground.frame.resolution_m + _LOOKS_PIXELS
+    reach = _REACH_M + robot.length_m + robot.width_m + 6.0 * robot.wheel_radius_m
+    more = reach / ground.frame.resolution_m + _REACH_PIXELS
     west, south, east, north = cells.bounds
     (row0, row1), (col0, col1) = ground.frame.rowcol([west, east], [north, south])
     rows = _inside(row0 - more, row1 + more, ground.frame.rows)

@@ -22,9 +22,19 @@ MAX_STOPS = 60
 class Tour:
     """The cheapest round trip over grid moves.
 
-    order : (n,) which stop is visited when, home (stop 0) first. paths : n, from each stop to the next, the last one
-    back home. energy_j : their sum. bound_j : what no tour over these moves costs less than; equal to `energy_j` (to
-    rounding) when the order is proven. energies_j : (n, n) [J] from each stop (row) to each other one.
+    Attributes
+    ----------
+    order : ndarray of int, (n,)
+        Which stop is visited when, home (stop 0) first.
+    paths : list of GridPath
+        n paths, from each stop to the next, the last one back home.
+    energy_j : float
+        Their sum [J].
+    bound_j : float
+        Proven lower bound of a tour over these moves [J]; equal to `energy_j` (to rounding) when the order is proven
+        to be the best.
+    energies_j : ndarray of float, (n, n)
+        Energy from each stop (row) to each other one (column) [J].
     """
 
     order: NDArray[np.int64]
@@ -42,12 +52,44 @@ def cheapest_tour(
     time_limit_s: float = 10.0,
     progress: Callable[[float], None] | None = None,
 ) -> Tour:
-    """Visit all stops (n, 2) (row, col) and come home to the first one.
+    """Return the cheapest round trip from the first stop over all others.
 
+    What turning on arrival at a stop costs is not counted.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    stops : ndarray of float, (n, 2)
+        Fractional (row, col) of 2 to `MAX_STOPS` stops.
+    time_limit_s : float, default 10.0
+        Longest time for the search of the order [s].
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    Tour
+        The order and the paths.
+
+    Raises
+    ------
+    InputError
+        If the number of stops is out of range, or OR-tools is not installed.
+    BlockedError
+        If no leg reaches a stop.
+    NoRouteError
+        If no route joins two stops; the message names them.
+    BusyError
+        If the time limit leaves no tour.
+
+    Notes
+    -----
     One energy field towards each stop gives the energies between all of them, which on a slope are not the same both
-    ways; OR-tools' CP-SAT then finds the order over a circuit constraint, exactly unless the time runs out. What
-    turning on arrival at a stop costs is not counted. Raises NoRouteError naming two stops that no route joins,
-    InputError on a bad number of stops, BusyError where the time limit leaves no tour, BlockedError.
+    ways. OR-tools' CP-SAT then finds the order over a circuit constraint, exactly unless the time runs out: the
+    asymmetric travelling salesman problem.
     """
     if not 2 <= len(stops) <= MAX_STOPS:
         raise InputError(f"a tour has 2 to {MAX_STOPS} stops, got {len(stops)}", stops=len(stops), limit=[2, MAX_STOPS])

@@ -98,7 +98,7 @@ def test_no_leg_leans_on_blocked_ground():
     assert np.isnan(price_world_path(lattice, [at["a"], [6.5, 2.5]]))  # through it
     assert np.isnan(price_world_path(lattice, [[2.5, 2.5], [3.5, 1.5]]))  # past its corner
     assert np.isfinite(price_world_path(lattice, [[2.5, 2.5], [2.5, 0.5], [4.5, 0.5], [4.5, 2.5]]))  # along its edge
-    assert np.isnan(price_world_path(lattice, [[2.5, 2.5], [2.6, 2.5]]))  # leans on it
+    assert np.isnan(price_world_path(lattice, [[2.5, 2.5], [2.6, 2.5]]))  # next to it
 
 
 def test_limits_hold_in_the_direction_of_the_leg():
