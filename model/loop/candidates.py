@@ -16,6 +16,7 @@ from joulemap.model.loop.effects import Term
 from joulemap.model.loop.formulas import quantity
 from joulemap.model.loop.places import field_settings, grid_over
 from joulemap.model.loop.residual import Residuals
+from joulemap.model.loop.words import quantity_name
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
@@ -80,7 +81,7 @@ def find_candidates(
         Candidate(
             "hotel_load",
             (Term("hotel_load", "hotel_load", (amount,)),),
-            "drive the same line at two speeds, and stand for a minute",
+            "the same line at two speeds, and a minute without motion",
         )
     )
     if not residuals.charge:
@@ -90,7 +91,9 @@ def find_candidates(
     for key, values in sorted(drive.words.items()):
         kinds = [w for w in np.unique(values[moving]) if w and (values[moving] == w).sum() >= 10]
         if len(kinds) < 2:
-            refused[f"terrain_class:{key}"] = "one word only" if kinds else "no word is recorded often enough"
+            refused[f"terrain_class:{key}"] = (
+                "only one class is recorded" if kinds else "no class is recorded often enough"
+            )
             continue
         found += _of_words(key, values[moving], kinds, unit)
     found += _of_each_run(residuals, usable, unit)
@@ -156,9 +159,9 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
     spin = Term("acceleration", "acceleration", ("kg",))
     yield Candidate("acceleration", (spin,), "starts and stops on level ground", planner=False, sign=1)
     across = tuple(Term("cross_slope", "cross_slope", ("",), {"power": p}) for p in (1, 2))
-    yield Candidate("cross_slope", across, "along a side slope, and beside it on the level", sign=1)
+    yield Candidate("cross_slope", across, "along the side of a slope, and on level ground near it", sign=1)
     down = tuple(Term("braking", "braking", ("",), {"from_grade": g}) for g in (None, 0.0, 0.03, 0.06, 0.1))
-    yield Candidate("braking", down, "straight down a slope, and straight up it")
+    yield Candidate("braking", down, "straight up and straight down the same slope")
     back = tuple(
         Term("reversing", "reversing", ("" if of else f"{unit}/m",), {"of_motion": of}) for of in (True, False)
     )
@@ -175,10 +178,10 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
         for n in (1, 2, 3)
         for level in (False, True)
     )
-    yield Candidate("learned:heading", more, "a star of straight lines in eight headings")
+    yield Candidate("learned:heading", more, "straight lines in eight headings from one place")
     yield Candidate("drift", tuple(_drifts(unit)), "the same loop at the start and at the end of a long day")
     losses = Term("battery", "battery", ("ohm",), {"ripple": ripple})
-    yield Candidate("battery", (losses,), "hard climbs and easy ground at equal charge", sign=1, most=5.0)
+    yield Candidate("battery", (losses,), "steep climbs and level ground at the same state of charge", sign=1, most=5.0)
 
 
 def _ripple(residuals: Residuals, measured: FloatArray | None) -> float:
@@ -204,15 +207,15 @@ def _of_level() -> Iterator[Candidate]:
     yield Candidate(
         "sensor_gain",
         (Term("sensor_gain", "sensor_gain", ("",)),),
-        "stand for a minute, then drive level ground and climbs",
+        "a minute without motion, then level ground and climbs",
     )
     yield Candidate(
-        "payload", (Term("payload", "payload", ("kg",)),), "weigh the robot; else climb and descend the same slope"
+        "payload", (Term("payload", "payload", ("kg",)),), "the same slope up and down (weighing the robot is better)"
     )
     yield Candidate(
         "rolling_resistance",
         (Term("rolling_resistance", "friction", ("",)),),
-        "one level line at two speeds, and a climb",
+        "a level line at two speeds, and a climb",
     )
 
 
@@ -239,13 +242,13 @@ def _of_weather(residuals: Residuals, usable: list[str], usual: Mapping[str, flo
         yield Candidate("temperature", tuple(warmth), "the same loop on a cold and on a warm day", sign=-1)
     if not _wind_logged(residuals, usable):
         calm = Term("wind", "wind_constant", (f"{unit}/m",) * 2, {}, {"runs": list(drive.runs)})
-        yield Candidate("wind", (calm,), "one line to and fro, and one across it")
+        yield Candidate("wind", (calm,), "one line there and back, and one across it")
     else:
         air = (
             Term("wind", "wind_measured", (f"{unit}/m per (m/s)^2",), {"quadratic": True}),
             Term("wind", "wind_measured", (f"{unit}/m per m/s",), {"quadratic": False}),
         )
-        yield Candidate("wind", air, "one line to and fro in a wind")
+        yield Candidate("wind", air, "one line there and back in wind")
     if "payload" in usable:
         logged = Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0})
         yield Candidate("payload", (logged,), "the same loop with and without a load")
@@ -264,10 +267,10 @@ def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator
         return
     if not _wind_logged(residuals, usable):
         wind = Term("wind", "by_run", (f"{unit}/m",) * 2 * len(names), {"of": "wind_constant", "runs": names})
-        yield Candidate("wind", (wind,), "one line to and fro, and one across it, in every run")
+        yield Candidate("wind", (wind,), "one line there and back, and one across it, in every run")
     if "payload" not in usable and not residuals.charge:
         load = Term("payload", "by_run", ("kg",) * len(names), {"of": "payload", "runs": names})
-        yield Candidate("payload", (load,), "the same slope up and down with every load; weigh the robot")
+        yield Candidate("payload", (load,), "the same slope up and down with every load (weighing the robot is better)")
 
 
 def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -> Iterator[Candidate]:
@@ -319,7 +322,7 @@ def _smooth(
     yield Candidate(
         name,
         variants,
-        f"the same line while only {name.removeprefix('learned:')} changes",
+        f"the same line while only {quantity_name(over)} changes",
         planner=planner,
         response=response,
     )

@@ -37,7 +37,7 @@ def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], ref
         if _MEASUREMENT.search(key):
             refused[f"learned:{key}"] = "it is part of the measurement itself"
         elif known.mean() < 0.5:
-            refused[f"learned:{key}"] = f"recorded on {known.mean():.0%} of the segments only"
+            refused[f"learned:{key}"] = f"recorded on only {known.mean():.0%} of the segments"
         elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
             refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
         elif copied := next((m for m, e in meters.items() if _alike(values, e, expected, only)), None):
@@ -45,7 +45,7 @@ def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], ref
         elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
             refused[f"learned:{key}"] = f"identical to {twin}"
         elif residuals.charge and _constant_in_runs(values, drive.run[moving]):
-            refused[f"learned:{key}"] = "constant within every run, whose level is not known either"
+            refused[f"learned:{key}"] = "constant within every run, while the offset of each run is unknown too"
         else:
             kept[key] = values
     return list(kept)

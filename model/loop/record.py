@@ -48,7 +48,7 @@ def read_record(folder: str | Path) -> Residuals | None:
         robot = Robot.from_mapping(about["robot"])
         if lacking := sorted(_KEPT - set(arrays)):
             raise ModelError(
-                f"{path} lacks {', '.join(lacking)}, which this version keeps of the runs a model was made from: "
+                f"{path} lacks {', '.join(lacking)}, which this version needs of the runs that a model was trained on: "
                 "train the model again",
                 path=str(path),
                 lacking=lacking,

@@ -11,34 +11,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_vector
-from joulemap.model.loop.calibration import Calibration, Effect, verdict_words
+from joulemap.model.loop.calibration import Calibration, Effect
 from joulemap.model.loop.effects import Term
 from joulemap.model.loop.evidence import Verdict
 from joulemap.model.loop.formulas import driven_heights
+from joulemap.model.loop.selection import ALPHA
+from joulemap.model.loop.words import coefficient_meaning, effect_name, quantity_name, quantity_value
 
 FloatArray = NDArray[np.float64]
 
-_UNITS = {
-    "roughness": "m",
-    "elevation": "m",
-    "hollow": "m",
-    "speed": "m/s",
-    "column:temperature": "degC",
-    "column:motor_temperature": "degC",
-    "column:wind_speed": "m/s",
-    "column:wind_from": "deg",
-    "column:roll": "deg",
-    "column:pitch": "deg",
-    "column:payload": "kg",
-}
-"""Of what effects go over; slopes have none, and what other columns are in nobody knows."""
 _SHARES = {"all": "of the predicted energy", "motion": "of the motion's energy"}
+_COLLINEAR = "collinear with the effects found: it corrects their form and is not an effect of its own"
+_CURVES = {
+    "length": "energy per metre added, at points of a fitted curve",
+    "all": "share of the predicted energy added, at points of a fitted curve",
+    "motion": "share of the motion's energy added, at points of a fitted curve",
+}
 
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
-    """The report. before : the base model's provenance; after : the calibrated model's version, None where there is
-    none. `effects` are causes; `shadows` are in the model too, and mend the form of the effects. `corrected` errors are
-    the base model's with what its own runs show of its errors, before any effect.
+    """Return the report of a calibration.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+    before : mapping
+        Provenance of the base model.
+    after : str, optional
+        Version of the calibrated model. Without it there is none.
+
+    Returns
+    -------
+    dict
+        JSON-able. `effects` are the missing effects. `collinear` are in the calibrated model too: they correct the form
+        of the effects and are no effects of their own. `error` has the states before, corrected (with what the baseline
+        runs show of the base model's errors), after, and after_planner (with what is known before a drive).
     """
     moving = found.residuals.moving
     held = (found.residuals.measured - found.held_out)[moving]
@@ -55,29 +63,29 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
             "after_planner": found.after_planner,
         },
         "effects": [_effect(e) for e in found.effects if not e.shadow],
-        "shadows": [_effect(e) for e in found.effects if e.shadow],
+        "collinear": [_effect(e) for e in found.effects if e.shadow],
         "candidates": _candidates(found),
         "confounded": [[name, *rivals] for name, rivals in found.trace.confounded.items()],
         "to_separate": {
-            c.name: c.reveals for c in found.candidates if any(c.name in (n, *r) for n, r in _groups(found).items())
+            c.name: c.reveals
+            for c in found.candidates
+            if any(c.name in (name, *rivals) for name, rivals in found.trace.confounded.items())
         },
         "remaining": {"p_value": found.trace.remaining_p, "std_relative": float(held.std())},
         "refused": dict(found.refused),
-        "base_corrections": [t.as_dict() for t in (*found.shared.terms, *found.silent)],
+        "baseline_corrections": [t.as_dict() for t in (*found.shared.terms, *found.silent)],
         "model": {"before": {"name": before["name"], "version": before["version"]}, "after": after},
     }
-
-
-def _groups(found: Calibration) -> dict[str, list[str]]:
-    return found.trace.confounded
 
 
 def _effect(effect: Effect) -> dict[str, Any]:
     names, units = coefficient_names(effect.term), coefficient_units(effect.term)
     return {
         "name": effect.term.name,
+        "label": effect_name(effect.term.name),
         "where": where_words(replace(effect.term, coefficients=tuple(effect.coefficients.tolist()))),
         "form": effect.term.formula,
+        "meaning": _meaning(effect.term),
         "settings": dict(effect.term.settings),
         "coefficients": [
             {"name": name, "value": value, "unit": unit, "ci95": [float(low), float(high)]}
@@ -99,28 +107,38 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
     for candidate, verdict in found.trace.ranking:
         row: dict[str, Any] = {
             "name": candidate.name,
+            "label": effect_name(candidate.name),
             "p_value": _finite(verdict.p_value),
             "held_out_gain": _finite(verdict.gain),
             "taken": candidate.name in taken,
+            "reveals": candidate.reveals,
         }
         if candidate.name not in taken:
-            row["why_not"] = _why_not(verdict, last.get(candidate.name)) if taken else verdict_words(verdict)
+            row["why_not"] = _why_not(verdict, last.get(candidate.name)) if taken else _verdict_words(verdict)
         elif taken[candidate.name].shadow:
-            row |= {"taken": False, "why_not": "it mends the form of the effects found, and is no cause of its own"}
+            row |= {"taken": False, "why_not": _COLLINEAR}
         out.append(row)
     first = [r for r in out if r["taken"]]
     return [*sorted(first, key=lambda r: list(taken).index(r["name"])), *(r for r in out if not r["taken"])]
 
 
 def _why_not(alone: Verdict, beside: Verdict | None) -> str:
-    """Why a candidate was not taken where others were; it may be well above chance alone. beside : beside those, None
-    where it was not tried with them.
+    """Why a candidate was not taken where others were; alone it may be significant. beside : with those in the model,
+    None where it was not tried with them.
     """
     if alone.why:
         return alone.why
     if beside is None:
-        return "one of the effects found says the same, or leaves it no sense"
-    return f"beside the effects found, {verdict_words(beside)}"
+        return "it duplicates one of the effects found, or has no physical size beside them"
+    return f"beside the effects found, {_verdict_words(beside)}"
+
+
+def _verdict_words(verdict: Verdict) -> str:
+    if verdict.why:
+        return verdict.why
+    if verdict.p_value > ALPHA:
+        return "not significant"
+    return "its gain on held-out runs is below the threshold"
 
 
 def _finite(value: float) -> float | None:
@@ -128,19 +146,42 @@ def _finite(value: float) -> float | None:
 
 
 def coefficient_units(term: Term) -> list[str]:
-    """Of each coefficient; of a learned curve without a unit, what it is a share of."""
+    """Return the unit of each coefficient of a term.
+
+    Parameters
+    ----------
+    term : Term
+        With or without coefficients.
+
+    Returns
+    -------
+    list of str
+        For a fitted curve without a unit: what its values are a share of.
+    """
     settings = term.settings
     share = next((words for of, words in _SHARES.items() if settings.get("of") == of or settings.get(f"of_{of}")), "")
     return [unit or share if term.name.startswith("learned:") else unit for unit in term.units]
 
 
-def _with_unit(value: float, over: str) -> str:
-    digits = ".1f" if over == "elevation" else ".4g"  # heights may be large and their differences small
-    return f"{value:{digits}} {_UNITS.get(over, '')}".rstrip()
+def _meaning(term: Term) -> str:
+    if term.formula == "smooth":
+        return _CURVES[term.settings["of"]]
+    return coefficient_meaning(term.settings["of"] if term.formula == "by_run" else term.formula)
 
 
 def coefficient_names(term: Term) -> list[str]:
-    """What each coefficient of a term is called."""
+    """Return what each coefficient of a term is called.
+
+    Parameters
+    ----------
+    term : Term
+        With its coefficients.
+
+    Returns
+    -------
+    list of str
+        A single coefficient has the key of the effect.
+    """
     count, settings = len(term.coefficients), term.settings
     if term.formula == "by_run":
         per = count // len(settings["runs"])
@@ -150,7 +191,7 @@ def coefficient_names(term: Term) -> list[str]:
         return [str(word) for word in settings["values"]]
     if term.formula == "smooth":
         knots, level = settings["knots"], settings.get("level")
-        names = [f"at {_with_unit(knot, settings['over'])}" for knot in knots]
+        names = [f"at {quantity_value(settings['over'], knot)}" for knot in knots]
         return [name for k, name in enumerate(names) if level or k != len(knots) // 2]
     if term.formula == "place":
         return [f"at x {x:.1f}, y {y:.1f}" for x, y in settings["centres"]]
@@ -158,7 +199,7 @@ def coefficient_names(term: Term) -> list[str]:
         return ["east", "north"]
     if term.formula == "heading":
         waves = [f"{wave} {k}h" for k in range(1, settings["harmonics"] + 1) for wave in ("sin", "cos")]
-        return ["level", *waves] if settings.get("level") else waves
+        return ["constant", *waves] if settings.get("level") else waves
     if term.formula == "turning_both":
         return ["turning", f"turning up to {settings['limit_radps']:g} rad/s"]
     if term.formula == "turning_sides":
@@ -167,7 +208,18 @@ def coefficient_names(term: Term) -> list[str]:
 
 
 def where_words(term: Term) -> str:
-    """Where a term acts, in words."""
+    """Return where a term acts, in words.
+
+    Parameters
+    ----------
+    term : Term
+        With its coefficients.
+
+    Returns
+    -------
+    str
+        A part of a sentence, such as "everywhere".
+    """
     if term.formula == "disk":
         s = term.settings
         return f"within {s['radius_m']:g} m of x {s['x']:.1f}, y {s['y']:.1f}"
@@ -175,24 +227,27 @@ def where_words(term: Term) -> str:
         return _field_words(term)
     if term.formula == "turning" and term.settings.get("limit_radps"):
         gentle = term.coefficients[0] / term.settings.get("share", 1.0)
-        slow = f"{gentle:.4g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, no more above"
-        return f"everywhere; {slow} (the coefficient is over all turns)"
+        slow = (
+            f"{gentle:.4g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, nothing more above that rate"
+        )
+        return f"everywhere; {slow} (the coefficient is the mean over all turns)"
     if not term.where and term.settings.get("over") == "elevation":
         low, high = driven_heights(term.settings["knots"])
         return f"at heights about those driven, {low:.1f} to {high:.1f} m; nothing at others"
     if not term.where:
         return "everywhere"
     if "runs" in term.where:
-        return "in these runs only: another day has its own"
+        return "in these runs only: it differs from day to day"
     if "word" in term.where:
         return f"where {term.where['word']} is {term.where['is']}"
     side = "above" if "above" in term.where else "below"
     over = term.where["over"]
-    return f"where {over.removeprefix('column:')} is {side} {_with_unit(term.where[side], over)}"
+    shown = {"above": "below", "below": "above"}[side] if over == "hollow" else side  # written with the other sign
+    return f"where {quantity_name(over)} is {shown} {quantity_value(over, term.where[side])}"
 
 
 def _field_words(term: Term) -> str:
-    """Where a field of bell curves is largest, and how far from there it falls to half, mean over all bearings."""
+    """Where a field of Gaussian bumps is largest, and how far from there it falls to half, mean over all bearings."""
     centres, width = np.asarray(term.settings["centres"]), term.settings["width_m"]
 
     def field(at: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from joulemap.model.loop.candidates import Candidate
 from joulemap.model.loop.evidence import Evidence, Verdict
 
 ALPHA = 0.05
-SENSELESS = "its sign or its size makes no sense"
+SENSELESS = "its sign or its size is not physical"
 CURVES = {
     "braking": "learned:grade",
     "climbing": "learned:grade",

@@ -113,7 +113,7 @@ def _routes(heightmap: Heightmap, length_m: float, rng: np.random.Generator) -> 
         radius = float(rng.uniform(0.8, 4.0))
         circle = [(radius * math.cos(a), radius * math.sin(a)) for a in np.linspace(0.0, 2.0 * math.pi, 37)]
         shapes = {
-            "a line to and fro": [(0.0, -reach), (0.0, reach), (0.0, -reach)],
+            "a straight line there and back": [(0.0, -reach), (0.0, reach), (0.0, -reach)],
             "a square": [(-reach, -reach), (-reach, reach), (reach, reach), (reach, -reach), (-reach, -reach)],
             "a slalom": [(0.15 * reach * (-1) ** k, reach * (k / 6.0 - 0.5)) for k in range(7)],
             f"circles of {radius:.1f} m radius": circle,

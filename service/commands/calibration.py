@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import json
+import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 
-from joulemap.service.commands.console import Answer, JsonFile, parse_point, progress_bar, write_file
+from joulemap.service.commands.console import JsonFile, Output, json_text, parse_point, progress_bar, write_file
 from joulemap.service.commands.options import (
-    BaseRuns,
+    BaselineRuns,
     MaybeHeightmap,
     ModelName,
+    Reading,
     RobotFile,
     Runs,
     find_runs,
+    reading_words,
+    reads_heightmap,
     robot_of,
 )
 from joulemap.service.words import energy_words, runs_words
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
     from joulemap.model.robot import Robot
     from joulemap.model.runs.files import CalibrationRuns
     from joulemap.model.terrain.heightmap import Heightmap
+    from joulemap.service.loop.summary import NextStep
 
 _CORNERS = 8  # of a route
 
@@ -34,53 +39,64 @@ OdometryTrack = Annotated[
     typer.Option(
         "--odometry",
         metavar="TRACK",
-        help="The runs have no positions: integrate speed_left and speed_right on level ground (no `--heightmap`), "
-        "for wheels whose sides are so far apart as the robot turns [m].",
+        help="The runs have no positions: integrate `speed_left` and `speed_right` on level ground (no `--heightmap`), "
+        "with this effective track width [m].",
     ),
 ]
 TerrainFromName = Annotated[
-    bool, typer.Option("--terrain-from-name", help="With `--odometry`: snow_02.csv was driven on snow.")
+    bool, typer.Option("--terrain-from-name", help="With `--odometry`: the file snow_02.csv was driven on snow.")
 ]
 
 
+@reads_heightmap
 def calibrate(
     runs: Runs,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report.json, report.html and model/.")],
     heightmap: MaybeHeightmap = None,
     model: ModelName = "default",
     robot: RobotFile = None,
-    base_runs: BaseRuns = None,
-    keep_aside: Annotated[
+    baseline_runs: BaselineRuns = None,
+    test_runs: Annotated[
         list[str] | None,
         typer.Option(
-            "--keep-aside",
-            metavar="GLOB",
-            help="Runs (also of `--runs`) that nothing is sought or fitted in: the report has the error on them before "
-            "and after.",
+            "--test-runs",
+            metavar="FILE...",
+            help="Runs (also some of `--runs`) that are not used to find or fit effects: the report has the error on "
+            "them before and after.",
         ),
     ] = None,
     odometry: OdometryTrack = None,
     terrain_from_name: TerrainFromName = False,
     start: Annotated[
-        Any, typer.Option(metavar="X,Y", parser=parse_point, help="Task whose route is compared before and after [m].")
+        Any,
+        typer.Option(
+            metavar="X,Y", parser=parse_point, help="Start of the route that is compared before and after [m]."
+        ),
     ] = None,
     goal: Annotated[
-        Any, typer.Option(metavar="X,Y", parser=parse_point, help="[default: a few between places the runs visited]")
+        Any,
+        typer.Option(
+            metavar="X,Y", parser=parse_point, help="Its goal. [default: a few routes between places of the runs]"
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the permutations: the same seed gives the same report.")] = 0,
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
-    """Find what a **model lacks on measured runs**, name it, and write a model that has it.
+    """Find what a **model lacks on measured runs**, name it, and write a calibrated model.
 
-    Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv' --out found`
+    Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs new/*.csv --out found`
     """
     from joulemap.service.loop.calibration import calibrate_on_runs
     from joulemap.service.loop.report_page import report_page
 
     if (start is None) != (goal is None):
         raise typer.BadParameter("--start and --goal go together")
-    answer, began, driven_by = Answer(json_file), time.perf_counter(), robot_of(robot)
-    read, ground = _read(runs, base_runs, heightmap, driven_by, odometry, terrain_from_name, keep_aside=keep_aside)
+    output, began, driven_by = Output(json_file), time.perf_counter(), robot_of(robot)
+    read, ground = _read(
+        runs, baseline_runs, heightmap, driven_by, odometry, terrain_from_name, reading, test_runs=test_runs
+    )
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
             model,
@@ -92,27 +108,30 @@ def calibrate(
             seed=seed,
             progress=report,
         )
-    write_file(out / "report.json", (json.dumps(made.document, indent=2, allow_nan=False) + "\n").encode())
-    write_file(out / "report.html", report_page(made, ground).encode())
-    _say(answer, made.document, out)
-    count = len(read.segments.runs) + (0 if read.aside is None else len(read.aside.runs))
-    answer.say(
+    asked = _options(model, heightmap, robot, runs, baseline_runs, odometry, terrain_from_name, reading)
+    steps = _next_steps(made.document, out, heightmap, robot, reading, asked)
+    write_file(out / "report.json", json_text(made.document).encode())
+    write_file(out / "report.html", report_page(made, ground, steps=steps).encode())
+    _say(output, made.document, out, steps)
+    count = len(read.segments.runs) + (0 if read.test is None else len(read.test.runs))
+    output.say(
         f"{runs_words(count)}, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
         f"{time.perf_counter() - began:.0f} s"
     )
-    answer.warn(made.document["warnings"])
-    answer.document(made.document)
+    output.warn(made.document["warnings"])
+    output.document(made.document)
 
 
 def _read(
     runs: list[str],
-    base_runs: list[str] | None,
+    baseline_runs: list[str] | None,
     heightmap: Path | None,
     robot: Robot,
     odometry: float | None,
     terrain_from_name: bool,
+    reading: Reading,
     *,
-    keep_aside: list[str] | None = None,
+    test_runs: list[str] | None = None,
 ) -> tuple[CalibrationRuns, Heightmap]:
     """The runs that the options name, and the map or level ground that they were driven on."""
     from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
@@ -123,44 +142,91 @@ def _read(
         raise typer.BadParameter("give either --heightmap, or --odometry for runs without positions")
     if terrain_from_name and odometry is None:
         raise typer.BadParameter("--terrain-from-name goes with --odometry")
-    aside = find_runs(keep_aside or [])
-    apart = {file.resolve() for file in aside}
-    files = [file for file in find_runs(runs) if file.resolve() not in apart]
-    more = {"base_files": find_runs(base_runs or []), "aside_files": aside}
+    test = find_runs(test_runs or [])
+    test_files = {file.resolve() for file in test}
+    files = [file for file in find_runs(runs) if file.resolve() not in test_files]
+    more = {"baseline_files": find_runs(baseline_runs or []), "test_files": test}
     if odometry is not None:
         return read_odometry_runs(files, Odometry(odometry, terrain_from_name), **more)
     assert heightmap is not None
-    ground = read_heightmap(heightmap)
+    ground = read_heightmap(heightmap, **reading)
     return read_calibration_runs(files, robot, crs=ground.frame.crs, **more), ground
 
 
-def _say(answer: Answer, document: dict[str, Any], out: Path) -> None:
-    from joulemap.service.loop.report_page import coefficient_words, shadow_words
+def _options(
+    model: str,
+    heightmap: Path | None,
+    robot: Path | None,
+    runs: Sequence[str],
+    baseline_runs: Sequence[str] | None,
+    odometry: float | None,
+    terrain_from_name: bool,
+    reading: Reading,
+) -> list[str]:
+    """What `suggest-drive` needs to look at the same runs."""
+    words = ["--model", model]
+    for name, value in (("--heightmap", heightmap), ("--odometry", odometry), ("--robot", robot)):
+        words += [] if value is None else [name, str(value)]
+    words += ["--terrain-from-name"] * terrain_from_name + reading_words(reading) + ["--runs", *runs]
+    return words + (["--baseline-runs", *baseline_runs] if baseline_runs else [])
 
-    unit = "A s" if document["target"] == "charge_as" else "J"
-    names = ", ".join(effect["name"] for effect in document["effects"])
-    answer.say(f"[bold]Found {names}[/]" if names else "[bold]Nothing found[/] that the model lacks")
-    rows = {}
-    for effect in document["effects"]:
-        plans = "" if effect["in_plans"] else "; a diagnosis, not in plans"
-        rows[effect["name"]] = (
-            f"{', '.join(coefficient_words(effect))}; p = {effect['p_value']:.2g}, {effect['where']}{plans}"
-        )
-    if words := shadow_words(document):
-        rows["beside it"] = words
-    rows |= _error_words(document["error"], unit, "")
-    if "kept_aside" in document:
-        rows |= _error_words(document["kept_aside"]["error"], unit, ", kept aside")
-    for group in document["confounded"]:
-        rows[f"like {group[0]}"] = f"these runs cannot tell it from {', '.join(group[1:])}"
+
+def _next_steps(
+    document: Mapping[str, Any],
+    out: Path,
+    heightmap: Path | None,
+    robot: Path | None,
+    reading: Reading,
+    asked: Sequence[str],
+) -> list[NextStep]:
+    """What to type after a calibration."""
+    from joulemap.service.loop.summary import NextStep, likeliest
+
+    steps = []
+    if document["model"]["after"] is not None:
+        words = ["joulemap", "costmap", str(heightmap or "HEIGHTMAP"), *(reading_words(reading) if heightmap else [])]
+        words += ["--robot", str(robot)] if robot is not None else []
+        made = out.with_name("after.zarr")
+        words += ["--model", str(out / "model"), "--out", str(made)]
+        steps.append(NextStep("Make a cost map with the calibrated model", shlex.join(words)))
+        task = document["route"].get("task", {"start": None, "goal": None})
+        ends = (task[end] and f"{task[end][0]:.1f},{task[end][1]:.1f}" for end in ("start", "goal"))
+        start, goal = (place or "X,Y" for place in ends)
+        words = ["joulemap", "path", str(made), "--start", start, "--goal", goal]
+        steps.append(NextStep("Plan a path on it", shlex.join(words)))
+    words = ["joulemap", "suggest-drive", *asked]
+    if document["effects"]:
+        steps.append(NextStep("Get the drive that would make the answer more certain", shlex.join(words)))
+    elif names := likeliest(document):
+        key, label, _ = names[0]
+        purpose = f"Get a drive that would show whether there is an effect of {label}"
+        steps.append(NextStep(purpose, shlex.join([*words, "--effect", key])))
+    return steps
+
+
+def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
+    from joulemap.service.loop.summary import collinear_words, drive_words, error_words, found_words, headline, unit_of
+
+    output.say(f"[bold]{escape(headline(document))}[/]")
+    first, *rest = found_words(document)
+    for sentence in (first, *(f"  {words}" for words in rest), error_words(document)):
+        output.say(escape(sentence))
+    for step in steps:
+        output.say(f"{escape(step.purpose)}:\n  [bold]{escape(step.command)}[/]")
+    rows = {f"p of {effect['label']}": f"{effect['p_value']:.2g}" for effect in document["effects"]}
+    if words := collinear_words(document):
+        rows["collinear"] = words
+    if "test_set" in document:
+        rows |= _error_rows(document["test_set"]["error"], unit_of(document), ", test runs")
+    rows |= _error_rows(document["error"], unit_of(document), ", held out" if document["effects"] else "")
     rows["a route"] = _route_words(document["route"])
-    rows["drive next"] = _drive_words(document["next_drive"])
-    answer.table(rows)
-    answer.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
+    rows["drive next"] = drive_words(document["next_drive"])
+    output.table(rows)
+    output.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
 
 
-def _error_words(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
-    from joulemap.service.loop.report_page import error_states
+def _error_rows(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
+    from joulemap.service.loop.summary import error_states
 
     states = error_states(error)
     return {
@@ -177,24 +243,10 @@ def _route_words(route: Mapping[str, Any]) -> str:
         return f"not compared: {route['why_not']}"
     (x0, y0), (x1, y1) = route["task"]["start"], route["task"]["goal"]
     old, new = (energy_words(route[key]["energy_j"]) for key in ("before", "after"))
-    old_before, new_before = (energy_words(route[key]["energy_at_old_prices_j"]) for key in ("before", "after"))
     volts = f"; charge times {route['nominal_voltage_v']:g} V" if "nominal_voltage_v" in route else ""
     return (
-        f"{x0:.1f},{y0:.1f} to {x1:.1f},{y1:.1f} ({route['task']['chosen']}): by the new model {old} the old way, "
-        f"{new} the new one, {route['saving_percent']:.1f} % saved; by the old one {old_before} and {new_before}{volts}"
-    )
-
-
-def _drive_words(drive: Mapping[str, Any]) -> str:
-    if "why_not" in drive:
-        return f"no suggestion: {drive['why_not']}"
-    rivals = f" from {', '.join(drive['tells_from'])}" if drive["tells_from"] else ""
-    x, y = drive["points"][0]
-    where = f" near {x:.1f},{y:.1f}" if drive["placed"] else ""
-    return (
-        f"{drive['kind']}{where} for {drive['total_length_m']:.0f} m at {_pace(drive)}: to "
-        f"{'tell' if rivals else 'pin'} {drive['effect']}{rivals}, whose interval would be "
-        f"{drive['expected_interval_share']:.0%} as wide"
+        f"{x0:.1f},{y0:.1f} to {x1:.1f},{y1:.1f} ({route['task']['chosen']}): by the calibrated model, {old} as "
+        f"planned before and {new} as planned after, {route['saving_percent']:.1f} % less{volts}"
     )
 
 
@@ -202,6 +254,7 @@ def _pace(drive: Mapping[str, Any]) -> str:
     return " and ".join(f"{v:.2f} m/s" for v in drive["speeds_mps"])
 
 
+@reads_heightmap
 def suggest_drive(
     runs: Runs,
     heightmap: MaybeHeightmap = None,
@@ -209,35 +262,39 @@ def suggest_drive(
     robot: RobotFile = None,
     effect: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="What to find out about. [default: what these runs leave most in doubt]"),
+        typer.Option(
+            metavar="NAME", help="Effect to find out about. [default: a confounded one, else the least certain]"
+        ),
     ] = None,
-    length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About as far as there is time for.")] = 200.0,
-    base_runs: BaseRuns = None,
+    length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About how far to drive in all [m].")] = 200.0,
+    baseline_runs: BaselineRuns = None,
     odometry: OdometryTrack = None,
     terrain_from_name: TerrainFromName = False,
     json_file: JsonFile = None,
+    *,
+    reading: Reading,
 ) -> None:
-    """Suggest **what to drive next**: the route that tells confounded effects apart or pins a coefficient best.
+    """Suggest **what to drive next**: the route that best separates confounded effects or narrows a coefficient.
 
-    Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs 'new/*.csv'`
+    Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs new/*.csv`
     """
+    from joulemap.service.loop.deprecated_keys import with_former_keys
     from joulemap.service.loop.next_drive import suggest_next_drive
+    from joulemap.service.loop.summary import drive_words
 
-    answer, driven_by = Answer(json_file), robot_of(robot)
-    read, ground = _read(runs, base_runs, heightmap, driven_by, odometry, terrain_from_name)
-    with progress_bar("Tracing") as report:
+    output, driven_by = Output(json_file), robot_of(robot)
+    read, ground = _read(runs, baseline_runs, heightmap, driven_by, odometry, terrain_from_name, reading)
+    with progress_bar("Calibrating") as report:
         found = suggest_next_drive(
             model, ground, driven_by, read, effect=effect, length_m=length, progress=report
         ).as_dict()
-    answer.say(f"[bold]Drive {found['kind']}[/] to learn about {found['effect']}")
+    output.say(escape(drive_words(found)))
     corners = found["points"][:: max(1, len(found["points"]) // _CORNERS)]
-    rows = {
-        "through": " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-        + ("" if found["placed"] else ", with 0,0 wherever there is room"),
-        "one round": f"{found['length_m']:.0f} m, over and over for {length:.0f} m, at {_pace(found)}",
-        "expected": f"an interval {found['expected_interval_share']:.0%} as wide as now",
-    }
-    if found["tells_from"]:
-        rows["tells it from"] = ", ".join(found["tells_from"])
-    answer.table(rows)
-    answer.document(found)
+    output.table(
+        {
+            "corners": " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+            + ("" if found["placed"] else ", with 0,0 wherever there is room"),
+            "one round": f"{found['length_m']:.0f} m, repeated for {length:.0f} m, at {_pace(found)}",
+        }
+    )
+    output.document(with_former_keys(found))

@@ -100,7 +100,10 @@ BaselineRuns = Annotated[
         "was trained on, if its folder keeps them]",
     ),
 ]
-BaseRuns = BaselineRuns  # until calibration.py uses the new name
+Snap = Annotated[
+    bool,
+    typer.Option("--snap", help="Take the nearest free place for a point on blocked ground, with a warning."),
+]
 StateOfCharge = Annotated[
     float,
     typer.Option(metavar="0..1", parser=parse_share, help="State of charge of the battery at the start, 0..1."),
@@ -186,6 +189,23 @@ def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
     return with_options
 
 
+def reading_words(reading: Reading) -> list[str]:
+    """Return the options that say how a heightmap's file is to be read, as they are typed.
+
+    Parameters
+    ----------
+    reading : Reading
+        What a command was given.
+
+    Returns
+    -------
+    list of str
+        Options that differ from their defaults, and their values.
+    """
+    given = {option: (reading[key], default) for option, (key, _, default) in _READING.items()}  # type: ignore[literal-required]
+    return [word for name, (value, usual) in given.items() if value != usual for word in (f"--{name}", str(value))]
+
+
 def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
     """Refuse to replace what is there; asked before anything is computed.
 
@@ -250,14 +270,6 @@ def find_runs(patterns: list[str]) -> list[Path]:
     NotFoundError
         If a pattern names no file.
     """
-    from glob import glob
+    from joulemap.service.library.run_files import find_run_files
 
-    files = []
-    for pattern in patterns:
-        inside = [f"{pattern}/*.csv", f"{pattern}/*.parquet"] if Path(pattern).is_dir() else [pattern]
-        found = sorted(Path(name) for each in inside for name in glob(each))
-        if not found:
-            where = f"the folder {pattern} holds no" if Path(pattern).is_dir() else f"{pattern!r} names no"
-            raise NotFoundError(f"{where} CSV or Parquet file (looked for from {Path.cwd()})", pattern=pattern)
-        files += found
-    return list({file.resolve(): file for file in files}.values())
+    return find_run_files(patterns)

@@ -26,6 +26,7 @@ from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import CalibrationRuns
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.next_drive import next_drive
 from joulemap.service.loop.rerouting import Comparison, Task, compare_routes
 from joulemap.service.models import CALIBRATED_FOLDER, load_model, model_name, planning_robot
@@ -38,8 +39,16 @@ BASE_FOLDER = "base"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibrated:
-    """What a calibration leaves. document : the report, JSON-able; routes : a task before and after, None where the
-    report's `route` says why there is none.
+    """What a calibration leaves.
+
+    Attributes
+    ----------
+    document : dict
+        The report, JSON-able.
+    found : Calibration
+        What was found, with the residuals.
+    routes : Comparison, optional
+        A task before and after. Without it the report's `route` says why there is none.
     """
 
     document: dict[str, Any]
@@ -58,11 +67,42 @@ def calibrate_on_runs(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Calibrated:
-    """Trace what a model lacks on measured runs and write `out/model`: the base and its effects.
+    """Find what a model lacks on measured runs, and write the calibrated model to `out/model`.
 
-    runs : as `runs.files` reads them; those of the model's folder stand for `base` where it has none. task :
-    start and goal whose routes before and after are compared, as `compare_routes`. Raises InputError, RunsError,
-    ModelError, and ConflictError where `out/model` is there already: a model version is never changed.
+    Parameters
+    ----------
+    model : str or Path
+        Name or folder of the base model.
+    heightmap : Heightmap
+        On which the runs were driven.
+    robot : Robot
+        That drove, as its owner declares it.
+    runs : CalibrationRuns
+        As `runs.files` reads them. Without baseline runs, those in the model's folder are used.
+    out : Path
+        Folder to write to.
+    task : tuple of tuple of float, optional
+        Start and goal [m] whose routes before and after are compared, see `compare_routes`.
+    seed : int
+        Of the permutations.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    Calibrated
+        With the report.
+
+    Raises
+    ------
+    ConflictError
+        If `out/model` exists already: a model version is never changed.
+    InputError
+        If the model is calibrated already.
+    RunsError
+        If the runs do not fit the heightmap, or are too short.
+    ModelError
+        If the model cannot be read.
     """
     target = out / CALIBRATED_FOLDER
     if target.exists():
@@ -77,11 +117,11 @@ def calibrate_on_runs(
     refuse_calibrated(model, predictor)
     segments = runs.segments
     measured, electric, std = residuals_on(predictor, heightmap, robot, segments)
-    base = base_residuals(model, predictor, heightmap, robot, runs.base)
-    aside = None if runs.aside is None else residuals_on(predictor, heightmap, robot, runs.aside, least=1)[0]
-    _tell(progress, _READ)
+    base = base_residuals(model, predictor, heightmap, robot, runs.baseline)
+    test = None if runs.test is None else residuals_on(predictor, heightmap, robot, runs.test, least=1)[0]
+    _report(progress, _READ)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=_part(progress, _READ, _TRACED))
-    version, routes, why_not = None, None, "nothing was found that changes a route"
+    version, routes, why_not = None, None, "no effect was found that changes a route"
     if found.terms:
         correction = correction_of(found, std, base_turn=planning_robot(predictor, robot).turn_j_per_rad)
         version = _write(begun, model, predictor, correction)
@@ -109,8 +149,8 @@ def calibrate_on_runs(
         report["map"] = routes.map_as_dict()
     if routes is not None and segments.charge:
         report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
-    if aside is not None:
-        report["kept_aside"] = {"segments": int(aside.moving.sum()), "error": found.errors_on(aside)}
+    if test is not None:
+        report["test_set"] = {"segments": int(test.moving.sum()), "error": found.errors_on(test)}
     report["runs"] = {
         "names": list(segments.runs),
         "rows": runs.rows,
@@ -121,8 +161,8 @@ def calibrate_on_runs(
     report["warnings"] = predictor.warnings(heightmap, robot)
     if found.terms:
         begun.rename(target)
-    _tell(progress, 1.0)
-    return Calibrated(report, found, routes)
+    _report(progress, 1.0)
+    return Calibrated(with_former_keys(report), found, routes)
 
 
 def _next_drive(
@@ -130,14 +170,14 @@ def _next_drive(
 ) -> dict[str, Any]:
     try:
         return next_drive(found, predictor, heightmap, robot, placed=runs.placed, seed=seed).as_dict()
-    except (InputError, InfeasibleError) as error:  # nothing was found, or no route fits
+    except (InputError, InfeasibleError) as error:  # no effect was found, or no route fits
         return {"why_not": error.message}
 
 
 _READ, _TRACED = 0.3, 0.8  # of the work
 
 
-def _tell(progress: Callable[[float], None] | None, share: float) -> None:
+def _report(progress: Callable[[float], None] | None, share: float) -> None:
     if progress is not None:
         progress(share)
 
@@ -147,14 +187,42 @@ def _part(progress: Callable[[float], None] | None, start: float, end: float) ->
 
 
 def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
-    """Raises InputError for a model that cannot be calibrated because it is already."""
+    """Refuse a model that is calibrated already.
+
+    Parameters
+    ----------
+    model : str or Path
+        What it is called.
+    predictor : Predictor
+        The model.
+
+    Raises
+    ------
+    InputError
+        If it is calibrated.
+    """
     if isinstance(predictor, CalibratedPredictor):
-        raise InputError(f"{model} is calibrated already: calibrate its base again, with all runs together")
+        raise InputError(
+            f"{model} is calibrated already: calibrate the model that it was made from again, with all runs together"
+        )
 
 
 def correction_of(found: Calibration, std_j: FloatArray, *, base_turn: float) -> Correction:
-    """What a calibration adds to its base model. std_j : (n,) of the base model for each of the calibration's rows;
-    base_turn : what turning costs in plans with it [J/rad].
+    """Return what a calibration adds to its base model.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+    std_j : ndarray, (n,)
+        Standard deviation of the base model for each of the calibration's rows [J].
+    base_turn : float
+        What turning costs in plans with the base model [J/rad].
+
+    Returns
+    -------
+    Correction
+        With the spread of the calibrated model on held-out runs.
     """
     drive, moving = found.residuals.drive, found.residuals.moving
     planner = [True] * (len(found.shared.terms) + len(found.silent)) + [e.planner for e in found.effects]
@@ -175,9 +243,11 @@ def correction_of(found: Calibration, std_j: FloatArray, *, base_turn: float) ->
 
 
 def _turn_j_per_rad(found: Calibration, base_turn: float) -> float:
-    """What turning costs in plans after a calibration: what it does with the base model, where nothing of turning was
-    found; what was found, where that is told from no base runs. What is new beside base runs comes on top of what these
-    took, by the base model (with the slowing down, which no plan has) or by its corrections, whichever is more.
+    """What turning costs in plans after a calibration [J/rad].
+
+    Without an effect of turning it stays as it is with the base model. An effect that was found without baseline runs
+    is the whole cost. An effect that is new compared with baseline runs is added to what turning cost in those: by the
+    base model (with slowing down, which no plan contains) or by its corrections, whichever is larger.
     """
     drive = found.residuals.drive
     turning = [e for e in found.effects if e.term.formula.startswith("turning")]
@@ -189,7 +259,7 @@ def _turn_j_per_rad(found: Calibration, base_turn: float) -> float:
 
 
 def _write(target: Path, model: str | Path, predictor: Predictor, correction: Correction) -> str:
-    """The folder of a calibrated model, with a copy of its base where that is a folder."""
+    """Write the folder of a calibrated model, with a copy of its base model where that is a folder."""
     version = predictor.provenance()["version"]
     if model in MODEL_NAMES:
         return save_calibrated(target, correction, {"name": str(model), "version": version})

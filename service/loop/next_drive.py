@@ -1,4 +1,4 @@
-"""What to drive next, to tell apart what runs confuse or to pin what they leave in doubt."""
+"""What to drive next, to separate effects that runs confound or to measure an effect more precisely."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.loop.calibration import Calibration, calibrate
 from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.loop.suggest import Suggestion, suggest_drive
+from joulemap.model.loop.words import effect_name
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import CalibrationRuns
 from joulemap.model.terrain.heightmap import Heightmap
@@ -24,8 +25,18 @@ USUAL_LENGTH_M = 200.0
 
 @dataclass(frozen=True)
 class NextDrive:
-    """rivals : what these runs confuse the effect with. length_m : about as far as it is driven in all. placed :
-    whether its corners are places of a map, and not only its shape.
+    """A drive that is suggested.
+
+    Attributes
+    ----------
+    suggestion : Suggestion
+        The route.
+    rivals : list of str
+        Effects that these runs cannot distinguish from the one it is for.
+    length_m : float
+        About how far to drive in all [m].
+    placed : bool
+        Whether its corners are places of a map; else only its shape counts.
     """
 
     suggestion: Suggestion
@@ -34,11 +45,11 @@ class NextDrive:
     placed: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-able. points : corners [m]; length_m : of one round; expected_interval_share : see `Suggestion`."""
+        """Return the drive as a JSON-able document: corners [m], length of one round [m], speeds [m/s]."""
         drive = self.suggestion
         return {
             "effect": drive.effect,
-            "tells_from": self.rivals,
+            "confounded_with": self.rivals,
             "kind": drive.kind,
             "placed": self.placed,
             "points": [[round(float(x), 2), round(float(y), 2)] for x, y in drive.points],
@@ -60,11 +71,38 @@ def next_drive(
     length_m: float = USUAL_LENGTH_M,
     seed: int = 0,
 ) -> NextDrive:
-    """The drive that tells an effect from what a calibration confuses it with, or pins its coefficient.
+    """Return the drive that separates an effect from those it is confounded with, or measures it more precisely.
 
-    placed : as `CalibrationRuns`. effect : a candidate's name; the first confounded one, or the least certain one
-    found, unless given. Raises InputError where nothing was found and no effect is named, InfeasibleError where no
-    route fits.
+    Parameters
+    ----------
+    found : Calibration
+        What was found so far.
+    predictor : Predictor
+        The base model.
+    heightmap : Heightmap
+        Where to drive.
+    robot : Robot
+        That drives.
+    placed : bool
+        As in `CalibrationRuns`.
+    effect : str, optional
+        Key or name of a candidate effect. Without it the first confounded effect, or else the least certain one found.
+    length_m : float
+        About how far to drive in all [m].
+    seed : int
+        Of the routes that are tried.
+
+    Returns
+    -------
+    NextDrive
+        The best of a few hundred simple routes.
+
+    Raises
+    ------
+    InputError
+        If no effect was found and none is named, or if there is none of that name.
+    InfeasibleError
+        If no route fits on the map.
     """
     best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
     best |= {e.term.name: e.term for e in found.effects}
@@ -73,17 +111,17 @@ def next_drive(
     if name is None and lasting:
         name = max(lasting, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
     if name is None:
-        raise InputError(
-            "these runs show nothing that the model lacks on any day: name the effect that you are in doubt about"
-        )
+        raise InputError("no effect was found that lasts from day to day: name the `effect` to find out about")
+    name = next((key for key in best if name in (key, effect_name(key))), name)
     if name not in best:
         raise InputError(
-            f"there is no candidate {name!r} on these runs; there are {', '.join(sorted(best))}", name=name
+            f"these runs have no candidate effect {name!r}; the candidate effects are {', '.join(sorted(best))}",
+            name=name,
         )
     rivals = found.trace.confounded.get(name, [])
     others = [e.term for e in found.effects if e.term.name != name]
 
-    def traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
+    def _traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
         return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
 
     suggestion = suggest_drive(
@@ -92,7 +130,7 @@ def next_drive(
         [*(best[r] for r in rivals), *others],
         heightmap,
         robot,
-        traction,
+        _traction,
         length_m=length_m,
         seed=seed,
     )
@@ -110,10 +148,35 @@ def suggest_next_drive(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> NextDrive:
-    """`next_drive` after a calibration of which nothing is kept."""
+    """Return the next drive after a calibration of which nothing is kept.
+
+    Parameters
+    ----------
+    model : str or Path
+        Name or folder of the base model.
+    heightmap : Heightmap
+        On which the runs were driven.
+    robot : Robot
+        That drove.
+    runs : CalibrationRuns
+        The runs so far.
+    effect : str, optional
+        As `next_drive`.
+    length_m : float
+        About how far to drive in all [m].
+    seed : int
+        Of the permutations and of the routes that are tried.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    NextDrive
+        As `next_drive`.
+    """
     predictor = load_model(model)
     measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
-    base = base_residuals(model, predictor, heightmap, robot, runs.base)
+    base = base_residuals(model, predictor, heightmap, robot, runs.baseline)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
     return next_drive(
         found, predictor, heightmap, robot, placed=runs.placed, effect=effect, length_m=length_m, seed=seed

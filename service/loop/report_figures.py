@@ -1,4 +1,4 @@
-"""The figures of a calibration's report, each as SVG whose letters can be read on a narrow screen too."""
+"""The figures of a calibration's report, each as SVG whose text can be read on a narrow screen too."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.loop.calibration import Calibration
 from joulemap.model.loop.formulas import quantity
 from joulemap.service.loop.rerouting import Comparison
@@ -21,20 +22,26 @@ matplotlib.use("Agg")
 FloatArray = NDArray[np.float64]
 
 _BEFORE, _AFTER = "#b9532f", "#2b6f6b"
+_NAMES = ("before", "after, held out of the fit")
 _QUANTITIES = {
     "heading change [rad]": "turning",
     "speed [m/s]": "speed",
-    "spin-up [m2/s2]": "spin_up",
+    "gain of squared speed [m2/s2]": "squared_speed",
     "cross slope, tangent": "cross_slope",
     "grade, tangent": "grade",
     "roughness [m]": "roughness",
-    "heading of the way [deg]": "heading_deg",
+    "heading [deg]": "heading_deg",
     "time since the start [s]": "since_start",
     "time per segment [s]": "duration",
     "predicted energy [{unit}]": "predicted",
 }
+LEAST_SPAN = 0.05
+"""Of the mean energy per metre: colour scales of changes reach at least so far from zero, so that a small change looks
+small."""
+
 _BINS = 14
 _WIDE, _HIGH = 4.4, 3.7  # inches of half a page
+_FULL = 5.8  # of a page
 _SMALL = (2.6, 2.0)
 
 
@@ -51,34 +58,58 @@ def _figure(draw: Callable[[Axes], None], size: tuple[float, float]) -> str:
 
 
 def prediction_figures(found: Calibration, unit: str) -> list[str]:
-    """Measured against predicted energy of every segment, before and after."""
+    """Draw measured against predicted energy of every segment, before and after.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+    unit : str
+        Of energy or charge.
+
+    Returns
+    -------
+    list of str
+        Two SVG figures.
+    """
     moving = found.residuals.moving
     measured = found.residuals.measured[moving]
     top = float(np.quantile(measured, 0.995))
 
-    def panel(name: str, predicted: FloatArray, colour: str) -> str:
-        def draw(ax: Axes) -> None:
+    def _panel(name: str, predicted: FloatArray, colour: str) -> str:
+        def _draw(ax: Axes) -> None:
             ax.plot(predicted[moving], measured, ".", ms=3, alpha=0.35, color=colour, rasterized=True)
             ax.plot([0, top], [0, top], "k-", lw=0.8)
             ax.set(xlim=(0, top), ylim=(0, top), title=name, xlabel=f"predicted [{unit}]", ylabel=f"measured [{unit}]")
 
-        return _figure(draw, (_WIDE, _HIGH))
+        return _figure(_draw, (_WIDE, _HIGH))
 
-    return [panel("before", found.first, _BEFORE), panel("after, run held out", found.held_out, _AFTER)]
+    return [_panel(_NAMES[0], found.first, _BEFORE), _panel(_NAMES[1], found.held_out, _AFTER)]
 
 
 def error_figure(found: Calibration) -> str:
-    """Mean relative error of every run, before and after."""
-    residuals, moving = found.residuals, found.residuals.moving
+    """Draw the mean relative error of every run, before and after, with 95 % bootstrap intervals.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
+    residuals, moving, unit_j = found.residuals, found.residuals.moving, found.residuals.drive.unit_j
     runs = np.unique(residuals.drive.run[moving])
 
-    def draw(ax: Axes) -> None:
+    def _draw(ax: Axes) -> None:
         rng = np.random.default_rng(0)
         for shift, predicted, colour, label in (
-            (-0.15, found.first, _BEFORE, "before"),
-            (0.15, found.held_out, _AFTER, "after, run held out"),
+            (-0.15, found.first, _BEFORE, _NAMES[0]),
+            (0.15, found.held_out, _AFTER, _NAMES[1]),
         ):
-            relative = np.abs(residuals.measured - predicted) / np.maximum(np.abs(residuals.measured), 1e-9)
+            relative = relative_errors(unit_j * predicted, unit_j * residuals.measured)
             for k, run in enumerate(runs):
                 mine = relative[moving & (residuals.drive.run == run)]
                 draws = mine[rng.integers(0, mine.size, (200, mine.size))].mean(axis=1)
@@ -94,59 +125,120 @@ def error_figure(found: Calibration) -> str:
                     label=label if k == 0 else None,
                 )
         ax.set_yticks(range(runs.size), [residuals.runs[r] for r in runs], fontsize=8)
-        ax.invert_yaxis()
-        ax.grid(axis="y", lw=0.4)
-        ax.set(xlabel="mean relative error [%]", xlim=(0, None))
-        ax.legend(frameon=False, fontsize=8)
+        ax.set(xlabel="mean relative error [%]", xlim=(0, None), ylim=(runs.size - 0.5, -0.5))
+        ax.grid(axis="x", lw=0.4)
+        ax.legend(frameon=False, fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
-    return _figure(draw, (2 * _WIDE, 1.2 + 0.28 * runs.size))
+    return _figure(_draw, (_FULL, 1.3 + 0.34 * runs.size))
 
 
 def residual_maps(found: Calibration) -> list[str]:
-    """Where on the map the residual lies, before and after."""
+    """Draw the residual of every segment at its place, before and after.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+
+    Returns
+    -------
+    list of str
+        Two SVG figures with the same colour scale.
+    """
     drive, moving = found.residuals.drive, found.residuals.moving
     x, y = drive.x[moving] - drive.x[moving].min(), drive.y[moving] - drive.y[moving].min()
     before = (found.residuals.measured - found.first)[moving]
     after = (found.residuals.measured - found.held_out)[moving]
-    top = max(float(np.quantile(np.abs(before), 0.95)), 1e-9)
+    usual = float(np.median(found.residuals.measured[moving]))
+    top = max(float(np.quantile(np.abs(before), 0.95)), LEAST_SPAN * abs(usual), 1e-9)
     unit = "A s" if found.residuals.charge else "J"
     high = float(np.clip(0.8 * _WIDE * np.ptp(y) / max(np.ptp(x), 1.0) + 0.7, 1.8, 1.5 * _WIDE))
 
-    def panel(values: FloatArray, name: str) -> str:
-        def draw(ax: Axes) -> None:
+    def _panel(values: FloatArray, name: str) -> str:
+        def _draw(ax: Axes) -> None:
             dots = ax.scatter(x, y, c=values, s=5, cmap="RdBu_r", vmin=-top, vmax=top, rasterized=True)
             ax.set(title=name, xlabel="east [m]", ylabel="north [m]", aspect="equal")
             ax.figure.colorbar(dots, ax=ax, extend="both", label=f"residual [{unit}]")
 
-        return _figure(draw, (_WIDE, high))
+        return _figure(_draw, (_WIDE, high))
 
-    return [panel(before, "before"), panel(after, "after, run held out")]
+    return [_panel(before, _NAMES[0]), _panel(after, _NAMES[1])]
+
+
+def change_scale(low: float, high: float, mean: float) -> tuple[str, float, float]:
+    """Return the colour scale of a map of changes, with zero on it.
+
+    Parameters
+    ----------
+    low : float
+        Smallest change that is to be shown [J/m].
+    high : float
+        Largest change that is to be shown [J/m].
+    mean : float
+        Mean energy per metre of the map [J/m].
+
+    Returns
+    -------
+    tuple
+        (name of the colour map, lower end, upper end): from zero where all changes have one sign, else symmetric about
+        zero; at least `LEAST_SPAN` of `mean` long on every side that it has.
+    """
+    reach = max(-low, high, LEAST_SPAN * abs(mean), 1e-9)
+    if low >= 0.0:
+        return "Reds", 0.0, reach
+    return ("Blues_r", -reach, 0.0) if high <= 0.0 else ("RdBu_r", -reach, reach)
 
 
 def change_figure(routes: Comparison) -> str:
-    """By how much the price of each cell changes, mean over headings, with the old route and the new one."""
+    """Draw by how much the energy per metre of each cell changes, mean over headings, with the old and the new route.
+
+    Parameters
+    ----------
+    routes : Comparison
+        Of the map before and after.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
     west, south, east, north = routes.frame.bounds
     before, after = routes.price_per_m
     change = after - before
-    low, high = routes.map_as_dict()["change_per_m"].values()
-    colours = "Reds" if low > 0 else "Blues_r"
-    if low <= 0 <= high:
-        colours, low, high = "RdBu_r", -max(-low, high), max(-low, high)
+    changed = routes.map_as_dict()
+    colours, low, high = change_scale(*changed["change_per_m"].values(), changed["mean_price_per_m"]["after"])
 
-    def draw(ax: Axes) -> None:
+    def _draw(ax: Axes) -> None:
         shown = ax.imshow(change, extent=(0, east - west, 0, north - south), cmap=colours, vmin=low, vmax=high)
-        for route, line, name in ((routes.shown.before, "--", "old route"), (routes.shown.after, "-", "new route")):
+        for route, line, name in (
+            (routes.shown.before, "--", "route before"),
+            (routes.shown.after, "-", "route after"),
+        ):
             x, y = route.points[:, 0] - west, route.points[:, 1] - south
             ax.plot(x, y, line, color="k", lw=1.8, label=name, path_effects=[withStroke(linewidth=4, foreground="w")])
-        ax.set(xlabel="east of the map's edge [m]", ylabel="north of it [m]")
+        ax.set(xlabel="distance from the western edge [m]", ylabel="distance from the southern edge [m]")
         ax.legend(fontsize=8)
-        ax.figure.colorbar(shown, ax=ax, shrink=0.8, extend="both", label="dearer by [J/m]")
+        extend = "both" if low < 0.0 < high else "max" if high > 0.0 else "min"
+        ax.figure.colorbar(shown, ax=ax, shrink=0.8, extend=extend, label="change of the energy per metre [J/m]")
 
-    return _figure(draw, (2 * _WIDE, 4.4))
+    return _figure(_draw, (_FULL, 4.0))
 
 
 def against_figures(found: Calibration, unit: str) -> list[str]:
-    """A panel for every quantity: mean residual in bins of it, before and after."""
+    """Draw the mean residual in bins of every quantity, before and after.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+    unit : str
+        Of energy or charge.
+
+    Returns
+    -------
+    list of str
+        An SVG figure for each quantity that varies.
+    """
     drive, moving = found.residuals.drive, found.residuals.moving
     panels = [(label.format(unit=unit), _values(found, key)) for label, key in _QUANTITIES.items()]
     panels += [
@@ -159,13 +251,13 @@ def against_figures(found: Calibration, unit: str) -> list[str]:
         ("after", found.residuals.measured - found.held_out, _AFTER),
     )
 
-    def panel(name: str, values: FloatArray) -> str:
+    def _panel(name: str, values: FloatArray) -> str:
         known = np.isfinite(values)
         edges = np.unique(np.quantile(values[known], np.linspace(0, 1, _BINS + 1)))
         bins = np.clip(np.searchsorted(edges, values[known], side="right") - 1, 0, max(edges.size - 2, 0))
         kept = [bins == b for b in np.unique(bins) if (bins == b).sum() >= 3]
 
-        def draw(ax: Axes) -> None:
+        def _draw(ax: Axes) -> None:
             for label, residuals, colour in away:
                 residual = residuals[moving][known]
                 ax.errorbar(
@@ -183,16 +275,16 @@ def against_figures(found: Calibration, unit: str) -> list[str]:
             ax.tick_params(labelsize=7)
             ax.locator_params(axis="x", nbins=5)
 
-        return _figure(draw, _SMALL)
+        return _figure(_draw, _SMALL)
 
     shown = [(n, v[moving]) for n, v in panels]
-    return [panel(n, v) for n, v in shown if np.isfinite(v).sum() > 20 and np.nanstd(v) > 1e-12]
+    return [_panel(n, v) for n, v in shown if np.isfinite(v).sum() > 20 and np.nanstd(v) > 1e-12]
 
 
 def _values(found: Calibration, key: str) -> FloatArray:
     drive = found.residuals.drive
     special = {
-        "spin_up": drive.gained_m2ps2,
+        "squared_speed": drive.gained_m2ps2,
         "heading_deg": np.degrees(drive.heading_rad),
         "duration": drive.duration_s,
         "predicted": found.first,

@@ -1,73 +1,126 @@
-"""report.html: what a calibration found and what follows from it, in one file without anything to load."""
+"""report.html: what a calibration found and what to do with it, in one file that loads nothing else."""
 
 from __future__ import annotations
 
 import base64
+import math
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-import numpy as np
-
+from joulemap.model.energy.metrics import LEAST_J
+from joulemap.model.loop.words import effect_name
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (
+    LEAST_SPAN,
     against_figures,
     change_figure,
     error_figure,
     prediction_figures,
     residual_maps,
 )
+from joulemap.service.loop.summary import (
+    NextStep,
+    coefficient_words,
+    collinear_words,
+    drive_words,
+    error_states,
+    error_words,
+    found_words,
+    headline,
+    likeliest,
+    percent,
+    unit_of,
+)
 from joulemap.service.pictures import route_picture
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2424; background: #fbfaf7; max-width: 62rem; margin: 2rem auto;
-  padding: 0 1rem } h1 { font-size: 1.6rem } h2 { font-size: 1.15rem; margin-top: 2.2rem } table { border-collapse:
-  collapse; width: 100% } th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #ddd8cc;
-  vertical-align: top; font-variant-numeric: tabular-nums } th { font-weight: 600 } div.table { overflow-x: auto }
-  svg, img { width: 100%; height: auto; margin-top: .6rem } div.figures { display: grid; gap: 1rem;
-  grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)) } div.small { grid-template-columns:
-  repeat(auto-fill, minmax(min(14rem, 100%), 1fr)) } p.note { color: #5a6464 } p.warning { color: #b9532f }
+  padding: 0 1rem }
+h1 { font-size: 1.6rem } h2 { font-size: 1.15rem; margin-top: 2.2rem } li { margin: .3rem 0 }
+table { border-collapse: collapse; width: 100% } div.table { overflow-x: auto }
+th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #ddd8cc; vertical-align: top;
+  font-variant-numeric: tabular-nums }
+th { font-weight: 600 } td:first-child { min-width: 7rem } td.number { white-space: nowrap }
+svg, img { width: 100%; height: auto; margin-top: .6rem } div.full { max-width: 46rem }
+div.figures { display: grid; gap: 1rem; grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)) }
+div.small { grid-template-columns: repeat(auto-fill, minmax(min(14rem, 100%), 1fr)) }
+p.note { color: #5a6464 } p.warning { color: #b9532f }
+code.command { display: block; overflow-x: auto; white-space: pre; background: #efece3; border-radius: 6px;
+  padding: .5rem .7rem; font-size: .9rem }
 """
 _AGAINST = (
-    '<p class="note">Mean residual in equal shares of the segments with two standard errors: red before, green after, '
-    "run held out. What is level at zero explains nothing more.</p>"
+    '<p class="note">Mean residual in bins with equal numbers of segments, with two standard errors: red before, green '
+    "after (held out of the fit). A line that stays at zero means that the quantity explains nothing more.</p>"
 )
-_FEW = 4  # coefficients of an effect that are all told
-_ALIKE = 0.005  # of the mean price: less than this is no change of the map
+_ALIKE = 0.005  # of the mean energy per metre: less than this is no change of the map
 
 
-def report_page(made: Calibrated, heightmap: Heightmap) -> str:
-    """The page. heightmap : that the runs were driven on."""
+def report_page(made: Calibrated, heightmap: Heightmap, *, steps: Sequence[NextStep] = ()) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    made : Calibrated
+        What a calibration left.
+    heightmap : Heightmap
+        On which the runs were driven.
+    steps : sequence of NextStep
+        What to type next.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     document, found = made.document, made.found
-    unit = "A s" if document["target"] == "charge_as" else "J"
-    names = ", ".join(e["name"] for e in document["effects"])
-    title = f"Found: {names}" if names else "Nothing found that the model lacks"
-    runs, base = _count(len(document["runs"]["names"]), "run"), document["model"]["before"]
-    lead = (
-        f"{document['segments']['fit']:,} segments of 1 m in {runs}, held against the model {escape(base['name'])} "
-        f"(version {escape(base['version'])}). Residual = measured - predicted."
-    )
+    unit, title = unit_of(document), headline(document)
     parts = [
-        f"<h1>{escape(title)}</h1><p>{lead}</p>",
+        f"<h1>{escape(title)}</h1>" + _lead(document, steps),
         "".join(f'<p class="warning">Warning: {escape(warning)}</p>' for warning in document["warnings"]),
-        "<h2>Effects</h2>" + _effects(document),
+        "<h2>Effects found</h2>" + _effects(document),
         _confounded(document),
-        "<h2>How far off the model is</h2>" + _errors(document, unit) + error_figure(found),
-        "<h2>What changes on the map</h2>" + _map(made),
+        "<h2>Prediction error</h2>" + _errors(document, unit) + _full(error_figure(found)),
+        "<h2>Change of the cost map</h2>" + _map(made),
         "<h2>A route before and after</h2>" + _route(made, heightmap),
-        "<h2>What to drive next</h2>" + _next_drive(document["next_drive"]),
-        "<h2>Prediction against measurement</h2>" + _figures(prediction_figures(found, unit)),
-        "<h2>Where the residual lies</h2>" + _figures(residual_maps(found)),
-        f"<h2>Residual [{unit}] against each candidate</h2>{_AGAINST}",
+        "<h2>What to drive next</h2>" + _next_drive(document),
+        "<h2>Measured against predicted</h2>" + _figures(prediction_figures(found, unit)),
+        "<h2>Residuals on the map</h2>" + _figures(residual_maps(found)),
+        f"<h2>Residual [{unit}] against each quantity</h2>{_AGAINST}",
         _figures(against_figures(found, unit), "figures small"),
-        "<h2>All that was tried</h2>" + _candidates(document),
-        "<h2>What was mended in the logs</h2>" + _repairs(document["runs"]),
+        "<h2>All candidate effects</h2>" + _candidates(document),
+        "<h2>What was read from the logs</h2>" + _repairs(document["runs"]),
     ]
+    body = re.sub(r"(?<=\d) (?=%)", "&nbsp;", "".join(parts))
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)}</title><style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
+        f"<title>{escape(title)}</title><style>{_STYLE}</style><body>{body}</body></html>\n"
     )
+
+
+def _lead(document: Mapping[str, Any], steps: Sequence[NextStep]) -> str:
+    """What was found, how much better the model is, and what to do next."""
+    first, *rest = found_words(document)
+    words = f"<p>{_text(first)}</p>"
+    if rest:
+        words += "<ul>" + "".join(f"<li>{_text(sentence)}</li>" for sentence in rest) + "</ul>"
+    words += f"<p>{_text(error_words(document))}</p>"
+    if steps:
+        words += "<p>Next:</p>" + "".join(
+            f'<p>{escape(step.purpose)}:<code class="command">{escape(step.command)}</code></p>' for step in steps
+        )
+    base, runs = document["model"]["before"], _count(len(document["runs"]["names"]), "run")
+    return (
+        f'{words}<p class="note">{document["segments"]["fit"]:,} segments of 1 m from {runs}, compared with the model '
+        f"{escape(base['name'])} (version {escape(base['version'])}). Residual = measured - predicted.</p>"
+    )
+
+
+def _text(words: str) -> str:
+    """Escaped; what is in backticks is code."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", escape(words))
 
 
 def _count(number: int, name: str) -> str:
@@ -76,100 +129,93 @@ def _count(number: int, name: str) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     cells = "".join(f"<th>{h}</th>" for h in head)
-    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>" for row in rows)
+    body = "".join("<tr>" + "".join(f"<td{_kind(c)}>{c}</td>" for c in row) + "</tr>" for row in rows)
     return f'<div class="table"><table><tr>{cells}</tr>{body}</table></div>'
+
+
+def _kind(cell: str) -> str:
+    return ' class="number"' if re.fullmatch(r"[-+]?[\d.,e]+( \S+){0,3}", cell) else ""
+
+
+def _full(figure: str) -> str:
+    return f'<div class="full">{figure}</div>'
 
 
 def _figures(figures: Sequence[str], kind: str = "figures") -> str:
     return f'<div class="{kind}">' + "".join(f"<div>{figure}</div>" for figure in figures) + "</div>"
 
 
-def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
-    """Each coefficient of an effect with its 95 % interval; of many the least and the greatest. Those of a field mean
-    something together only: its place is told in `where`.
-    """
-    found = effect["coefficients"]
-    if effect["form"] == "place":
-        return [f"{len(found)} values"]
-    told = found if len(found) <= _FEW else [f(found, key=lambda c: c["value"]) for f in (min, max)]
-    words = [
-        f"{c['name']}: {c['value']:.4g} {c['unit']} ({c['ci95'][0]:.4g} to {c['ci95'][1]:.4g})".replace("  ", " ")
-        for c in told
-    ]
-    return words if told is found else [f"{len(found)} values, the least and the greatest", *words]
-
-
 def _effects(document: Mapping[str, Any]) -> str:
+    remaining = f"{document['remaining']['p_value']:.2g}"
     if not document["effects"]:
-        return f"<p>None. What remains: p = {document['remaining']['p_value']:.2g}.</p>"
+        return f"<p>None. A candidate effect of sufficient size: p = {remaining}, which is not significant.</p>"
     rows = []
     for e in document["effects"]:
         values = "<br>".join(escape(words) for words in coefficient_words(e))
         rows.append(
             [
-                escape(e["name"]),
+                escape(e["label"]),
+                f"{values}<br>{escape(e['meaning'])}",
                 escape(e["where"]),
-                values,
                 f"{e['p_value']:.2g}",
-                f"{e['share_of_residual_variance']:.0%}",
+                percent(e["share_of_residual_variance"], 0),
                 "yes" if e["in_plans"] else "no: needs a log",
             ]
         )
     note = (
-        '<p class="note">Coefficients have a 95 % interval. p: how often chance does as well, all that was tried '
-        "allowed for. Share: of the residual's variance that the effect explains. In plans: whether a planner knows "
-        "beforehand what the effect goes with. That there is more to find in what remains has p = "
-        f"{document['remaining']['p_value']:.2g}.</p>"
+        '<p class="note">p: p-value of a significance test that allows for all candidate effects tried. Share: of the '
+        "variance of the residuals that the effect explains. In plans: whether the quantity that the effect depends on "
+        f"is known before a drive. A further effect of sufficient size: p = {remaining}.</p>"
     )
-    return _table(["effect", "where", "coefficients", "p", "share", "in plans"], rows) + note + _shadows(document)
-
-
-def _shadows(document: Mapping[str, Any]) -> str:
-    names = shadow_words(document)
-    return f"<p>{escape(names)}</p>" if names else ""
-
-
-def shadow_words(document: Mapping[str, Any]) -> str:
-    """What mends the form of the effects found; empty where nothing does."""
-    names = ", ".join(shadow["name"] for shadow in document["shadows"])
-    return f"{names}: in the model, to mend the form of the effects; no cause of its own" if names else ""
+    more = collinear_words(document)
+    head = ["effect", "coefficients and their meaning", "where it acts", "p", "share", "in plans"]
+    return _table(head, rows) + note + (f"<p>{escape(more)}</p>" if more else "")
 
 
 def _confounded(document: Mapping[str, Any]) -> str:
     if not document["confounded"]:
         return ""
-    groups = "".join(f"<li>{escape(', '.join(group))}</li>" for group in document["confounded"])
-    drives = "".join(f"<li>{escape(name)}: {escape(reveals)}</li>" for name, reveals in document["to_separate"].items())
-    return f"<h2>What these runs cannot tell apart</h2><ul>{groups}</ul><p>Drives that would:</p><ul>{drives}</ul>"
-
-
-def error_states(error: Mapping[str, Any]) -> dict[str, str]:
-    """Words for each state that errors are stated of; what the base model's own runs correct where that is anything."""
-    states = {
-        "before": "before",
-        "corrected": "corrected by what the base model's own runs show",
-        "after": "after",
-        "after_planner": "after, as a planner knows it",
-    }
-    return {key: words for key, words in states.items() if key != "corrected" or error[key] != error["before"]}
+    groups = "".join(
+        f"<li>{escape(', '.join(effect_name(name) for name in group))}</li>" for group in document["confounded"]
+    )
+    drives = "".join(
+        f"<li>{escape(effect_name(name))}: {escape(reveals)}</li>" for name, reveals in document["to_separate"].items()
+    )
+    return (
+        f"<h2>Effects that these runs cannot distinguish</h2><ul>{groups}</ul><p>Drives that distinguish them:</p>"
+        f"<ul>{drives}</ul>"
+    )
 
 
 def _errors(document: Mapping[str, Any], unit: str) -> str:
-    judged = [("each run held out in turn", document["segments"]["fit"], document["error"])]
-    if "kept_aside" in document:
-        aside = document["kept_aside"]
-        judged.append(("runs kept aside, in which nothing was sought", aside["segments"], aside["error"]))
+    judged = [("these runs, held out of the fit", document["segments"]["fit"], document["error"])]
+    if "test_set" in document:
+        test = document["test_set"]
+        judged.insert(0, ("test runs", test["segments"], test["error"]))
     rows = [
         [
-            f"{where}, {segments:,} segments: {state}",
-            f"{error[key]['mean_relative']:.1%}",
+            f"{where} ({segments:,} segments)",
+            state,
+            percent(error[key]["mean_relative"]),
             f"{error[key]['rmse']:.3g} {unit}",
             f"{error[key]['bias']:+.3g} {unit}",
         ]
         for where, segments, error in judged
         for key, state in error_states(error).items()
     ]
-    return _table(["judged by", "mean relative", "root mean square", "bias"], rows)
+    states = {state for _, _, error in judged for state in error_states(error)}
+    note = (
+        "Mean relative error: |measured - predicted| / |measured|, mean over the segments of 1 m; a measured energy "
+        f"below {LEAST_J:g} J counts as {LEAST_J:g} J. Bias: mean residual."
+    )
+    if "test_set" in document:
+        note += " Test runs had no part in the calibration."
+    if "corrected" in states:
+        note += " Corrections from the baseline runs: errors of the model that these show too, and that are no effects."
+    if "after_planner" in states:
+        note += " Plan-time prediction: only with what is known before a drive."
+    head = ["measured on", "model", "mean relative error", "root mean square", "bias"]
+    return _table(head, rows) + f'<p class="note">{note}</p>'
 
 
 def _map(made: Calibrated) -> str:
@@ -178,16 +224,19 @@ def _map(made: Calibrated) -> str:
     found = made.document["map"]
     price, change, turn = found["mean_price_per_m"], found["change_per_m"], found["turn_j_per_rad"]
     lead = (
-        f"A metre costs {price['before']:.1f} J before and {price['after']:.1f} J after, mean over the map and all "
-        f"headings; a turn of 90 degrees {turn['before'] * np.pi / 2:.0f} J before and "
-        f"{turn['after'] * np.pi / 2:.0f} J after (what a metre took over how far it turned, in least squares)."
+        f"The mean energy per metre, over the map and all headings, is {price['before']:.1f} J/m before and "
+        f"{price['after']:.1f} J/m after. A turn of 90 degrees adds {turn['before'] * math.pi / 2:.0f} J before and "
+        f"{turn['after'] * math.pi / 2:.0f} J after."
     )
     if max(abs(change["low"]), abs(change["high"])) < _ALIKE * abs(price["after"]):
-        return f"<p>{lead} No place becomes dearer than another.</p>"
-    return (
-        f"<p>{lead} At nineteen places in twenty the change lies between {change['low']:+.1f} and "
-        f"{change['high']:+.1f} J/m.</p>{change_figure(made.routes)}"
+        return f"<p>{lead} The energy per metre of the cells does not change.</p>"
+    spread = f"In 95 % of the cells the change lies between {change['low']:+.1f} and {change['high']:+.1f} J/m."
+    caption = (
+        "Change of the energy per metre in each cell, mean over the headings. The mean energy per metre is "
+        f"{price['after']:.1f} J/m. The colour scale contains zero and reaches at least {percent(LEAST_SPAN, 0)} of "
+        "that mean."
     )
+    return f'<p>{lead} {spread}</p>{_full(change_figure(made.routes))}<p class="note">{caption}</p>'
 
 
 def _route(made: Calibrated, heightmap: Heightmap) -> str:
@@ -196,8 +245,9 @@ def _route(made: Calibrated, heightmap: Heightmap) -> str:
     route, shown = made.document["route"], made.routes.shown
     (x0, y0), (x1, y1) = shown.task
     lead = (
-        f"From {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} ({escape(route['task']['chosen'])}). By the new model the new "
-        f"route saves {route['saving_percent']:.1f} %. Nobody has driven either yet."
+        f"From x {x0:.1f}, y {y0:.1f} to x {x1:.1f}, y {y1:.1f} ({escape(route['task']['chosen'])}). By the calibrated "
+        f"model, the route planned with it takes {route['saving_percent']:.1f} % less energy than the route planned "
+        "with the model before. These are predictions: nobody has driven the two routes yet."
     )
     if "nominal_voltage_v" in route:
         lead += f" No voltage was logged: energy is charge times {route['nominal_voltage_v']:g} V."
@@ -211,57 +261,64 @@ def _route(made: Calibrated, heightmap: Heightmap) -> str:
             f"{route[key]['energy_at_old_prices_j'] / 1000.0:.2f} kJ",
             _energy(route[key]),
         ]
-        for key, name in (("before", "old route"), ("after", "new route"))
+        for key, name in (("before", "planned before"), ("after", "planned after"))
     ]
-    picture = route_picture(heightmap, shown.after, shown.repriced, title="", names=("new route", "old route"))
+    names = ("planned after", "planned before")
+    picture = route_picture(heightmap, shown.after, shown.repriced, title="", names=names)
     data = base64.b64encode(picture).decode("ascii")
-    return (
-        f"<p>{lead}</p>{_table(['', 'length', 'by the old model', 'by the new model'], rows)}"
-        f'<img alt="both routes on the terrain" src="data:image/png;base64,{data}">'
-    )
+    head = ["route", "length", "energy by the model before", "energy by the calibrated model"]
+    return f'<p>{lead}</p>{_table(head, rows)}<img alt="both routes on the terrain" src="data:image/png;base64,{data}">'
 
 
 def _energy(route: Mapping[str, Any]) -> str:
-    doubt = "" if route["energy_std_j"] is None else f" +- {route['energy_std_j'] / 1000.0:.2f}"
-    return f"{route['energy_j'] / 1000.0:.2f}{doubt} kJ"
+    spread = "" if route["energy_std_j"] is None else f" \N{PLUS-MINUS SIGN} {route['energy_std_j'] / 1000.0:.2f}"
+    return f"{route['energy_j'] / 1000.0:.2f}{spread} kJ"
 
 
-def _next_drive(drive: Mapping[str, Any]) -> str:
-    if "why_not" in drive:
-        return f"<p>No suggestion: {escape(drive['why_not'])}.</p>"
-    aim = (
-        f"tells {drive['effect']} from {', '.join(drive['tells_from'])}"
-        if drive["tells_from"]
-        else (f"pins the coefficient of {drive['effect']}")
+def _next_drive(document: Mapping[str, Any]) -> str:
+    drive = document["next_drive"]
+    if "why_not" not in drive:
+        return (
+            f"<p>{escape(drive_words(drive))} It is the best of some hundred simple routes on this map. Its corners "
+            "are in report.json; <code>joulemap suggest-drive</code> takes another effect or length.</p>"
+        )
+    if document["effects"]:
+        return f"<p>{escape(drive_words(drive))}</p>"
+    drives = "".join(
+        f"<li>{escape(name)} (<code>--effect {escape(key)}</code>): {escape(reveals)}</li>"
+        for key, name, reveals in likeliest(document)
     )
-    points = np.array(drive["points"])
-    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
-    where = (
-        f"within x {west:.1f} to {east:.1f} and y {south:.1f} to {north:.1f}"
-        if drive["placed"]
-        else (f"on {east - west:.1f} x {north - south:.1f} m of level ground")
-    )
-    pace = " and ".join(f"{speed:.2f} m/s" for speed in drive["speeds_mps"])
     return (
-        f"<p>{escape(drive['kind'].capitalize())}, {where}, "
-        f"over and over for {drive['total_length_m']:.0f} m at {pace}: of some hundred simple routes on this map this "
-        f"one best {escape(aim)}, to an interval {drive['expected_interval_share']:.0%} as wide as now. Its corners "
-        "are in report.json; <code>joulemap suggest-drive</code> takes another effect or length.</p>"
+        "<p>To find out whether the model lacks something, drive what separates the candidate effects with the largest "
+        f"gain on held-out runs:</p><ul>{drives}</ul><p><code>joulemap suggest-drive</code> with <code>--effect</code> "
+        "finds a route on this map.</p>"
+        if drives
+        else "<p>No candidate effect improves the prediction of held-out runs. Drive what these runs do not contain: "
+        "curves, slopes, other speeds, other ground.</p>"
     )
 
 
 def _candidates(document: Mapping[str, Any]) -> str:
     rows = [
-        [escape(c["name"]), _number(c["p_value"]), f"{c['held_out_gain']:.1%}", escape(c.get("why_not", "taken"))]
+        [
+            escape(c["label"]),
+            f"<code>{escape(c['name'])}</code>",
+            _number(c["p_value"]),
+            percent(c["held_out_gain"]),
+            escape(c.get("why_not", "found")),
+        ]
         for c in document["candidates"]
     ]
-    rows += [[escape(name), "", "", f"refused: {escape(why)}"] for name, why in document["refused"].items()]
+    rows += [
+        [escape(effect_name(name)), f"<code>{escape(name)}</code>", "", "", f"not tried: {escape(why)}"]
+        for name, why in document["refused"].items()
+    ]
     note = (
-        '<p class="note">p and gain are of the candidate alone, before anything was taken: p allows for everything '
-        "that was tried, the gain is the share of the squared error of held-out runs that it would take away. The last "
-        "column says what it still explains beside all that was taken.</p>"
+        '<p class="note">p and gain are of the candidate effect alone, before any was found. p allows for everything '
+        "that was tried. Gain: by which share the squared error on held-out runs falls. The last column says what the "
+        "candidate explains beside all effects found.</p>"
     )
-    return note + _table(["candidate", "p alone", "gain alone", "beside what was taken"], rows)
+    return note + _table(["candidate effect", "key", "p alone", "gain alone", "beside the effects found"], rows)
 
 
 def _number(value: float | None) -> str:
@@ -273,6 +330,6 @@ def _repairs(runs: Mapping[str, Any]) -> str:
         return escape(", ".join(f"{count} {rule.replace('_', ' ')}" for rule, count in counts.items() if count))
 
     left_out = words(runs["left_out"])
-    note = f"<p>{runs['rows']:,} rows read; made no segment: {left_out or 'nothing'}.</p>"
+    note = f"<p>{runs['rows']:,} rows were read. In no segment: {left_out or 'nothing'}.</p>"
     rows = [[escape(name), words(counts)] for name, counts in runs["repairs"].items()]
-    return note + (_table(["run", "rows mended or dropped, by rule"], rows) if rows else "")
+    return note + (_table(["run", "rows repaired or dropped, by reason"], rows) if rows else "")

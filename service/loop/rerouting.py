@@ -1,4 +1,4 @@
-"""The same task before and after a calibration: the way of the old prices, and what that of the new ones saves."""
+"""The same task planned before and after a calibration, and what the new route saves at the calibrated costs."""
 
 from __future__ import annotations
 
@@ -33,9 +33,22 @@ _CELLS = 250_000  # about as many has the lattice that routes are compared on
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rerouted:
-    """One task. before : the old prices' way at the old prices; repriced : the same way at the new ones; after : the
-    new prices' way at the new ones; old_j : its energy at the old ones. std_j : standard deviations of `repriced` and
-    `after`, None where they are not known.
+    """One task, planned with both models.
+
+    Attributes
+    ----------
+    task : tuple of tuple of float
+        Start and goal [m].
+    before : Route
+        Planned with and priced by the base model.
+    repriced : Route
+        The same route, priced by the calibrated model.
+    after : Route
+        Planned with and priced by the calibrated model.
+    old_j : float
+        Energy of `after` by the base model [J].
+    std_j : tuple of float
+        Standard deviations of `repriced` and `after` [J], None where they are not known.
     """
 
     task: Task
@@ -47,19 +60,34 @@ class Rerouted:
 
     @property
     def saving_j(self) -> float:
-        """What the new way saves against the old one, both at the new prices [J]."""
+        """Energy that the new route saves compared with the old one, both by the calibrated model [J]."""
         return self.repriced.energy_j - self.after.energy_j
 
     @property
     def saving_share(self) -> float:
+        """Saving as a share of the energy of the old route, 0..1."""
         return self.saving_j / self.repriced.energy_j if self.repriced.energy_j > 0 else 0.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """shown : the task that is told of. tried : all of them. given : whether somebody asked for it. turn_j_per_rad :
-    what turning costs in plans, before and after. price_per_m : of the map's cells, (rows, cols) [J/m], mean over the
-    headings that may be driven, before and after; NaN where there are none. frame : of both.
+    """What a calibration changes in plans and on the map.
+
+    Attributes
+    ----------
+    shown : Rerouted
+        The task that is reported.
+    tried : tuple of Rerouted
+        All tasks.
+    given : bool
+        Whether the task was asked for.
+    turn_j_per_rad : tuple of float
+        What turning costs in plans, before and after [J/rad].
+    frame : GridFrame
+        Of the cells.
+    price_per_m : tuple of ndarray, (rows, cols)
+        Energy per metre of the cells, before and after [J/m], mean over the headings that may be driven; NaN where
+        there are none.
     """
 
     shown: Rerouted
@@ -71,15 +99,15 @@ class Comparison:
 
     @property
     def chosen(self) -> str:
-        """How the task was found, in words."""
+        """How the task was chosen, in words."""
         if self.given:
-            return "given"
+            return "as asked for"
         if len(self.tried) == 1:
-            return "between the two places farthest apart that the runs visited"
-        return f"of {len(self.tried)} tasks between places that the runs visited, the one whose route gains most"
+            return "the two places with the greatest distance that the runs visited"
+        return f"the one with the largest saving of {len(self.tried)} tasks between places that the runs visited"
 
     def map_as_dict(self) -> dict[str, Any]:
-        """What a calibration changes on the map, JSON-able; nineteen places in twenty change by `low` to `high`."""
+        """Return what a calibration changes on the map, JSON-able; 95 % of the cells change by `low` to `high`."""
         before, after = self.price_per_m
         low, high = (float(q) for q in np.nanquantile(after - before, [0.025, 0.975]))
         return {
@@ -89,7 +117,7 @@ class Comparison:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-able; energies are at the new prices unless they say otherwise."""
+        """Return the routes, JSON-able; energies are by the calibrated model unless the key says otherwise."""
         shown = self.shown
         return {
             "task": {"start": list(shown.task[0]), "goal": list(shown.task[1]), "chosen": self.chosen},
@@ -120,10 +148,38 @@ def compare_routes(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Comparison:
-    """Plan a task with both models. places : (n, 2) world points [m] that the runs visited; task : start and goal, or a
-    few are drawn of the places, the two farthest apart among them, and the one is shown whose route gains most.
+    """Plan the same task with two models.
 
-    Raises InfeasibleError where none of the tasks has a route, PointError for a task outside the map.
+    Parameters
+    ----------
+    heightmap : Heightmap
+        Where to drive.
+    robot : Robot
+        That drives.
+    before : Predictor
+        The base model.
+    after : Predictor
+        The calibrated model.
+    places : ndarray, (n, 2)
+        World points that the runs visited [m].
+    task : tuple of tuple of float, optional
+        Start and goal [m]. Without it a few pairs of `places` are tried, and the one with the largest saving is shown.
+    seed : int
+        Of the pairs.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    Comparison
+        Of the routes and of the map.
+
+    Raises
+    ------
+    InfeasibleError
+        If none of the tasks has a route.
+    PointError
+        If the task lies outside the map.
     """
     west, south, east, north = heightmap.frame.bounds
     spacing = max(1.0, math.ceil(math.sqrt((east - west) * (north - south) / _CELLS)))
@@ -143,7 +199,7 @@ def compare_routes(
         if progress is not None:
             progress((number + 1) / len(tasks))
     if not tried:
-        raise NoRouteError("no two of the places that the runs visited are joined by a route", tasks=len(tasks))
+        raise NoRouteError("no route joins any two of the places that the runs visited", tasks=len(tasks))
     shown = max(tried, key=lambda r: r.saving_share)
     turning = robots[0].turn_j_per_rad, robots[1].turn_j_per_rad
     prices = old.mean_energy_per_m(), new.mean_energy_per_m()
@@ -167,13 +223,26 @@ def _last(std_j: FloatArray | None) -> float | None:
 
 
 def drawn_tasks(places: FloatArray, *, seed: int) -> list[Task]:
-    """Start and goal of the two places (n, 2) farthest apart, and of a few seeded pairs that are not much closer."""
+    """Return tasks between places.
+
+    Parameters
+    ----------
+    places : ndarray, (n, 2)
+        World points [m].
+    seed : int
+        Of the pairs.
+
+    Returns
+    -------
+    list of tuple
+        Start and goal: the two places with the greatest distance, and a few random pairs that are not much closer.
+    """
     angle = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
     outermost = places[np.unique(np.argmax(places @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))]
-    apart = np.hypot(*(outermost[:, None] - outermost).transpose(2, 0, 1))
-    a, b = np.unravel_index(int(np.argmax(apart)), apart.shape)
+    distance = np.hypot(*(outermost[:, None] - outermost).transpose(2, 0, 1))
+    a, b = np.unravel_index(int(np.argmax(distance)), distance.shape)
     pairs = [(outermost[a], outermost[b])]
     drawn = places[np.random.default_rng(seed).integers(0, len(places), (50 * _OTHERS, 2))]
-    far = np.hypot(*(drawn[:, 0] - drawn[:, 1]).T) >= _LEAST_SHARE * apart[a, b]
+    far = np.hypot(*(drawn[:, 0] - drawn[:, 1]).T) >= _LEAST_SHARE * distance[a, b]
     pairs += [(start, goal) for start, goal in drawn[far][:_OTHERS]]
     return [((float(s[0]), float(s[1])), (float(g[0]), float(g[1]))) for s, g in pairs]

@@ -176,7 +176,7 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
         seed=seed,
         true=truth.names,
         found=tuple(effect["name"] for effect in report["effects"]),
-        shadows=tuple(effect["name"] for effect in report.get("shadows", [])),
+        shadows=tuple(effect["name"] for effect in report.get("collinear", [])),
         new_before=report["error"]["before"]["mean_relative"],
         new_after=report["error"]["after"]["mean_relative"],
         new_clean=new_clean,

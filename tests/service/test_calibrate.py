@@ -12,7 +12,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_calibration_runs
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
-from joulemap.service.loop.report_page import coefficient_words
+from joulemap.service.loop.summary import coefficient_words
 from tests.reference.drives import wheel_logs
 
 runner = CliRunner()
@@ -47,7 +47,7 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
         "http://creativecommons.org", ""
     )
     assert '<meta name="viewport"' in page
-    for heading in ("What changes on the map", "What to drive next", "All that was tried", "mended in the logs"):
+    for heading in ("Change of the cost map", "What to drive next", "All candidate effects", "read from the logs"):
         assert f"{heading}</h2>" in page
     assert ("points" in report["next_drive"]) == bool(report["effects"] or report["confounded"])
     assert "drive next" in done.output
@@ -151,17 +151,18 @@ def written(path, lines):
     path.write_text("\n".join(",".join(map(str, row)) for row in lines) + "\n")
 
 
-def test_runs_kept_aside_are_judged_by_and_nothing_else(field, tmp_path):
-    done = calibrate(field, tmp_path, "--keep-aside", str(field / "run_02.csv"))
+def test_test_runs_are_judged_by_and_nothing_else(field, tmp_path):
+    done = calibrate(field, tmp_path, "--test-runs", str(field / "run_02.csv"))
     assert done.exit_code == 0, done.output
-    assert "kept aside" in done.output
+    assert "On one test run that had no part in the calibration" in done.output
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["runs"]["names"] == ["run_01.csv", "run_03.csv", "run_04.csv"]
-    error = report["kept_aside"]["error"]
+    error = report["test_set"]["error"]
     assert all(set(error[key]["by_run"]) == {"run_02.csv"} for key in ("before", "corrected", "after", "after_planner"))
     assert "run_02.csv" not in report["error"]["before"]["by_run"]
-    assert report["kept_aside"]["segments"] > 20
-    assert "runs kept aside" in (tmp_path / "report.html").read_text()
+    assert report["test_set"]["segments"] > 20
+    assert report["kept_aside"] == report["test_set"]  # its former key, until version 0.3
+    assert "On one test run that had no part in the calibration" in (tmp_path / "report.html").read_text()
     # without effects nothing is added, with them another way of stating the model's answer gives the same number
     if report["model"]["after"] is None:
         assert error["after"] == error["corrected"] == error["before"]
@@ -260,9 +261,13 @@ def test_wheel_speeds_stand_in_for_positions(tmp_path):
 def test_of_many_coefficients_the_least_and_the_greatest_are_told():
     def effect(*values):
         told = [{"name": f"at {v}", "value": v, "unit": "J", "ci95": [v - 1, v + 1]} for v in values]
-        return {"form": "smooth", "coefficients": told}
+        return {"name": "learned:x", "form": "smooth", "coefficients": told}
 
-    assert coefficient_words(effect(3, 5)) == ["at 3: 3 J (2 to 4)", "at 5: 5 J (4 to 6)"]
-    told = coefficient_words(effect(3, 9, 5, -2, 4))
-    assert told == ["5 values, the least and the greatest", "at -2: -2 J (-3 to -1)", "at 9: 9 J (8 to 10)"]
+    words = ["at 3: 3 J (95 % interval 2 to 4)", "at 5: 5 J (95 % interval 4 to 6)"]
+    assert coefficient_words(effect(3, 5)) == words
+    assert coefficient_words(effect(3, 9, 5, -2, 4)) == [
+        "5 values, the smallest and the largest",
+        "at -2: -2 J (95 % interval -3 to -1)",
+        "at 9: 9 J (95 % interval 8 to 10)",
+    ]
     assert coefficient_words(effect(1, 2) | {"form": "place"}) == ["2 values"]

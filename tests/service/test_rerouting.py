@@ -72,7 +72,7 @@ def test_where_everything_got_dearer_alike_the_way_stays() -> None:
     hotel = Term("hotel_load", "hotel_load", ("W",), coefficients=(5.0,))
     task = ((3.5, 14.5), (36.5, 15.5))
     told = compare_routes(hills(), Robot(idle_power_w=500.0), PhysicsPredictor(), calibrated(hotel), PLACES, task=task)
-    assert told.chosen == "given"
+    assert told.chosen == "as asked for"
     assert told.shown.task == task
     assert told.shown.saving_share == pytest.approx(0.0, abs=2e-3)
     ten = 5.0 / Robot().speed_mps  # J more for a metre

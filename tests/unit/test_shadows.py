@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from joulemap.model.loop.report import report_document
-from joulemap.service.loop.report_page import shadow_words
+from joulemap.service.loop.summary import collinear_words
 from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
 
 BEFORE = {"name": "made up", "version": "1"}
@@ -14,8 +14,8 @@ BEFORE = {"name": "made up", "version": "1"}
 def told(found):
     """(names of the causes, names of the shadows) in the report."""
     document = report_document(found, before=BEFORE, after="2")
-    assert [e.term.name for e in found.effects if e.shadow] == [s["name"] for s in document["shadows"]]
-    return [e["name"] for e in document["effects"]], [s["name"] for s in document["shadows"]], document
+    assert [e.term.name for e in found.effects if e.shadow] == [s["name"] for s in document["collinear"]]
+    return [e["name"] for e in document["effects"]], [s["name"] for s in document["collinear"]], document
 
 
 def leaning(rng):
@@ -36,13 +36,13 @@ def test_a_measured_tilt_is_the_shadow_of_the_slope_across():
     causes, shadows, document = told(found)
     assert causes == ["cross_slope"]
     assert shadows == ["learned:roll"]
-    assert shadow_words(document).startswith("learned:roll:")
+    assert collinear_words(document).startswith("Roll (fitted curve) is in the calibrated model too: collinear")
     (row,) = [c for c in document["candidates"] if c["name"] == "learned:roll"]
     assert not row["taken"]
-    assert "no cause" in row["why_not"]
+    assert "not an effect of its own" in row["why_not"]
     (gain,) = [c for c in document["candidates"] if c["name"] == "sensor_gain"]
     assert gain["p_value"] < 0.05  # alone; the slope across says it all
-    assert gain["why_not"] == "beside the effects found, chance does as well"
+    assert gain["why_not"] == "beside the effects found, not significant"
     alone = [e.term for e in found.effects if not e.shadow]
     both = [e.term for e in found.effects]
     extra = 25.0 * ROBOT.weight_n * squared
@@ -58,7 +58,7 @@ def test_a_measured_tilt_alone_is_no_shadow():
     causes, shadows, document = told(found_in(drive, noisy(rng, drive, 25.0 * ROBOT.weight_n * squared)))
     assert "learned:roll" in causes
     assert shadows == []
-    assert shadow_words(document) == ""
+    assert collinear_words(document) == ""
 
 
 def test_a_true_second_effect_is_a_cause_whatever_its_form():
