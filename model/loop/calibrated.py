@@ -19,6 +19,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.loop.drive import Drive, describe_segments, planned_drive
 from joulemap.model.loop.effects import Term
 from joulemap.model.loop.formulas import driven_heights
+from joulemap.model.loop.words import effect_name
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
@@ -120,14 +121,16 @@ class CalibratedPredictor:
         found = list(self.base.warnings(heightmap, robot))
         for term, known in zip(self.correction.terms, self.correction.planner, strict=True):
             if not known:
-                found.append(f"the effect {term.name} needs what only a log knows: it is not in plans")
+                found.append(
+                    f"plans do not contain the effect {effect_name(term.name)}: it depends on what only a log records"
+                )
             elif term.settings.get("over") == "elevation":
                 low, high = driven_heights(term.settings["knots"])
                 heights = heightmap.heights[np.isfinite(heightmap.heights)]
                 if (other := np.mean((heights < low) | (heights > high))) > _OTHER_HEIGHTS:
                     found.append(
-                        f"the effect {term.name} is known at heights from {low:.1f} to {high:.1f} m: it adds nothing "
-                        f"on the {other:.0%} of this map that lies at others"
+                        f"the effect {effect_name(term.name)} is known at heights from {low:.1f} to {high:.1f} m: it "
+                        f"adds nothing on the {other:.0%} of this map that lies at other heights"
                     )
         return found
 

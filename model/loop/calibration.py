@@ -9,20 +9,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.loop.bounds import bounded
 from joulemap.model.loop.candidates import Candidate, find_candidates
 from joulemap.model.loop.effects import Term
-from joulemap.model.loop.evidence import Verdict
 from joulemap.model.loop.fitting import Fit, fit_terms
 from joulemap.model.loop.localise import localised
 from joulemap.model.loop.residual import Residuals
-from joulemap.model.loop.selection import ALPHA, Floors, Found, interactions_of
+from joulemap.model.loop.selection import Floors, Found, interactions_of
 from joulemap.model.loop.shared import SharedErrors, most_carried, shared_errors
 from joulemap.model.loop.trace import Trace, trace
 
 FloatArray = NDArray[np.float64]
 
-_LEAST_SHARE = 0.05  # of the usual energy: relative errors of less say nothing
 _MOST_SHOWN = 0.5  # of an effect, by base runs: more is no news
 _SMALL = 0.2  # share of the residual's squared size below which an effect has to differ from nil
 _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
@@ -280,19 +279,11 @@ def _errors(measured: Residuals, predicted: FloatArray) -> dict[str, Any]:
     moving = measured.moving
     energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
     run = measured.drive.run[moving]
-    relative = np.abs(away) / np.maximum(np.abs(energy), _LEAST_SHARE * np.median(energy))
+    unit_j = measured.drive.unit_j
+    relative = relative_errors(unit_j * (energy - away), unit_j * energy)
     return {
         "mean_relative": float(relative.mean()),
         "rmse": float(np.sqrt(np.mean(away**2))),
         "bias": float(away.mean()),
         "by_run": {measured.runs[k]: float(relative[run == k].mean()) for k in np.unique(run)},
     }
-
-
-def verdict_words(verdict: Verdict) -> str:
-    """Why a candidate was not taken."""
-    if verdict.why:
-        return verdict.why
-    if verdict.p_value > ALPHA:
-        return "chance does as well"
-    return "it helps too little on held-out runs"

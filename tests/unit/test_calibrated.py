@@ -79,7 +79,9 @@ def test_what_was_learned_of_heights_stays_near_them():
     extra = [ROBOT.price_per_m(m.segment_traction(hill(0.1), ROBOT, x, 15.0, math.pi / 2)) for m in (source, base)]
     np.testing.assert_allclose(extra[0] - extra[1], [0.0, 40.0, 40.0, 20.0, 0.0], atol=1e-4)
     assert where_words(grass) == "at heights about those driven, 0.5 to 3.5 m; nothing at others"
-    assert source.warnings(hill(0.0), ROBOT)[-1].endswith("it adds nothing on the 100% of this map that lies at others")
+    assert source.warnings(hill(0.0), ROBOT)[-1].endswith(
+        "it adds nothing on the 100% of this map that lies at other heights"
+    )
     near = Heightmap(hill().heights + 1.0, hill().frame)  # from 1 to 3 m
     assert source.warnings(near, ROBOT) == base.warnings(near, ROBOT)
 
