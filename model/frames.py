@@ -64,6 +64,13 @@ class GridFrame:
     cols: int
     crs: str | None = None
 
+    def __repr__(self) -> str:
+        west, south, east, north = self.bounds
+        return (
+            f"GridFrame of {self.rows} x {self.cols} cells of {self.resolution_m:g} m: x {west:.10g} to {east:.10g} m, "
+            f"y {south:.10g} to {north:.10g} m, {self.crs_in_words}"
+        )
+
     def __post_init__(self) -> None:
         low, high = RESOLUTION_LIMITS_M
         if math.isfinite(self.resolution_m) and self.resolution_m > 0 and not low <= self.resolution_m <= high:
@@ -89,6 +96,13 @@ class GridFrame:
         for key in ("west_m", "north_m", "resolution_m"):
             # One place has one spelling, because Heightmap.data_hash depends on it: no 0 beside 0.0 and -0.0.
             object.__setattr__(self, key, float(getattr(self, key)) + 0.0)
+
+    @property
+    def crs_in_words(self) -> str:
+        """The CRS as people name it: its code, the name in its WKT, or that it is unknown."""
+        if self.crs is None:
+            return "CRS unknown"
+        return self.crs if '"' not in self.crs else self.crs.split('"')[1]
 
     @property
     def identity(self) -> str:

@@ -1,8 +1,9 @@
-"""Robot and Battery: read from TOML, checked once, trusted after."""
+"""Robot and Battery: read from TOML, checked once in the constructor, trusted afterwards."""
 
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.errors import InputError, RobotError
+from joulemap.model.errors import InputError, RobotError, nearest_name
 
 GRAVITY_MPS2 = 9.80665
 """Standard gravity [m/s2]. Source: CGPM 1901."""
@@ -20,12 +21,45 @@ GRAVITY_MPS2 = 9.80665
 
 @dataclass(frozen=True)
 class Robot:
-    """A ground robot. The defaults describe the 4WD robot of Wei & Isler 2022 (28.8 V, 0.5 m/s).
+    """A ground robot. The defaults describe the 4WD robot of Wei & Isler 2022.
 
-    rolling_resistance : mu of the paper's eq. 5 (dimensionless) as the battery sees it, drivetrain losses included.
-    regeneration : share of the energy released on a descent that returns to the battery, 0..1 (1 excluded).
-    turn_j_per_rad : energy of turning by one radian [J/rad].
-    max_grade_deg holds up and down along the motion, max_cross_slope_deg across it.
+    Attributes
+    ----------
+    name : str
+        What the robot is called.
+    mass_kg : float
+        Mass with everything that is always carried [kg].
+    width_m, length_m : float
+        Outer size [m].
+    wheel_radius_m : float
+        Radius of a wheel [m].
+    nominal_voltage_v : float
+        Nominal voltage of the battery [V].
+    speed_mps : float
+        Cruising speed [m/s].
+    battery_wh : float
+        Energy of the full battery [Wh].
+    idle_power_w : float
+        Power drawn while the robot does not move [W].
+    max_grade_deg : float
+        Steepest slope along the motion, up and down [deg].
+    max_cross_slope_deg : float
+        Steepest slope across the motion [deg].
+    rolling_resistance : float
+        mu of the paper's eq. 5 (dimensionless) as the battery sees it, drivetrain losses included.
+    regeneration : float
+        Share of the energy released on a descent that returns to the battery, 0 to 0.99.
+    turn_j_per_rad : float
+        Energy of turning by one radian [J/rad].
+
+    Raises
+    ------
+    RobotError
+        If a value is no number or outside its range.
+
+    References
+    ----------
+    Wei & Isler 2022, section IV-A: 28.8 V, 0.5 m/s.
     """
 
     name: str = "rover-4wd"
@@ -47,43 +81,103 @@ class Robot:
         for key, (low, high, low_ok) in _RANGES.items():
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise RobotError(f"robot: {key} must be a number, got {value!r}", key=key)
+                raise RobotError(f"robot.{key} is {value!r}; it must be a number", key=key)
             inside = (low <= value if low_ok else low < value) and value <= high
             if not (math.isfinite(value) and inside):
+                least = f"at least {low:g}" if low_ok else f"above {low:g}"
                 raise RobotError(
-                    f"robot: {key} = {value} is outside {'[' if low_ok else '('}{low:g}, {high:g}]",
+                    f"robot.{key} is {value}; it must be {least} and at most {_plain(high)}",
                     key=key,
                     value=str(value),
                     limit=[low, high],
                 )
             object.__setattr__(self, key, float(value))
         if not self.name or not isinstance(self.name, str):
-            raise RobotError(f"robot: name must be a non-empty text, got {self.name!r}", key="name")
+            raise RobotError(f"robot.name is {self.name!r}; it must be a text that is not empty", key="name")
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot {self.name}: {self.mass_kg:g} kg, {self.width_m:g} m wide, {self.length_m:g} m long, wheels of "
+            f"{self.wheel_radius_m:g} m radius, {self.speed_mps:g} m/s, battery {self.battery_wh:g} Wh at "
+            f"{self.nominal_voltage_v:g} V, {self.idle_power_w:g} W idle, limits {self.max_grade_deg:g} deg along and "
+            f"{self.max_cross_slope_deg:g} deg across the slope, rolling resistance {self.rolling_resistance:g}, "
+            f"regeneration {self.regeneration:g}, turning {self.turn_j_per_rad:g} J/rad"
+        )
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> Robot:
-        """A robot from a mapping of its fields; missing ones keep their defaults. Raises RobotError on unknown keys."""
-        known = {f.name for f in fields(cls)}
-        unknown = sorted(set(values) - known)
+        """Return the robot with these values; what is missing keeps its default.
+
+        Parameters
+        ----------
+        values : mapping
+            Attributes by name.
+
+        Returns
+        -------
+        Robot
+            The robot.
+
+        Raises
+        ------
+        RobotError
+            On an unknown name, and on an impossible value.
+        """
+        known = [field.name for field in fields(cls)]
+        unknown = sorted(set(values) - set(known))
         if unknown:
-            raise RobotError(f"robot: unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}", keys=unknown)
+            name = unknown[0]
+            near = nearest_name(name, known)
+            hint = f"did you mean {near}?" if near else f"known are {', '.join(known)}"
+            if isinstance(values[name], Mapping):
+                hint = f"the values stand at the top level of the file, so leave out the line [{name}]"
+            raise RobotError(f"robot.{name}: unknown; {hint}", key=name, keys=unknown)
         return cls(**values)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Robot:
-        """A robot from a TOML file with the fields above at its top level."""
+        """Read a robot from a TOML file with its attributes at the top level.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Robot
+            The robot; what the file does not say keeps its default.
+
+        Raises
+        ------
+        RobotError
+            If the file cannot be read, or holds an unknown name or an impossible value. The message names file and
+            line.
+        """
         try:
-            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise RobotError(f"robot file {path}: {error}", path=str(path)) from error
-        return cls.from_mapping(values)
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise RobotError(f"robot file {path} cannot be read: {error}", path=str(path)) from error
+        try:
+            values = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            problem, _, where = str(error).partition(" (at ")
+            last = f"line {len(text.splitlines())}, at its end"
+            place = f", {last if 'end of document' in where else where.rstrip(')')}" if where else ""
+            raise RobotError(f"robot file {path}{place}: {problem}", path=str(path)) from error
+        try:
+            return cls.from_mapping(values)
+        except RobotError as error:
+            place = _line_of(str(error.context.get("key", "")), text)
+            raise RobotError(f"robot file {path}{place}: {error.message}", path=str(path), **error.context) from error
 
     def as_dict(self) -> dict[str, Any]:
+        """Return all attributes by name, as `from_mapping` takes them."""
         return asdict(self)
 
     @property
     def weight_n(self) -> float:
-        """m g [N]."""
+        """Weight, mass times standard gravity [N]."""
         return self.mass_kg * GRAVITY_MPS2
 
     @property
@@ -92,11 +186,26 @@ class Robot:
         return self.idle_power_w / self.speed_mps
 
     def price_per_m(self, traction_per_m: ArrayLike) -> NDArray[np.float64]:
-        """Energy drawn from the battery per horizontal metre [J/m], from the traction demand [J/m] (any shape).
+        """Return the energy drawn from the battery per horizontal metre.
 
-        Traction is what motion alone asks for: m g (mu + tan theta) in the paper's eq. 5. Where it is negative the
-        ground pushes the robot: the brakes take it, but for the regenerated share. The hotel load comes on top:
-        hotel + max(t, 0) + regeneration * min(t, 0).
+        Parameters
+        ----------
+        traction_per_m : array_like
+            Traction demand t: what the motion alone needs [J/m], of any shape.
+
+        Returns
+        -------
+        ndarray of float64
+            Energy [J/m] in the shape of `traction_per_m`.
+
+        Notes
+        -----
+        hotel + max(t, 0) + regeneration * min(t, 0), with hotel = `hotel_per_m`. Where t is negative the slope pushes
+        the robot; the brakes take that energy, except the regenerated share.
+
+        References
+        ----------
+        Wei & Isler 2022, eq. 5: t = m g (mu + tan theta).
         """
         traction = np.asarray(traction_per_m, dtype=np.float64)
         return self.hotel_per_m + np.maximum(traction, 0.0) + self.regeneration * np.minimum(traction, 0.0)
@@ -126,10 +235,21 @@ _RANGES = {  # key: (low, high, is low allowed)
 
 @dataclass(frozen=True)
 class Battery:
-    """A battery in the words of a verdict.
+    """A battery and its state at the start of a path.
 
-    capacity_wh : energy when full [Wh]; charge : state of charge now, 0..1; reserve : share of the capacity that must
-    remain at the end, 0..1.
+    Attributes
+    ----------
+    capacity_wh : float
+        Energy when full [Wh].
+    charge : float
+        State of charge now, 0 to 1.
+    reserve : float
+        Share of the capacity that must remain at the end, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If a value is outside its range.
     """
 
     capacity_wh: float
@@ -138,13 +258,37 @@ class Battery:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.capacity_wh) and self.capacity_wh > 0):
-            raise InputError(f"battery: capacity_wh must be positive, got {self.capacity_wh}", key="capacity_wh")
+            raise InputError(
+                f"battery: capacity_wh is {self.capacity_wh}; it must be a positive number of watt hours",
+                key="capacity_wh",
+            )
         for key in ("charge", "reserve"):
             value = getattr(self, key)
             if not (math.isfinite(value) and 0.0 <= value <= 1.0):
-                raise InputError(f"battery: {key} must lie in 0..1, got {value}", key=key, value=str(value))
+                hint = f": for {value:g} % write {value / 100:g}" if 1.0 < value <= 100.0 else ""
+                raise InputError(
+                    f"battery: {key} is {value:g}; it lies between 0 and 1{hint}", key=key, value=str(value)
+                )
+
+    def __repr__(self) -> str:
+        return (
+            f"Battery of {self.capacity_wh:g} Wh, charge {100 * self.charge:.4g} %, reserve {100 * self.reserve:.4g} %"
+        )
 
     @property
     def available_j(self) -> float:
         """Energy above the reserve [J]; negative when the charge is already below it."""
         return (self.charge - self.reserve) * self.capacity_wh * 3600.0
+
+
+def _plain(number: float) -> str:
+    """100000 instead of 1e+05."""
+    return f"{number:g}" if abs(number) < 1e5 else f"{number:.0f}"
+
+
+def _line_of(key: str, text: str) -> str:
+    """ ", line 3" of a TOML text that gives this key, "" where none is found."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if key and re.match(rf"""\s*\[?\s*["']?{re.escape(key)}["']?\s*[=.\]]""", line):
+            return f", line {number}"
+    return ""

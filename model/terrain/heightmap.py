@@ -44,9 +44,25 @@ class Heightmap:
         heights.setflags(write=False)
         object.__setattr__(self, "heights", heights)
 
+    def __repr__(self) -> str:
+        rows, cols = self.frame.shape
+        side = self.resolution_m
+        low, high = self._height_range
+        crs = self.frame.crs_in_words
+        return (
+            f"Heightmap {self.source}: {rows} x {cols} cells of {side:g} m ({cols * side:g} m east, {rows * side:g} m "
+            f"north), heights {low:.2f} to {high:.2f} m, {100 * self.known_share:.4g} % known, {crs}"
+        )
+
     @property
     def resolution_m(self) -> float:
+        """Side of a cell [m]."""
         return self.frame.resolution_m
+
+    @cached_property
+    def _height_range(self) -> tuple[float, float]:
+        known = self.heights[~np.isnan(self.heights)]
+        return (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
 
     @cached_property
     def known_share(self) -> float:

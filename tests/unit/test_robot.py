@@ -49,11 +49,43 @@ def test_impossible_robots_are_refused_by_name(values: dict, words: str) -> None
         Robot.from_mapping(values)
 
 
-@pytest.mark.parametrize("text", ["mass_kg = ", "[robot]\nmass_kg = 3\n"])
-def test_broken_files_are_refused(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"mass": 30.0}, "robot.mass: unknown; did you mean mass_kg?"),
+        ({"voltage": 24.0}, "robot.voltage: unknown; did you mean nominal_voltage_v?"),
+        ({"Mass_kg": 30.0}, "robot.Mass_kg: unknown; did you mean mass_kg?"),
+        ({"batery_wh": 24.0}, "robot.batery_wh: unknown; did you mean battery_wh?"),
+        ({"mass_kg": 0}, "robot.mass_kg is 0; it must be above 0 and at most 100000"),
+        ({"idle_power_w": -1.0}, "robot.idle_power_w is -1.0; it must be at least 0 and at most 100000"),
+        ({"speed_mps": "fast"}, "robot.speed_mps is 'fast'; it must be a number"),
+    ],
+)
+def test_messages_say_the_value_the_limit_and_the_nearest_name(values: dict, message: str) -> None:
+    with pytest.raises(RobotError) as caught:
+        Robot.from_mapping(values)
+    assert caught.value.message == message
+
+
+def test_a_name_near_to_none_gets_the_list() -> None:
+    with pytest.raises(RobotError, match=r"robot\.colour: unknown; known are name, mass_kg, .*turn_j_per_rad"):
+        Robot.from_mapping({"colour": "red"})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("mass_kg = ", r"robot\.toml, line 1, at its end: Invalid value"),
+        ('name = "mule"\nmass_kg = 80 kg\n', r"robot\.toml, line 2, column \d+: "),
+        ("[robot]\nmass_kg = 3\n", r"robot\.toml, line 1: robot\.robot: unknown; .*leave out the line \[robot\]"),
+        ('name = "mule"\n\nmass = 3\n', r"robot\.toml, line 3: robot\.mass: unknown; did you mean mass_kg\?"),
+        ("# mass_kg\nmass_kg = -3\n", r"robot\.toml, line 2: robot\.mass_kg is -3; it must be above 0"),
+    ],
+)
+def test_broken_files_are_refused_with_file_and_line(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(RobotError):
+    with pytest.raises(RobotError, match=words):
         Robot.from_toml(path)
     with pytest.raises(RobotError, match=r"missing\.toml"):
         Robot.from_toml(tmp_path / "missing.toml")
@@ -66,3 +98,21 @@ def test_battery_has_what_lies_above_its_reserve() -> None:
     for bad in ({"capacity_wh": 0.0}, {"capacity_wh": 1.0, "charge": 1.1}, {"capacity_wh": 1.0, "reserve": math.nan}):
         with pytest.raises(InputError, match="battery"):
             Battery(**bad)
+
+
+@pytest.mark.parametrize("key", ["charge", "reserve"])
+def test_a_charge_in_per_cent_is_refused_with_what_to_write(key: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Battery(280.0, **{key: 60})
+    assert caught.value.message == f"battery: {key} is 60; it lies between 0 and 1: for 60 % write 0.6"
+    with pytest.raises(InputError, match=rf"{key} is -0\.1; it lies between 0 and 1$"):
+        Battery(280.0, **{key: -0.1})
+
+
+def test_robots_and_batteries_print_in_words_and_units() -> None:
+    words = str(Robot(name="mule", mass_kg=80.0, regeneration=0.3))
+    assert words.startswith(
+        "Robot mule: 80 kg, 0.55 m wide, 0.6 m long, wheels of 0.127 m radius, 0.5 m/s, battery 280 Wh"
+    )
+    assert "regeneration 0.3" in words
+    assert str(Battery(280.0, charge=0.6)) == "Battery of 280 Wh, charge 60 %, reserve 0 %"
