@@ -16,8 +16,8 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError, NoRouteError, TooLargeError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Battery, Robot
+from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import run_of
-from joulemap.model.runs.segments import cut_segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.budget import Verdict, judge_along
@@ -359,6 +359,7 @@ def assess(
     start: Sequence[float] | None = None,
     goal: Sequence[float] | None = None,
     round_trip: bool = False,
+    snap: bool = False,
 ) -> Assessment:
     """Return whether a battery lasts for a given path, or for the best route from start to goal.
 
@@ -377,6 +378,8 @@ def assess(
     round_trip : bool, optional
         Judge the way back too. A given path is driven back in the opposite direction, each leg at its reversed
         heading. From goal to start the best route is searched anew: on a slope it need not be the same.
+    snap : bool, optional
+        Move a start or goal on blocked ground to the nearest free place; the route's notes say where.
 
     Returns
     -------
@@ -390,7 +393,7 @@ def assess(
     PointError
         If a point lies outside the map.
     BlockedError
-        If start or goal is blocked, or a leg of the path is.
+        If start or goal is on blocked ground without `snap`, or if a leg of the path is.
     NoRouteError
         If no route joins start and goal.
     """
@@ -408,8 +411,10 @@ def assess(
         assert goal is not None
         router = planner if isinstance(planner, RoutePlanner) else RoutePlanner(planner)
         there, home = (float(start[0]), float(start[1])), (float(goal[0]), float(goal[1]))
-        out = router.plan(there, home).route
+        out = router.plan(there, home, snap=snap).route
         if round_trip:
+            if snap:  # back from where the way there ended, and to where it began
+                there, home = ((float(x), float(y)) for x, y in out.points[[0, -1], :2])
             back = router.plan(home, there).route
     routes = [route for route in (out, back) if route is not None]
     return Assessment(judge_routes(lattice, routes, battery), out, back)

@@ -1,4 +1,4 @@
-"""From rows, routes and verdicts to the answers of the schemas beside this module."""
+"""Makes answers of the schemas beside this module from rows, routes and verdicts."""
 
 from __future__ import annotations
 
@@ -33,11 +33,35 @@ from joulemap.service.workflows import Assessment
 
 
 def heightmap_out(row: HeightmapRow) -> HeightmapOut:
+    """Return the answer about a heightmap.
+
+    Parameters
+    ----------
+    row : HeightmapRow
+        As it is in the database.
+
+    Returns
+    -------
+    HeightmapOut
+        With links.
+    """
     links = {"self": f"/v1/heightmaps/{row.id}"}
     return HeightmapOut(id=row.id, name=row.name, created_at=_utc(row.created_at), links=links, **row.stats)
 
 
 def costmap_out(row: CostmapRow) -> CostmapOut:
+    """Return the answer about a cost map, done or not.
+
+    Parameters
+    ----------
+    row : CostmapRow
+        As it is in the database.
+
+    Returns
+    -------
+    CostmapOut
+        With links to what can be asked now.
+    """
     base = f"/v1/costmaps/{row.id}"
     summary = row.summary or {}
     links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
@@ -93,11 +117,37 @@ def _job(row: JobRow) -> dict[str, Any]:
 
 
 def runs_out(row: RunsRow) -> RunsOut:
+    """Return the answer about runs that were sent together.
+
+    Parameters
+    ----------
+    row : RunsRow
+        As it is in the database.
+
+    Returns
+    -------
+    RunsOut
+        With links.
+    """
     runs = [RunOut(**run) for run in row.stats]
     return RunsOut(id=row.id, created_at=_utc(row.created_at), runs=runs, links={"self": f"/v1/runs/{row.id}"})
 
 
 def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> CalibrationOut:
+    """Return the answer about a calibration, done or not.
+
+    Parameters
+    ----------
+    row : CalibrationRow
+        As it is in the database.
+    with_report : bool, optional
+        Whether the report is part of the answer; lists leave it out.
+
+    Returns
+    -------
+    CalibrationOut
+        With links.
+    """
     base, asked, summary = f"/v1/calibrations/{row.id}", row.request, row.summary or {}
     links = {"self": base}
     if row.heightmap_id is not None:
@@ -108,8 +158,8 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
         **_job(row),
         heightmap_id=row.heightmap_id,
         runs=asked["runs"],
-        base_runs=asked["base_runs"],
-        aside_runs=asked.get("aside_runs", []),
+        baseline_runs=asked["base_runs"],
+        test_runs=named_test_runs(asked),
         robot=RobotOut(**asked["robot"]),
         model=asked["model"],
         calibrated_model=summary.get("model"),
@@ -119,17 +169,54 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
 
 
 def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
-    """The battery that a request means."""
+    """Return the battery of a request.
+
+    Parameters
+    ----------
+    request : BatteryIn or None
+        What was sent.
+    robot : Robot
+        Whose battery it is where the request does not say.
+
+    Returns
+    -------
+    Battery
+        Capacity [Wh], charge and reserve.
+    """
     given = request or BatteryIn()
     capacity = robot.battery_wh if given.capacity_wh is None else given.capacity_wh
     return Battery(capacity, charge=given.charge, reserve=given.reserve)
 
 
 def verdict_out(verdict: Verdict) -> VerdictOut:
+    """Return a verdict as an answer.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        From the planner.
+
+    Returns
+    -------
+    VerdictOut
+        With the verdict in words.
+    """
     return VerdictOut(message=verdict_words(verdict), **asdict(verdict))
 
 
 def route_values(route: Route) -> dict[str, Any]:
+    """Return the values of a route that `RouteOut` takes.
+
+    Parameters
+    ----------
+    route : Route
+        From the planner.
+
+    Returns
+    -------
+    dict
+        JSON-able.
+    """
     return {
         "energy_j": route.energy_j,
         "energy_wh": route.energy_j / 3600.0,
@@ -142,15 +229,54 @@ def route_values(route: Route) -> dict[str, Any]:
 
 
 def path_points(route: Route) -> list[list[float | None]]:
+    """Return the points of a route.
+
+    Parameters
+    ----------
+    route : Route
+        From the planner.
+
+    Returns
+    -------
+    list of [x, y, z]
+        World coordinates [m]; z is None where unknown.
+    """
     return [[number(v) for v in point] for point in route.points.tolist()]
 
 
 def number(value: float) -> float | None:
-    """The value, None where it is not a number."""
+    """Return a number as JSON knows it.
+
+    Parameters
+    ----------
+    value : float
+        Any.
+
+    Returns
+    -------
+    float or None
+        None where it is not finite.
+    """
     return value if math.isfinite(value) else None
 
 
 def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOut:
+    """Return the answer to the question for a path.
+
+    Parameters
+    ----------
+    plan : Plan
+        From the planner.
+    verdict : Verdict or None
+        None where none was asked for.
+    warnings : list of str
+        Of the cost map.
+
+    Returns
+    -------
+    PathOut
+        With the shortest path beside.
+    """
     route, shortest = plan.route, plan.shortest
     p = route.profile
     columns = (p.distance_m, p.x, p.y, p.z, np.rad2deg(p.heading_rad), p.energy_j, p.cumulative_j)
@@ -174,7 +300,22 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
 
 
 def path_geojson(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> dict[str, Any]:
-    """A FeatureCollection of both paths; the map's CRS stands once, at its top."""
+    """Return a plan as a GeoJSON FeatureCollection.
+
+    Parameters
+    ----------
+    plan : Plan
+        From the planner.
+    verdict : Verdict or None
+        None where none was asked for.
+    warnings : list of str
+        Of the cost map.
+
+    Returns
+    -------
+    dict
+        The energy-optimal path, the shortest one and the alternatives; the CRS is given once, at the top.
+    """
     best = geojson(plan.route, kind="energy_optimal", planner=plan.planner, saving_j=plan.saving_j)
     shortest = geojson(plan.shortest, kind="shortest")
     others = [geojson(other, kind="alternative") for other in plan.others]
@@ -193,6 +334,20 @@ def path_geojson(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> di
 
 
 def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityOut:
+    """Return the answer to the question whether the battery lasts.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        Verdict and routes.
+    warnings : list of str
+        Of the cost map.
+
+    Returns
+    -------
+    FeasibilityOut
+        The verdict with its routes.
+    """
     routes = [r for r in (assessment.route_out, assessment.route_back) if r is not None]
     return FeasibilityOut(
         **verdict_out(assessment.verdict).model_dump(),
@@ -205,7 +360,7 @@ def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityO
 
 
 def _utc(time: dt.datetime) -> dt.datetime:
-    """The database keeps UTC without saying so."""
+    """The time with its time zone: the database keeps UTC without one."""
     return time.replace(tzinfo=dt.UTC)
 
 

@@ -1,4 +1,4 @@
-"""What all requests and answers are made of: strictness, points, robots, problems, jobs."""
+"""What all requests and answers are made from: strictness, points, robots, problems, jobs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNKNOWN_FIELD = "unknown_field"
 
 
 class ClosedModel(BaseModel):
-    """Refuses unknown fields, and says which known name is the nearest."""
+    """A model that refuses unknown fields and names the known field that is nearest."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -57,20 +57,22 @@ def _is_unknown(found: Mapping[str, Any]) -> bool:
 
 
 class Request(ClosedModel):
-    """Strict: unknown fields, numbers in quotes, NaN and infinity are refused."""
+    """A strict model: unknown fields, numbers in quotes, NaN and infinity are refused."""
 
     model_config = ConfigDict(strict=True)
 
 
 class ResponseModel(BaseModel):
-    """What is answered: its fields are those of the schema and no others."""
+    """An answer: it has the fields of the schema and no others."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 Point = Annotated[
     list[float],
-    Field(min_length=2, max_length=3, description="world [x, y] in the map's CRS [m], east and north; z is ignored"),
+    Field(
+        min_length=2, max_length=3, description="world [x, y] in the map's CRS [m], x east and y north; z is ignored"
+    ),
 ]
 PathPoint = Annotated[
     list[float | None],
@@ -81,27 +83,27 @@ Point3 = Annotated[
 ]
 
 _ROBOT_WORDS = {
-    "name": "what the robot is called",
+    "name": "name of the robot",
     "mass_kg": "mass [kg]",
     "width_m": "width over the wheels [m]",
     "length_m": "length [m]",
-    "wheel_radius_m": "wheel radius [m]; a higher step blocks",
+    "wheel_radius_m": "wheel radius [m]; a higher step is blocked",
     "nominal_voltage_v": "nominal battery voltage [V]",
     "speed_mps": "cruising speed [m/s]",
     "battery_wh": "energy of the full battery [Wh]",
-    "idle_power_w": "power drawn by everything but the motion [W]",
-    "max_grade_deg": "steepest slope along the motion, up and down [deg]",
-    "max_cross_slope_deg": "steepest slope across the motion [deg]",
+    "idle_power_w": "power of everything except the motion [W]",
+    "max_grade_deg": "steepest slope along the motion that is allowed, up and down [deg]",
+    "max_cross_slope_deg": "steepest slope across the motion that is allowed [deg]",
     "rolling_resistance": "coefficient of rolling resistance, dimensionless",
     "regeneration": "share of the energy released downhill that returns to the battery, 0..0.99",
-    "turn_j_per_rad": "energy of turning by one radian [J/rad]",
+    "turn_j_per_rad": "energy of turning, per radian [J/rad]",
 }
 _KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
 
 RobotIn = create_model(  # type: ignore[call-overload]
     "RobotIn",
     __base__=Request,
-    __doc__="A robot; a field left out has the default robot's value (in a question: the cost map's).",
+    __doc__="A robot. A field that is left out has the default robot's value, or in a question the cost map's.",
     **{
         key: (kind | None, Field(default=None, description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
         for key, kind in _KIND.items()
@@ -110,7 +112,7 @@ RobotIn = create_model(  # type: ignore[call-overload]
 RobotOut = create_model(  # type: ignore[call-overload]
     "RobotOut",
     __base__=ResponseModel,
-    __doc__="The robot whose prices and limits these are.",
+    __doc__="The robot that prices and limits belong to.",
     **{
         key: (kind, Field(description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
         for key, kind in _KIND.items()
@@ -119,7 +121,18 @@ RobotOut = create_model(  # type: ignore[call-overload]
 
 
 def robot_values(robot: BaseModel | None) -> dict[str, Any]:
-    """The fields that a request gave."""
+    """Return the fields of a robot that a request gave.
+
+    Parameters
+    ----------
+    robot : RobotIn or None
+        What was sent.
+
+    Returns
+    -------
+    dict
+        Without the fields that were left out.
+    """
     return robot.model_dump(exclude_none=True) if robot is not None else {}
 
 
@@ -130,16 +143,18 @@ class Problem(BaseModel):
     title: str = Field(examples=["The question has no answer"])
     status: int = Field(examples=[422])
     detail: str = Field(examples=["start (3, 4) is on blocked ground: step"])
-    code: str = Field(description="the leaf of the error tree", examples=["blocked"])
+    code: str = Field(description="short name of the error", examples=["blocked"])
     request_id: str | None = Field(examples=["3f9c1a7be2d04c55"])
-    context: dict[str, Any] = Field(description="the offending value and the limit", examples=[{"reason": "step"}])
+    context: dict[str, Any] = Field(
+        description="the value that was refused, and the limit", examples=[{"reason": "step"}]
+    )
 
 
 class JobOut(ResponseModel):
-    """What is asked for, being made, or done."""
+    """A job that waits, runs, is done, or has failed."""
 
     id: str
     status: Literal["queued", "running", "done", "failed"]
-    progress: float = Field(ge=0, le=1, description="0..1", examples=[1.0])
+    progress: float = Field(ge=0, le=1, description="share that is done, 0..1", examples=[1.0])
     created_at: dt.datetime = Field(description="UTC")
     finished_at: dt.datetime | None = Field(description="UTC")

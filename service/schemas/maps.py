@@ -14,19 +14,19 @@ from joulemap.service.schemas.base import ClosedModel, JobOut, Problem, Request,
 
 
 class UploadOptions(ClosedModel):
-    """What a heightmap file may leave unsaid; as query parameters or form fields."""
+    """What a heightmap file may not say itself; as query parameters or form fields."""
 
     name: str | None = Field(
-        default=None, min_length=1, max_length=200, description="what to call it; else the file's name"
+        default=None, min_length=1, max_length=200, description="name of the heightmap; default: the file's name"
     )
     resolution_m: float | None = Field(
         default=None,
-        description="side of a cell [m]; needed where the file does not say, refused where it says otherwise",
+        description="side of a cell [m]; needed where the file does not say it, refused where the file says another",
     )
     west_m: float = Field(default=0.0, description="x of the map's west edge [m], where the file does not say")
     north_m: float | None = Field(
         default=None,
-        description="y of the map's north edge [m], where the file does not say; else south is y = 0",
+        description="y of the map's north edge [m], where the file does not say; default: the south edge is y = 0",
     )
     crs: str | None = Field(
         default=None,
@@ -34,8 +34,8 @@ class UploadOptions(ClosedModel):
         max_length=4000,
         description="CRS in metres, e.g. EPSG:32630, where the file does not say",
     )
-    scale_m: float | None = Field(default=None, description="metres per stored count; a PNG needs it")
-    offset_m: float = Field(default=0.0, description="height of stored count 0 [m]")
+    scale_m: float | None = Field(default=None, description="metres per stored unit; a PNG needs it")
+    offset_m: float = Field(default=0.0, description="height of the stored value 0 [m]")
     nodata: float | None = Field(
         default=None, description="stored value that means unknown, where the file does not declare it"
     )
@@ -56,14 +56,16 @@ class HeightmapOut(ResponseModel):
     rows: int = Field(description="cells from north to south", examples=[200])
     cols: int = Field(description="cells from west to east", examples=[300])
     resolution_m: float = Field(description="side of a cell [m]", examples=[1.0])
-    crs: str | None = Field(description="coordinate reference system, null when unknown", examples=["EPSG:32630"])
+    crs: str | None = Field(description="coordinate reference system; null where unknown", examples=["EPSG:32630"])
     bounds: list[float] = Field(
         min_length=4, max_length=4, description="[west, south, east, north] [m]", examples=[[0.0, 0.0, 300.0, 200.0]]
     )
     known_share: float = Field(description="share of cells whose height is known, 0..1", examples=[0.98])
     height_min_m: float = Field(description="lowest known height [m]", examples=[48.2])
     height_max_m: float = Field(description="highest known height [m]", examples=[73.9])
-    hash: str = Field(description="identity of heights and position", examples=["9e107d9d372bb682"])
+    hash: str = Field(
+        description="hash of heights and position: equal maps have equal hashes", examples=["9e107d9d372bb682"]
+    )
     band: int | None = Field(
         default=None, description="band of the sent GeoTIFF that holds the heights, from 1; null where none was named"
     )
@@ -71,7 +73,7 @@ class HeightmapOut(ResponseModel):
 
 
 class CostmapOptions(Request):
-    """How to make a cost map."""
+    """Settings of a cost map."""
 
     robot: RobotIn | None = Field(default=None, description="default: the paper's 4WD robot")
     model: str = Field(
@@ -91,7 +93,7 @@ class CostmapOptions(Request):
 
 
 class CostmapRequest(CostmapOptions):
-    """A cost map of a heightmap that is kept already."""
+    """A cost map of a heightmap that was sent before."""
 
     heightmap_id: str = Field(max_length=100, examples=["hm-5f0c2a9d41be"])
 
@@ -107,7 +109,7 @@ class FrameOut(ResponseModel):
 
 
 class SpreadOut(ResponseModel):
-    """Over all cells and headings that may be driven."""
+    """Energy per metre over all cells and headings that are not blocked."""
 
     min: float = Field(description="[J/m]")
     mean: float = Field(description="[J/m]")
@@ -115,29 +117,29 @@ class SpreadOut(ResponseModel):
 
 
 class BlockedOut(ResponseModel):
-    """Share of (cell, heading) pairs, 0..1, under each reason."""
+    """Share of all pairs of cell and heading, 0..1, by the reason why they are blocked."""
 
-    free: float
+    free: float = Field(description="not blocked")
     outside: float = Field(description="the square metre around the cell leaves the heightmap")
-    unknown: float = Field(description="a height in it is unknown")
+    unknown: float = Field(description="a height in this square is unknown")
     step: float = Field(description="a height jump above the wheel radius")
     grade: float = Field(description="steeper along the motion than max_grade_deg")
     cross_slope: float = Field(description="steeper across the motion than max_cross_slope_deg")
 
 
 class CostmapOut(JobOut):
-    """A cost map: asked for, being made, or done. What is only known when done is null before."""
+    """A cost map that waits, is made, or is done. What is known only at the end is null before."""
 
     id: str = Field(examples=["cm-0d4b8f6a2c17"])
     heightmap_id: str = Field(examples=["hm-5f0c2a9d41be"])
-    robot: RobotOut = Field(description="once done, with what the model found its turns to cost")
+    robot: RobotOut = Field(description="once done, with the energy of turning that the model learned")
     model: str = Field(description="the model's name or id", examples=["physics"])
     headings: int = Field(description="number of heading bins; bin k points to 360 k / headings degrees", examples=[16])
     spacing_m: float = Field(description="side of a cell [m]", examples=[1.0])
     frame: FrameOut | None
-    energy_per_m: SpreadOut | None = Field(description="null too where nothing may be driven")
+    energy_per_m: SpreadOut | None = Field(description="null before it is done, and where everything is blocked")
     blocked: BlockedOut | None
-    warnings: list[str] = Field(description="where map or robot lie outside what the model knows")
+    warnings: list[str] = Field(description="in what the map or the robot lies outside the model's training data")
     provenance: dict[str, Any] | None = Field(
         description="model (name, kind, version, and what it was made from), heightmap, settings and versions it was "
         "made with; the link `provenance` says everything about the model"
@@ -147,11 +149,11 @@ class CostmapOut(JobOut):
 
 
 class AtOut(ResponseModel):
-    """Energy per metre at one place over all headings."""
+    """Energy per metre at one place in all headings."""
 
     x: float = Field(description="[m]")
     y: float = Field(description="[m]")
     elevation_m: float | None = Field(description="[m]; null where unknown")
     headings_deg: list[float] = Field(description="clockwise from north [deg]")
-    energy_per_m: list[float | None] = Field(description="[J/m] per heading; null where it may not be driven")
-    blocked: list[str | None] = Field(description="reason per heading; null where it may be driven")
+    energy_per_m: list[float | None] = Field(description="[J/m] per heading; null where it is blocked")
+    blocked: list[str | None] = Field(description="reason per heading; null where it is not blocked")

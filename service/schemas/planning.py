@@ -11,7 +11,7 @@ from joulemap.service.schemas.base import PathPoint, Point, Point3, Request, Res
 
 
 class BatteryIn(Request):
-    """A battery; what is left out is the robot's own, full and without a reserve."""
+    """A battery. What is left out is as in the robot's own battery, full and without a reserve."""
 
     capacity_wh: float | None = Field(default=None, gt=0, le=1e9, description="energy when full [Wh]", examples=[280.0])
     charge: float = Field(
@@ -36,77 +36,88 @@ class PathRequest(Request):
 
     start: Point = Field(examples=[[12.5, 40.5]])
     goal: Point = Field(examples=[[80.0, 15.0]])
-    planner: Literal[PLANNERS] = Field(default="astar", description="sampling planners use the whole time limit")  # type: ignore[valid-type]
+    planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
     neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the grid planners")
-    refine: bool = Field(default=True, description="any-angle improvement of the grid path")
+    refine: bool = Field(default=True, description="improve the grid path to any angle")
     time_limit_s: float = Field(default=5.0, ge=0.05, le=60.0, description="for the sampling planners [s]")
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="for the sampling planners")
-    alternatives: int = Field(default=0, ge=0, le=10, description="other good ways to look for, at most")
-    battery: BatteryIn | None = Field(default=None, description="asks for a verdict")
-    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")
+    alternatives: int = Field(default=0, ge=0, le=10, description="most other good paths to look for")
+    snap: bool = Field(
+        default=False,
+        description="move a start or goal on blocked ground to the nearest free place; a warning says where that is",
+    )
+    battery: BatteryIn | None = Field(default=None, description="given: the answer says whether this battery lasts")
+    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 
 
 class PieceOut(ResponseModel):
-    """A piece of at most a metre."""
+    """A piece of the path, at most a metre long."""
 
-    distance_m: float = Field(description="horizontal distance from the start at its end [m]")
-    x: float = Field(description="at its end [m]")
-    y: float = Field(description="at its end [m]")
-    z: float | None = Field(description="at its end [m]")
+    distance_m: float = Field(description="horizontal distance from the start to the end of the piece [m]")
+    x: float = Field(description="at the end of the piece [m]")
+    y: float = Field(description="at the end of the piece [m]")
+    z: float | None = Field(description="at the end of the piece [m]")
     heading_deg: float = Field(description="clockwise from north [deg]")
-    energy_j: float = Field(description="energy of the piece, the turn at its beginning included [J]")
-    cumulative_j: float = Field(description="energy from the start to its end [J]")
+    energy_j: float = Field(description="energy of the piece, including the turn at its beginning [J]")
+    cumulative_j: float = Field(description="energy from the start to the end of the piece [J]")
 
 
 class VerdictOut(ResponseModel):
     """Whether the battery lasts."""
 
-    feasible: bool
+    feasible: bool = Field(description="whether the battery lasts, the reserve kept")
     message: str = Field(description="the verdict in words")
     energy_j: float = Field(description="energy of the task [J]")
-    available_j: float = Field(description="energy above the reserve at the start [J]; negative when already below")
-    margin_j: float = Field(ge=0, description="what is left above the reserve [J]; 0 when infeasible")
-    shortfall_j: float = Field(ge=0, description="what is missing [J]; 0 when feasible")
-    charge_at_start: float = Field(description="state of charge, 0..1")
+    available_j: float = Field(
+        description="energy above the reserve at the start [J]; negative where the charge is already below it"
+    )
+    margin_j: float = Field(ge=0, description="energy left above the reserve [J]; 0 where it does not last")
+    shortfall_j: float = Field(ge=0, description="energy that is missing [J]; 0 where it lasts")
+    charge_at_start: float = Field(description="state of charge before the task, 0..1")
     charge_at_end: float = Field(description="state of charge after the task, 0..1")
     reserve: float = Field(description="share of the capacity that must remain, 0..1")
     energy_std_j: float | None = Field(
-        description="standard deviation of energy_j [J]; null where the model does not know how far off it may be"
+        description="standard deviation of energy_j [J]; null where the model does not know its uncertainty"
     )
-    probability: float | None = Field(description="that the battery lasts, 0..1; null likewise")
+    probability: float | None = Field(
+        description="probability that the battery lasts, 0.01..0.99: 0.99 means at least 0.99 and 0.01 at most 0.01, "
+        "because the tails of the distribution are not known; null where the model does not know its uncertainty"
+    )
 
 
 class ShortestOut(ResponseModel):
-    """The shortest path within the same limits, priced the same way."""
+    """The shortest path within the same limits, with its energy by the same model."""
 
-    energy_j: float = Field(description="[J]")
-    length_m: float = Field(description="horizontal [m]")
+    energy_j: float = Field(description="energy [J]")
+    length_m: float = Field(description="horizontal length [m]")
     path: list[Point3]
 
 
 class RouteOut(ResponseModel):
-    """A path with its price."""
+    """A path with its energy."""
 
-    energy_j: float = Field(description="[J]", examples=[12345.6])
-    energy_wh: float = Field(description="[Wh]", examples=[3.43])
-    length_m: float = Field(description="horizontal [m]", examples=[97.1])
-    duration_s: float = Field(description="at the robot's speed [s]", examples=[194.2])
-    climb_m: float = Field(ge=0, description="all ascents [m]", examples=[4.2])
-    descent_m: float = Field(ge=0, description="all descents [m]", examples=[1.1])
+    energy_j: float = Field(description="energy [J]", examples=[12345.6])
+    energy_wh: float = Field(description="energy [Wh]", examples=[3.43])
+    length_m: float = Field(description="horizontal length [m]", examples=[97.1])
+    duration_s: float = Field(description="time at the robot's speed [s]", examples=[194.2])
+    climb_m: float = Field(ge=0, description="sum of all ascents [m]", examples=[4.2])
+    descent_m: float = Field(ge=0, description="sum of all descents [m]", examples=[1.1])
     path: list[Point3]
 
 
 class PathOut(RouteOut):
-    """The energy-optimal path, and the shortest one beside it."""
+    """The energy-optimal path, and the shortest path for comparison."""
 
     profile: list[PieceOut]
     shortest: ShortestOut
-    alternatives: list[RouteOut] = Field(description="other good ways, cheapest first; empty unless asked for")
+    alternatives: list[RouteOut] = Field(
+        description="other good paths, the one of least energy first; empty unless asked for"
+    )
     saving_j: float = Field(description="energy saved against the shortest path [J]")
-    saving_percent: float = Field(description="the same, as a percentage of the shortest path's energy")
-    battery: VerdictOut | None = Field(description="null unless asked for")
+    saving_percent: float = Field(description="energy saved, as a percentage of the shortest path's energy")
+    battery: VerdictOut | None = Field(description="whether the battery lasts; null unless asked for")
     planner: str = Field(examples=["astar"])
-    details: dict[str, Any] = Field(description="how it was found")
+    details: dict[str, Any] = Field(description="how the path was found")
     warnings: list[str]
     crs: str | None
 
@@ -119,9 +130,16 @@ class FeasibilityRequest(Request):
     )
     start: Point | None = Field(default=None, examples=[[12.5, 40.5]])
     goal: Point | None = Field(default=None, examples=[[80.0, 15.0]])
-    round_trip: bool = Field(default=False, description="and back: a path reversed, or the best way back")
+    snap: bool = Field(
+        default=False,
+        description="move a start or goal on blocked ground to the nearest free place; a warning says where that is. A "
+        "given path is never moved",
+    )
+    round_trip: bool = Field(
+        default=False, description="also drive back: a given path in reverse, else the best way back"
+    )
     battery: BatteryIn | None = Field(default=None, description="default: the robot's own, full, without a reserve")
-    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")
+    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 
     @model_validator(mode="after")
     def _one_task(self) -> FeasibilityRequest:
@@ -132,10 +150,10 @@ class FeasibilityRequest(Request):
 
 
 class FeasibilityOut(VerdictOut):
-    """The verdict with the routes it was judged by."""
+    """The verdict, and the routes that it was made from."""
 
-    length_m: float = Field(description="horizontal, there and back [m]")
-    duration_s: float = Field(description="there and back at the robot's speed [s]")
+    length_m: float = Field(description="horizontal length of all routes [m]")
+    duration_s: float = Field(description="time for all routes at the robot's speed [s]")
     out: RouteOut
-    back: RouteOut | None = Field(description="null unless a round trip")
+    back: RouteOut | None = Field(description="the way back; null unless a round trip was asked for")
     warnings: list[str]

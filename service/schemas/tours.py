@@ -1,4 +1,4 @@
-"""A tour as it is asked for and answered, over HTTP and on the command line."""
+"""A tour: its request and its answer, over HTTP and on the command line."""
 
 from __future__ import annotations
 
@@ -16,35 +16,60 @@ from joulemap.service.schemas.planning import BatteryIn, RouteOut, VerdictOut
 
 
 class TourRequest(Request):
-    """Places to visit, and how to search. The order is found."""
+    """Places to visit, and how to search. The service finds the order."""
 
     stops: list[Point] = Field(
         min_length=2,
         max_length=MAX_STOPS,
-        description="home first",
+        description="places to visit, world [x, y] [m]; the first is where the tour begins and ends",
         examples=[[[12.5, 40.5], [80.0, 15.0], [60.0, 50.0]]],
     )
-    neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell")
-    refine: bool = Field(default=True, description="any-angle improvement of the legs")
-    time_limit_s: float = Field(default=10.0, ge=0.05, le=60.0, description="for proving the order [s]")
-    battery: BatteryIn | None = Field(default=None, description="asks for a verdict on the whole tour")
-    robot: RobotIn | None = Field(default=None, description="refused when it differs from the cost map's")
+    neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the search")
+    refine: bool = Field(default=True, description="improve the legs to any angle")
+    snap: bool = Field(
+        default=False, description="move stops on blocked ground to the nearest free place; warnings say where that is"
+    )
+    time_limit_s: float = Field(
+        default=10.0, ge=0.05, le=60.0, description="longest time for proving that the order is the best one [s]"
+    )
+    battery: BatteryIn | None = Field(
+        default=None, description="given: the answer says whether this battery lasts for the whole tour"
+    )
+    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 
 
 class TourOut(RouteOut):
     """The round trip of least energy. Turning on arrival at a stop is not counted."""
 
-    order: list[int] = Field(description="which stop is visited when, home (0) first", examples=[[0, 2, 1]])
-    legs: list[RouteOut] = Field(description="from each stop to the next, home from the last")
-    grid_energy_j: float = Field(description="energy of the tour before the any-angle improvement [J]")
-    bound_j: float = Field(description="what no order of the stops costs less than, before it [J]")
-    proven: bool = Field(description="whether no other order costs less, before it")
-    battery: VerdictOut | None = Field(description="null unless asked for")
+    order: list[int] = Field(
+        description="numbers of the stops in the order of the visit, 0 first", examples=[[0, 2, 1]]
+    )
+    legs: list[RouteOut] = Field(description="from each stop to the next, and from the last back to the first")
+    grid_energy_j: float = Field(description="energy of the tour along the grid, before `refine` [J]")
+    bound_j: float = Field(description="lower bound of the energy of any order along the grid [J]")
+    proven: bool = Field(description="whether no other order costs less energy along the grid")
+    battery: VerdictOut | None = Field(description="whether the battery lasts; null unless asked for")
     warnings: list[str]
     crs: str | None
 
 
 def tour_out(trip: RoundTrip, verdict: Verdict | None, warnings: list[str]) -> TourOut:
+    """Return the answer to the question for a tour.
+
+    Parameters
+    ----------
+    trip : RoundTrip
+        From the planner.
+    verdict : Verdict or None
+        None where none was asked for.
+    warnings : list of str
+        Of the cost map.
+
+    Returns
+    -------
+    TourOut
+        With its legs.
+    """
     legs = [RouteOut(**route_values(leg)) for leg in trip.legs]
     sums = ("energy_j", "energy_wh", "length_m", "duration_s", "climb_m", "descent_m")
     return TourOut(
@@ -62,7 +87,20 @@ def tour_out(trip: RoundTrip, verdict: Verdict | None, warnings: list[str]) -> T
 
 
 def tour_geojson(trip: RoundTrip, warnings: list[str]) -> dict[str, Any]:
-    """A FeatureCollection with a feature for each leg, in the order of driving; the map's CRS stands at its top."""
+    """Return a tour as a GeoJSON FeatureCollection.
+
+    Parameters
+    ----------
+    trip : RoundTrip
+        From the planner.
+    warnings : list of str
+        Of the cost map.
+
+    Returns
+    -------
+    dict
+        A feature for each leg, in the order of driving; the CRS is given once, at the top.
+    """
     legs = [
         geojson(leg, kind="tour_leg", from_stop=here, to_stop=there)
         for leg, here, there in zip(trip.legs, trip.order, (*trip.order[1:], 0), strict=True)

@@ -157,7 +157,7 @@ def test_chunked_upload_is_cut_off(path: str, kind: str, tmp_path_factory: pytes
 
 
 BAD_COSTMAPS: list[tuple[dict, str, str]] = [
-    ({"robot": {"mass_kg": -1}}, "invalid_robot", "mass_kg = -1"),
+    ({"robot": {"mass_kg": -1}}, "invalid_robot", "robot.mass_kg is -1"),
     ({"robot": {"wings": 2}}, "invalid_request", "wings"),
     ({"robot": {"mass_kg": "heavy"}}, "invalid_request", "mass_kg"),
     ({"model": "nonsense"}, "invalid_model", "nonsense"),

@@ -13,6 +13,9 @@ import rasterio
 from fastapi.testclient import TestClient
 from rasterio.io import MemoryFile
 
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.edges import price_world_path
 from joulemap.planner.lattice_io import load_lattice
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
@@ -212,6 +215,50 @@ def test_path_as_geojson(client: TestClient, costmap_id: str, ask: dict) -> None
     assert (best["properties"]["kind"], shortest["properties"]["kind"]) == ("energy_optimal", "shortest")
     assert len(best["geometry"]["coordinates"][0]) == 3
     assert about["crs"]["properties"]["name"] == "EPSG:32630"
+
+
+def test_a_goal_beside_a_hole_at_the_maps_edge_is_valid_json(client: TestClient) -> None:
+    """In the outer half of an edge cell heights are continued from the inner neighbour, which is unknown here."""
+    heights = np.zeros((24, 24), dtype=np.float32)
+    heights[12:16, 18:22] = np.nan
+    file = write_geotiff(None, Heightmap(heights, GridFrame(0.0, 24.0, 1.0, 24, 24)))
+    assert file is not None
+    made = client.post(
+        "/v1/costmaps",
+        files={"file": ("hole.tif", file)},
+        data={"options": '{"model": "physics", "spacing_m": 2.0, "headings": 8}'},
+        headers={"Prefer": "wait=60"},
+    ).json()
+    asked = {"start": [2.2, 2.2], "goal": [23.4, 10.9]}
+    for form in ("json", "geojson"):
+        answer = client.post(f"/v1/costmaps/{made['id']}/paths?format={form}", json=asked)
+        assert answer.status_code == 200, answer.text
+        json.loads(answer.text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+
+
+def blocked(client: TestClient, costmap_id: str, question: str, asked: dict) -> dict:
+    answer = client.post(f"/v1/costmaps/{costmap_id}/{question}", json=asked)
+    assert (answer.status_code, answer.json()["code"]) == (422, "blocked"), answer.text
+    return answer.json()
+
+
+def test_a_blocked_goal_names_the_nearest_free_place_and_snap_goes_there(client: TestClient, costmap_id: str) -> None:
+    asked = {"start": START, "goal": IN_HOLE}
+    for question in ("paths", "feasibility"):
+        problem = blocked(client, costmap_id, question, asked)
+        place = problem["context"]["nearest"]
+        assert f"nearest free place is ({place[0]:.2f}, {place[1]:.2f})" in problem["detail"]
+    path = client.post(f"/v1/costmaps/{costmap_id}/paths", json={**asked, "snap": True}).json()
+    assert path["path"][-1][:2] == pytest.approx(place)
+    assert "moved to the nearest free place" in path["warnings"][0]
+    there = client.post(f"/v1/costmaps/{costmap_id}/paths", json={**asked, "goal": place}).json()
+    assert path["energy_j"] == pytest.approx(there["energy_j"])
+    both = {**asked, "snap": True, "round_trip": True}
+    trip = client.post(f"/v1/costmaps/{costmap_id}/feasibility", json=both).json()
+    assert trip["out"]["energy_j"] == pytest.approx(path["energy_j"])
+    assert trip["back"]["path"][0][:2] == pytest.approx(place)
+    assert trip["back"]["path"][-1][:2] == pytest.approx(START)
+    assert len([words for words in trip["warnings"] if "moved" in words]) == 1
 
 
 def test_start_that_is_the_goal(client: TestClient, costmap_id: str) -> None:

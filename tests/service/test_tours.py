@@ -40,6 +40,14 @@ def test_a_tour_visits_all_stops_and_comes_home(client: TestClient, costmap_id: 
     assert client.get(f"/v1/costmaps/{costmap_id}").json()["links"]["tours"] == f"/v1/costmaps/{costmap_id}/tours"
 
 
+def test_a_blocked_stop_can_be_moved_to_the_nearest_free_place(client: TestClient, costmap_id: str) -> None:
+    url = f"/v1/costmaps/{costmap_id}/tours"
+    refused = check_problem(client.post(url, json={"stops": [START, IN_HOLE]}), 422, "blocked", "nearest free place")
+    tour = client.post(url, json={"stops": [START, IN_HOLE], "snap": True}).json()
+    assert tour["legs"][0]["path"][-1][:2] == pytest.approx(refused["context"]["nearest"])
+    assert "stop 1" in tour["warnings"][0]
+
+
 def test_tours_that_cannot_be_asked(client: TestClient, costmap_id: str) -> None:
     url = f"/v1/costmaps/{costmap_id}/tours"
     check_problem(client.post(url, json={"stops": [START, IN_HOLE]}), 422, "blocked", "stop 1", "unknown")

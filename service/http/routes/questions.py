@@ -56,6 +56,7 @@ def find_path(
             time_limit_s=wanted.time_limit_s,
             seed=wanted.seed,
             alternatives=wanted.alternatives,
+            snap=wanted.snap,
         )
         verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
     if format == "geojson" or (format is None and GEOJSON in (accept or "")):
@@ -74,6 +75,7 @@ def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep) -> Any:
             neighbours=wanted.neighbours,
             refine=wanted.refine,
             time_limit_s=wanted.time_limit_s,
+            snap=wanted.snap,
         )
         verdict = judge_routes(planner.lattice, trip.legs, battery) if wanted.battery is not None else None
     return _answer(tour_out(trip, verdict, _warnings(row)))
@@ -93,6 +95,7 @@ def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: Kernel
             start=wanted.start,
             goal=wanted.goal,
             round_trip=wanted.round_trip,
+            snap=wanted.snap,
         )
     return _answer(feasibility_out(assessment, _warnings(row)))
 
