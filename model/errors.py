@@ -1,4 +1,4 @@
-"""The whole error tree: everything joulemap raises on purpose.
+"""The whole error tree: everything that joulemap raises on purpose.
 
     JoulemapError(code, message, context)
     ├── InputError                   the caller sent something unusable            422
@@ -27,7 +27,15 @@ from typing import Any
 
 
 class JoulemapError(Exception):
-    """Base of the tree. `message` is for a robot operator; `context` carries the offending value and the limit."""
+    """Base of the tree.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, in words that a robot operator understands.
+    **context : Any
+        The offending value, the limit and what else a program may want to read; JSON-able.
+    """
 
     code = "joulemap_error"
 

@@ -23,29 +23,84 @@ MAX_COORDINATE_M = 1e9
 
 
 def heading_bins(count: int) -> NDArray[np.float64]:
-    """Headings [rad] of `count` equal bins, bin 0 to the north. Shape (count,)."""
+    """Return the headings of equal bins, bin 0 to the north.
+
+    Parameters
+    ----------
+    count : int
+        Number of bins.
+
+    Returns
+    -------
+    ndarray of float64, (count,)
+        Headings [rad].
+    """
     return np.arange(count, dtype=np.float64) * (TAU / count)
 
 
 def heading_vector(heading_rad: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Unit step (dx east, dy north) of a heading [rad]; same shape as the input."""
+    """Return the unit step of a heading.
+
+    Parameters
+    ----------
+    heading_rad : array_like
+        Heading [rad], of any shape.
+
+    Returns
+    -------
+    tuple of ndarray
+        dx (east) and dy (north), in the shape of the heading.
+    """
     heading = np.asarray(heading_rad, dtype=np.float64)
     return np.sin(heading), np.cos(heading)
 
 
 def heading_of(dx: ArrayLike, dy: ArrayLike) -> NDArray[np.float64]:
-    """Heading [rad, in 0..2 pi) of the world step (dx east, dy north)."""
+    """Return the heading of a step in the world.
+
+    Parameters
+    ----------
+    dx, dy : array_like
+        Step to the east and to the north, of any shape.
+
+    Returns
+    -------
+    ndarray of float64
+        Heading [rad], from 0 to less than 2 pi.
+    """
     return np.mod(np.arctan2(dx, dy), TAU)
 
 
 def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
-    """The same angle in -pi..pi (half-open at +pi)."""
+    """Return the same angle between -pi and pi.
+
+    Parameters
+    ----------
+    angle_rad : array_like
+        Angle [rad], of any shape.
+
+    Returns
+    -------
+    ndarray of float64
+        Angle [rad], from -pi to less than pi.
+    """
     return np.mod(np.asarray(angle_rad, dtype=np.float64) + math.pi, TAU) - math.pi
 
 
 @njit(cache=True, inline="always")
 def heading_of_step(drow: float, dcol: float) -> float:
-    """Heading [rad, -pi..pi] of a raster step: a smaller row is north, a larger column is east."""
+    """Return the heading of a step on a raster.
+
+    Parameters
+    ----------
+    drow, dcol : float
+        Step in cells; a smaller row is north, a larger column is east.
+
+    Returns
+    -------
+    float
+        Heading [rad], from -pi to pi.
+    """
     return math.atan2(dcol, -drow)
 
 
@@ -53,8 +108,21 @@ def heading_of_step(drow: float, dcol: float) -> float:
 class GridFrame:
     """Where a north-up square grid lies in the world.
 
-    west_m, north_m : the outer edges of the north-west cell [m]; resolution_m : side of a cell [m];
-    rows, cols : number of cells; crs : authority string or WKT, None when unknown.
+    Attributes
+    ----------
+    west_m, north_m : float
+        Outer edges of the north-west cell [m].
+    resolution_m : float
+        Side of a cell [m].
+    rows, cols : int
+        Number of cells.
+    crs : str or None
+        "EPSG:n" or WKT, None when unknown.
+
+    Raises
+    ------
+    HeightmapError
+        If a number is not finite, or outside what a map may have.
     """
 
     west_m: float
@@ -123,19 +191,59 @@ class GridFrame:
         return self.west_m, south, east, self.north_m
 
     def rowcol(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Fractional (row, col) of world points; any shape."""
+        """Return the fractional cells of world points.
+
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m], of any shape.
+
+        Returns
+        -------
+        tuple of ndarray
+            Row and column; (0, 0) is the centre of the north-west cell.
+        """
         col = (np.asarray(x, dtype=np.float64) - self.west_m) / self.resolution_m - 0.5
         row = (self.north_m - np.asarray(y, dtype=np.float64)) / self.resolution_m - 0.5
         return row, col
 
     def xy(self, row: ArrayLike, col: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World (x, y) [m] of fractional (row, col); any shape."""
+        """Return the world points of fractional cells.
+
+        Parameters
+        ----------
+        row, col : array_like
+            Row and column, of any shape; (0, 0) is the centre of the north-west cell.
+
+        Returns
+        -------
+        tuple of ndarray
+            World x and y [m].
+        """
         x = self.west_m + (np.asarray(col, dtype=np.float64) + 0.5) * self.resolution_m
         y = self.north_m - (np.asarray(row, dtype=np.float64) + 0.5) * self.resolution_m
         return x, y
 
     def cell_of(self, x: float, y: float, *, name: str = "point") -> tuple[int, int]:
-        """(row, col) of the cell that holds a world point. Raises PointError when not finite or outside."""
+        """Return the cell that holds a world point.
+
+        Parameters
+        ----------
+        x, y : float
+            World point [m].
+        name : str, optional
+            What the message calls the point.
+
+        Returns
+        -------
+        tuple of int
+            Row and column.
+
+        Raises
+        ------
+        PointError
+            If the point is not finite, or lies outside the map.
+        """
         if not (math.isfinite(x) and math.isfinite(y)):
             raise PointError(f"{name} ({x}, {y}) is not a pair of finite numbers", x=str(x), y=str(y))
         west, south, east, north = self.bounds
@@ -151,13 +259,26 @@ class GridFrame:
         return min(int(row + 0.5), self.rows - 1), min(int(col + 0.5), self.cols - 1)
 
     def centres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World x of every column (cols,) and y of every row (rows,), at cell centres."""
+        """Return the world x [m] of every column (cols,) and y [m] of every row (rows,), at cell centres."""
         x, _ = self.xy(0.0, np.arange(self.cols))
         _, y = self.xy(np.arange(self.rows), 0.0)
         return x, y
 
     def window(self, row0: int, row1: int, col0: int = 0, col1: int | None = None) -> GridFrame:
-        """The frame of cells [row0, row1) x [col0, col1)."""
+        """Return the frame of cells [row0, row1) x [col0, col1).
+
+        Parameters
+        ----------
+        row0, row1 : int
+            Rows of the window.
+        col0, col1 : int, optional
+            Its columns; all of them by default.
+
+        Returns
+        -------
+        GridFrame
+            Where these cells lie.
+        """
         col1 = self.cols if col1 is None else col1
         return replace(
             self,
@@ -168,7 +289,23 @@ class GridFrame:
         )
 
     def respaced(self, spacing_m: float) -> GridFrame:
-        """The grid of `spacing_m` cells that starts at the same north-west corner and fits inside."""
+        """Return the grid of other cells that starts at the same north-west corner and fits inside.
+
+        Parameters
+        ----------
+        spacing_m : float
+            Side of a new cell [m].
+
+        Returns
+        -------
+        GridFrame
+            The new grid.
+
+        Raises
+        ------
+        HeightmapError
+            If fewer than 2 x 2 such cells fit inside.
+        """
         if not (math.isfinite(spacing_m) and spacing_m > 0):
             raise HeightmapError(
                 f"spacing must be a positive number of metres, got {spacing_m}", spacing_m=str(spacing_m)

@@ -1,7 +1,7 @@
-"""Work shared out to threads that do not wait for each other.
+"""Work distributed to threads that do not wait for each other.
 
-Threads that meet at a barrier after every loop, as those of numba's parallel loops do, stand still for most of the time
-when the machine has other work: here for up to forty times as long as the loop itself takes.
+Threads that meet at a barrier after every loop, as those of numba's parallel loops do, are idle for most of the time
+when the machine has other work: up to forty times as long as the loop itself takes.
 """
 
 from __future__ import annotations
@@ -22,9 +22,18 @@ def share_out(
     initializer: Callable[..., object] | None = None,
     initargs: Iterable[Any] = (),
 ) -> None:
-    """Do every part, each in one of as many threads as numba may use, in no particular order; raises what one raises.
+    """Do every part, each in one of as many threads as numba may use, in no particular order.
 
-    initializer : called with `initargs` in every thread before its first part.
+    Parameters
+    ----------
+    do : callable
+        Takes one part. What it raises is raised here.
+    parts : sequence
+        The parts.
+    initializer : callable, optional
+        Called in every thread before its first part.
+    initargs : iterable, optional
+        Arguments of `initializer`.
     """
     threads = min(numba.get_num_threads(), len(parts))
     with ThreadPoolExecutor(threads, initializer=initializer, initargs=tuple(initargs)) as pool:
@@ -33,5 +42,18 @@ def share_out(
 
 
 def pieces(count: int, size: int) -> list[slice]:
-    """0 ... count in slices of `size`."""
+    """Divide a range into consecutive slices.
+
+    Parameters
+    ----------
+    count : int
+        End of the range, which begins at 0.
+    size : int
+        Length of a slice; the last one may be shorter.
+
+    Returns
+    -------
+    list of slice
+        The slices in order.
+    """
     return [slice(start, min(start + size, count)) for start in range(0, count, size)]

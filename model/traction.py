@@ -1,4 +1,4 @@
-"""What a cost lattice needs of a predictor: the only thing about models that the planner knows."""
+"""What a cost lattice needs of a predictor; the planner knows nothing else about models."""
 
 from __future__ import annotations
 
@@ -16,17 +16,48 @@ class TractionSource(Protocol):
     """Traction demand [J per horizontal metre] of a place and a heading; `Robot.price_per_m` makes energy of it."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the model."""
 
     def provenance(self) -> dict[str, Any]:
-        """JSON-able: name, kind, version, config."""
+        """Return name, kind, version and configuration of the model, JSON-able."""
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """In words, with value and limit, every way in which this map or robot lies outside what was learned."""
+        """Return every way in which the map or the robot lies outside what the model was trained on.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The map.
+        robot : Robot
+            The robot.
+
+        Returns
+        -------
+        list of str
+            Sentences with value and limit; empty where nothing is outside.
+        """
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """(rows, cols, headings) float32 at the cell centres of `frame`, NaN where the map is unknown: traction [J/m],
-        and the standard deviation of a 1 m segment's energy [J], None from a source that does not know it.
+        """Predict the traction at every cell centre and heading.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The map.
+        robot : Robot
+            The robot.
+        frame : GridFrame
+            Its cell centres are the places asked about.
+        headings_rad : ndarray of float64, (headings,)
+            Headings of the motion [rad].
+
+        Returns
+        -------
+        traction : ndarray of float32, (rows, cols, headings)
+            Traction demand [J/m], NaN where the map is unknown.
+        std : ndarray of float32 or None
+            Standard deviation of the energy of a 1 m segment [J] in the same shape, None from a source without one.
         """

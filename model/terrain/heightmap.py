@@ -19,11 +19,23 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Heightmap:
-    """Heights of the ground.
+    """Heights of the ground on a north-up grid.
 
-    heights : (rows, cols) float32 [m], row 0 north, NaN where unknown. frame : where the grid lies.
-    part : of a larger map; only then may nothing be known.
-    Raises HeightmapError on a shape that does not fit, infinite heights, or no known cell.
+    Attributes
+    ----------
+    heights : ndarray of float32, (rows, cols)
+        Heights [m], row 0 in the north, NaN where unknown; read-only.
+    frame : GridFrame
+        Where the grid lies.
+    source : str
+        Where the heights are from, in words.
+    part : bool
+        Whether this is a part of a larger map; only then may every height be unknown.
+
+    Raises
+    ------
+    HeightmapError
+        If the shape does not fit the frame, a height is infinite, or no height is known.
     """
 
     heights: NDArray[np.float32]
@@ -71,21 +83,43 @@ class Heightmap:
 
     @cached_property
     def data_hash(self) -> str:
-        """SHA-256 (16 hex digits) of heights and frame: the heightmap's identity in provenance."""
+        """SHA-256 (16 hex digits) of heights and frame: the identity of the heightmap in provenance."""
         digest = hashlib.sha256(self.heights.tobytes())
         digest.update(self.frame.identity.encode())
         return digest.hexdigest()[:16]
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
-        """The heights of cells [row0, row1) x [col0, col1), at least 2 x 2 of them."""
+        """Return the heights of cells [row0, row1) x [col0, col1).
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The window, at least 2 x 2 cells.
+
+        Returns
+        -------
+        Heightmap
+            That part of the map.
+        """
         heights = self.heights[row0:row1, col0:col1]
         return Heightmap(heights, self.frame.window(row0, row1, col0, col1), self.source, part=True)
 
     def sample(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Bilinear heights [m] at world points (any shape).
+        """Return bilinear heights at world points.
 
-        Pixels are areas: in the outer half pixel the nearest cell square is continued linearly. NaN outside the bounds
-        and wherever a height with non-zero weight is unknown.
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m]; their shapes are broadcast.
+
+        Returns
+        -------
+        ndarray of float64
+            Heights [m]. NaN outside the bounds and wherever a height with non-zero weight is unknown.
+
+        Notes
+        -----
+        A cell is an area. In the outer half cell the nearest square of four centres is continued linearly.
         """
         row, col = self.frame.rowcol(x, y)
         row, col = np.broadcast_arrays(row, col)
@@ -95,7 +129,20 @@ class Heightmap:
 
 @njit(cache=True)
 def bilinear(values: NDArray[np.float32], row: float, col: float) -> float:
-    """Bilinear value at fractional (row, col), continued linearly in the outer half cell; NaN beyond it."""
+    """Return the bilinear value at one place.
+
+    Parameters
+    ----------
+    values : ndarray of float32, (rows, cols)
+        Values at the cell centres, NaN where unknown.
+    row, col : float
+        Fractional cell.
+
+    Returns
+    -------
+    float
+        The value; continued linearly in the outer half cell, NaN beyond it.
+    """
     rows, cols = values.shape
     edge = 0.5 + 1e-6
     if not (-edge <= row <= rows - 1 + edge and -edge <= col <= cols - 1 + edge):
@@ -119,7 +166,20 @@ def bilinear(values: NDArray[np.float32], row: float, col: float) -> float:
 
 @njit(cache=True, parallel=True)
 def sample_bilinear(values: NDArray[np.float32], row: FloatArray, col: FloatArray) -> FloatArray:
-    """`bilinear` at many points. row, col : (n,). Returns (n,) float64."""
+    """Return `bilinear` values at many places.
+
+    Parameters
+    ----------
+    values : ndarray of float32, (rows, cols)
+        Values at the cell centres, NaN where unknown.
+    row, col : ndarray of float64, (n,)
+        Fractional cells.
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        The values.
+    """
     out = np.empty(row.size)
     for k in prange(row.size):
         out[k] = bilinear(values, row[k], col[k])

@@ -20,9 +20,34 @@ HeightArray = NDArray[np.float32]
 def fractal(
     frame: GridFrame, rng: Generator, *, exponent: float, rms_m: float, longest_m: float, shortest_m: float = 0.0
 ) -> HeightArray:
-    """A Gaussian random surface, (rows, cols) [m], isotropic, of power ~ wavenumber^-exponent between two wavelengths.
+    """Make an isotropic Gaussian random surface with a power-law spectrum between two wavelengths.
 
-    Made by FFT on a grid larger by `longest_m`, so that opposite edges do not match. rms_m holds on that grid.
+    Parameters
+    ----------
+    frame : GridFrame
+        Where the surface lies.
+    rng : Generator
+        Source of randomness.
+    exponent : float
+        The 2-D spectral density falls as wavenumber^-exponent.
+    rms_m : float
+        Root mean square of the heights [m], on the grid that the surface is cut out of.
+    longest_m, shortest_m : float
+        The two wavelengths [m]; shortest_m = 0 means down to the cell.
+
+    Returns
+    -------
+    ndarray of float32, (rows, cols)
+        Heights [m].
+
+    Raises
+    ------
+    InputError
+        If no wave of these lengths fits on the map.
+
+    Notes
+    -----
+    Filtered white noise, by FFT on a grid that is larger by `longest_m`, so that opposite edges do not match.
     """
     margin = math.ceil(min(longest_m, 0.5 * max(frame.shape) * frame.resolution_m) / frame.resolution_m)
     rows, cols = (fft.next_fast_len(n + margin, real=True) for n in frame.shape)
@@ -50,7 +75,22 @@ def fractal(
 
 
 def tilted_plane(frame: GridFrame, *, slope_rad: float, heading_rad: float) -> HeightArray:
-    """A plane (rows, cols) [m] that climbs by slope_rad towards heading_rad, zero at the south-west corner."""
+    """Make a tilted plane, zero at the south-west corner.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Where it lies.
+    slope_rad : float
+        Slope [rad].
+    heading_rad : float
+        Heading towards which it climbs [rad].
+
+    Returns
+    -------
+    ndarray of float32, (rows, cols)
+        Heights [m].
+    """
     dx, dy = heading_vector(heading_rad)
     x, y = frame.centres()
     west, south, _, _ = frame.bounds
@@ -59,14 +99,50 @@ def tilted_plane(frame: GridFrame, *, slope_rad: float, heading_rad: float) -> H
 
 
 def hill(frame: GridFrame, *, x: float, y: float, height_m: float, radius_m: float) -> HeightArray:
-    """A Gaussian hill (rows, cols) [m] with its top at (x, y); at radius_m it is steepest, 0.607 height / radius."""
+    """Make a Gaussian hill.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Where it lies.
+    x, y : float
+        World place of the top [m].
+    height_m : float
+        Height of the top [m].
+    radius_m : float
+        Distance from the top at which the hill is steepest [m], with a slope of 0.607 height_m / radius_m.
+
+    Returns
+    -------
+    ndarray of float32, (rows, cols)
+        Heights [m].
+    """
     xs, ys = frame.centres()
     across = np.exp(-0.5 * ((xs - x) / radius_m) ** 2)
     return (height_m * np.exp(-0.5 * ((ys - y) / radius_m) ** 2)[:, None] * across[None, :]).astype(np.float32)
 
 
 def furrows(frame: GridFrame, rng: Generator, *, depth_m: float, spacing_m: float, heading_rad: float) -> HeightArray:
-    """Parallel sine furrows (rows, cols) [m] that run along a heading; depth_m from crest to bottom, a random phase."""
+    """Make parallel sine furrows with a random phase.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Where they lie.
+    rng : Generator
+        Source of the phase.
+    depth_m : float
+        Height from bottom to crest [m].
+    spacing_m : float
+        Distance from crest to crest [m].
+    heading_rad : float
+        Heading along which they run [rad].
+
+    Returns
+    -------
+    ndarray of float32, (rows, cols)
+        Heights [m].
+    """
     dx, dy = heading_vector(heading_rad)
     x, y = frame.centres()
     west, south, _, _ = frame.bounds
@@ -76,7 +152,26 @@ def furrows(frame: GridFrame, rng: Generator, *, depth_m: float, spacing_m: floa
 
 
 def bumps(frame: GridFrame, rng: Generator, *, per_m2: float, height_m: float, radius_m: float) -> HeightArray:
-    """Gaussian bumps (rows, cols) [m] at random places; mean height height_m (exponential), radius_m up to +-50 %."""
+    """Make Gaussian bumps at random places.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Where they lie.
+    rng : Generator
+        Source of places and sizes.
+    per_m2 : float
+        Mean number of bumps per square metre.
+    height_m : float
+        Mean height [m]; single heights are exponentially distributed. Negative means holes.
+    radius_m : float
+        Mean radius [m]; single radii are uniform within 50 % of it.
+
+    Returns
+    -------
+    ndarray of float32, (rows, cols)
+        Heights [m].
+    """
     margin = 4.0 * radius_m
     west, south, east, north = frame.bounds
     count = rng.poisson(per_m2 * (east - west + 2 * margin) * (north - south + 2 * margin))
@@ -108,7 +203,28 @@ def _stamp_bumps(
 def tracks(
     frame: GridFrame, rng: Generator, *, count: int, depth_m: float, gauge_m: float, width_m: float
 ) -> HeightArray:
-    """Pairs of wheel ruts (rows, cols) [m] along `count` random straight lines, gauge_m apart; crossings do not add."""
+    """Make pairs of wheel ruts along random straight lines; where they cross, the deeper one counts.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Where they lie.
+    rng : Generator
+        Source of the lines.
+    count : int
+        Number of lines.
+    depth_m : float
+        Depth of a rut [m].
+    gauge_m : float
+        Distance between the two ruts of a pair [m].
+    width_m : float
+        Width of a rut [m].
+
+    Returns
+    -------
+    ndarray of float32, (rows, cols)
+        Heights [m], none above 0.
+    """
     x, y = frame.centres()
     west, south, east, north = frame.bounds
     surface = np.zeros(frame.shape, dtype=np.float32)

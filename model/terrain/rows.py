@@ -10,10 +10,20 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def between(at, size):
-    """(lower index, upper index, share of the upper) of a fractional index, as `heightmap.bilinear` weighs it.
+    """Return the two cells around a fractional index, weighted as `heightmap.bilinear` does.
 
-    A share of (nearly) nothing asks one of them alone; in the outer half cell the nearest two are continued linearly;
-    beyond it the share is NaN.
+    Parameters
+    ----------
+    at : float
+        Fractional index.
+    size : int
+        Number of cells.
+
+    Returns
+    -------
+    tuple
+        Lower index, upper index, and share of the upper one. Within 1e-9 of a centre both are that cell. In the outer
+        half cell the nearest two are continued linearly; beyond it the share is NaN.
     """
     edge = 0.5 + 1e-6
     if not -edge <= at <= size - 1 + edge:
@@ -30,8 +40,19 @@ def between(at, size):
 
 @njit(cache=True, nogil=True)
 def columns_between(at, size):
-    """`between` of fractional columns (n,): lower and upper (n,) uint32 (they index without a check of the sign), and
-    share (n,) float64.
+    """Return `between` of many fractional columns.
+
+    Parameters
+    ----------
+    at : ndarray of float64, (n,)
+        Fractional columns.
+    size : int
+        Number of columns.
+
+    Returns
+    -------
+    tuple of ndarray, (n,)
+        Lower and upper index (uint32, which index without a check of the sign) and share of the upper one (float64).
     """
     left, right = np.empty(at.size, dtype=np.uint32), np.empty(at.size, dtype=np.uint32)
     share = np.empty(at.size)
@@ -42,9 +63,20 @@ def columns_between(at, size):
 
 @njit(cache=True, nogil=True)
 def sample_row(values, row, columns, line, out):
-    """Bilinear values (n,) of one fractional row at columns as from `columns_between`, the first the least and the last
-    the greatest; NaN beyond the map and wherever a value with non-zero weight is. line : scratch, a float64 per column
-    of `values`.
+    """Sample one fractional row, bilinear.
+
+    Parameters
+    ----------
+    values : ndarray of float32, (rows, cols)
+        Values at the cell centres, NaN where unknown.
+    row : float
+        Fractional row.
+    columns : tuple of ndarray, (n,)
+        From `columns_between`, of columns that increase.
+    line : ndarray of float64, (cols,)
+        Working memory.
+    out : ndarray, (n,)
+        Is filled with the values; NaN beyond the map and wherever a value with non-zero weight is NaN.
     """
     left, right, share = columns
     up, down, low = between(row, values.shape[0])

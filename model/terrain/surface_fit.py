@@ -33,21 +33,51 @@ def fit_surface(
     crs: str | None = None,
     max_cells: int = 100_000_000,
 ) -> Heightmap:
-    """The heightmap under driven RTK-GPS positions. x, y, z : (n,) [m], z of the antenna less its height above ground.
+    """Fit a heightmap to driven RTK-GPS positions.
 
-    A smoothing thin-plate surface: cubic B-splines on knots of smoothing_m / 3, least squares plus the bending energy
-    weighted so that waves of twice `smoothing_m` keep 16/17 of their height, waves of smoothing_m itself under half.
-    Solved sparsely, on driven ground only.
+    Parameters
+    ----------
+    x, y : array_like, (n,)
+        World positions [m]. Rows with a missing or infinite value are left out.
+    z : array_like, (n,)
+        Height of the antenna less its height above the ground [m].
+    resolution_m : float, optional
+        Side of a cell [m]; the grid lies on multiples of it.
+    smoothing_m : float, optional
+        Waves of twice this length keep 16/17 of their height, waves of this length under half [m].
+    max_gap_m : float, optional
+        Cells farther than this from a driven cell are unknown [m].
+    crs : str, optional
+        Coordinate reference system of the positions.
+    max_cells : int, optional
+        Largest number of cells.
 
-    Repeated points: those within one cell count once, at their mean place and median height, so standing still adds no
-    weight. Outliers: Tukey's biweight over five passes from coarse to fine; a cell whose height is off the surface by
-    more than 6 robust standard deviations (1.4826 x median deviation, at least 3 mm) has no say and does not count as
-    driven. Rows with a missing or infinite value are left out. Bad *positions* far from the rest are not recognised:
-    drop rows with a large GPS error first.
+    Returns
+    -------
+    Heightmap
+        Heights near the driven positions, NaN elsewhere.
 
-    Cells farther than `max_gap_m` from a driven cell are unknown (NaN). The grid lies on multiples of resolution_m.
-    Raises HeightmapError with too few points, TooLargeError when their spread needs more than `max_cells` cells.
-    Source: Wei & Isler 2022, IV-B ("we fit a surface with the GPS positions along the trajectory"); Eilers & Marx 1996.
+    Raises
+    ------
+    HeightmapError
+        If there are too few points, or a length is not positive.
+    TooLargeError
+        If the spread of the points needs more than `max_cells` cells.
+
+    Notes
+    -----
+    A smoothing thin-plate surface: cubic B-splines on knots of smoothing_m / 3, least squares plus the bending energy,
+    solved sparsely on driven ground only.
+
+    Points within one cell count once, at their mean place and median height, so that a robot that does not move adds
+    no weight. Outliers: Tukey's biweight over five passes from coarse to fine. A cell whose height is off the surface
+    by more than 6 robust standard deviations (1.4826 x median deviation, at least 3 mm) has no weight and does not
+    count as driven. Wrong *positions* far from the rest are not recognised: drop rows with a large GPS error first.
+
+    References
+    ----------
+    Wei & Isler 2022, section IV-B: "we fit a surface with the GPS positions along the trajectory".
+    Eilers & Marx 1996, Flexible smoothing with B-splines and penalties.
     """
     for name, value in (("resolution_m", resolution_m), ("smoothing_m", smoothing_m), ("max_gap_m", max_gap_m)):
         if not (math.isfinite(value) and value > 0):
@@ -211,7 +241,7 @@ def _robust_fit(
     """Coefficients (size,) and the final weight (m,) of every merged cell."""
     design = spline.at(cells.row, cells.col)
     bending, slope = spline.bending(), spline.slope()
-    # Heights are measured from a plane, to which the surface leans where the points alone do not decide.
+    # Heights are measured from a plane, which the surface approaches where the points alone do not decide.
     plane = np.stack([np.ones_like(cells.row), cells.row, cells.col], axis=1)
     trend = np.linalg.lstsq(plane, cells.z, rcond=None)[0]
     z = cells.z - plane @ trend
@@ -223,8 +253,8 @@ def _robust_fit(
         # A wave k keeps rho / (rho + lambda k^4) of its height: half at k = 2 pi / length.
         length = smoothing_m * factor
         stiffness = per_m2 * (length / math.tau) ** 4
-        lean = stiffness * (math.tau / (50.0 * length)) ** 2
-        normal = design.T @ (design * weight[:, None]) + stiffness * bending + lean * slope
+        levelling = stiffness * (math.tau / (50.0 * length)) ** 2
+        normal = design.T @ (design * weight[:, None]) + stiffness * bending + levelling * slope
         normal = normal + 1e-9 * per_m2 * sparse.eye_array(spline.size)
         solver = sparse_linalg.splu(
             normal.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}

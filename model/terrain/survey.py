@@ -1,4 +1,4 @@
-"""What a survey gives of a fine terrain: a blurred, coarser, noisy heightmap."""
+"""What a survey measures of a fine terrain: a blurred, coarser, noisy heightmap."""
 
 from __future__ import annotations
 
@@ -15,11 +15,30 @@ from joulemap.model.terrain.heightmap import Heightmap
 def degrade(
     heightmap: Heightmap, *, resolution_m: float, noise_m: float = 0.0, smoothing_m: float = 0.0, rng: Generator
 ) -> Heightmap:
-    """A survey of `heightmap` on cells of `resolution_m`, from the same north-west corner.
+    """Make a survey of a terrain, on coarser cells from the same north-west corner.
 
-    Heights are smoothed by a Gaussian of standard deviation smoothing_m [m], averaged over the area of each new cell
-    and given independent noise of standard deviation noise_m [m]. A new cell is unknown where less than half of its
-    area is known. Raises HeightmapError when resolution_m is finer than the heightmap's.
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The terrain.
+    resolution_m : float
+        Side of a cell of the survey [m].
+    noise_m : float, optional
+        Standard deviation of independent noise in every cell [m].
+    smoothing_m : float, optional
+        Standard deviation of the Gaussian that blurs the heights first [m].
+    rng : Generator
+        Source of the noise.
+
+    Returns
+    -------
+    Heightmap
+        Mean heights over the area of each new cell; unknown where less than half of that area is known.
+
+    Raises
+    ------
+    HeightmapError
+        If `resolution_m` is finer than the terrain's, or a length is negative.
     """
     frame = heightmap.frame
     if not resolution_m >= frame.resolution_m * (1.0 - 1e-9):

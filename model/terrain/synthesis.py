@@ -16,14 +16,35 @@ from joulemap.model.terrain.landforms import HeightArray, bumps, fractal, furrow
 
 @dataclass(frozen=True)
 class TerrainRecipe:
-    """What a terrain is made of. Lengths in metres, angles in degrees; a part whose size is 0 is left out.
+    """What a terrain is made of. A part whose size is 0 is left out.
 
-    max_slope_deg : the steepest slope of relief and tilt together, reached somewhere (the fine parts come on top).
-    tilt_deg, tilt_heading_deg : plane that climbs towards that heading. relief_longest_m, relief_shortest_m : waves of
-    the relief; relief_exponent : its power falls as wavenumber^-exponent (2-D spectral density; 3.5 is natural ground).
-    roughness_rms_m, roughness_longest_m, roughness_exponent : likewise, below the scale of a robot. furrow_* : parallel
-    sine furrows that run along the heading. bumps_per_m2, bump_height_m, bump_radius_m : tussocks and stones, Gaussian;
-    heights are exponential with mean bump_height_m (negative: holes). track_* : pairs of wheel ruts along random lines.
+    Attributes
+    ----------
+    max_slope_deg : float
+        Steepest slope of relief and tilt together, reached somewhere [deg]. Finer parts are added on top.
+    tilt_deg, tilt_heading_deg : float
+        Slope of a plane, and the heading towards which it climbs [deg].
+    relief_longest_m, relief_shortest_m : float
+        Wavelengths of the relief [m].
+    relief_exponent : float
+        The 2-D spectral density of the relief falls as wavenumber^-exponent; 3.5 is natural ground.
+    roughness_rms_m, roughness_longest_m, roughness_exponent : float
+        The same for relief below the scale of a robot, with its root mean square height [m].
+    furrow_depth_m, furrow_spacing_m, furrow_heading_deg : float
+        Parallel sine furrows that run along the heading.
+    bumps_per_m2 : float
+        Number of tussocks and stones per square metre.
+    bump_height_m, bump_radius_m : float
+        Their mean height (exponentially distributed; negative means holes) and radius [m].
+    track_count : int
+        Number of pairs of wheel ruts along random lines.
+    track_depth_m, track_gauge_m, track_width_m : float
+        Depth of a rut, distance between the two of a pair, and width of a rut [m].
+
+    Raises
+    ------
+    InputError
+        If a value is negative, infinite or out of its range.
     """
 
     max_slope_deg: float = 5.0
@@ -93,7 +114,22 @@ RECIPES = {"park": PARK, "hillside": HILLSIDE, "field": FIELD}
 
 
 def make_terrain(recipe: TerrainRecipe, frame: GridFrame, rng: Generator) -> Heightmap:
-    """The terrain of a recipe on a frame; the same generator state gives the same terrain. Mean height is 0."""
+    """Make the terrain of a recipe; its mean height is 0.
+
+    Parameters
+    ----------
+    recipe : TerrainRecipe
+        What the terrain is made of.
+    frame : GridFrame
+        Where it lies.
+    rng : Generator
+        Source of randomness; the same state gives the same terrain.
+
+    Returns
+    -------
+    Heightmap
+        The terrain, known everywhere.
+    """
     relief = fractal(
         frame,
         rng,
@@ -148,10 +184,19 @@ SAMPLE_GOAL = (178.0, 104.0)
 
 
 def sample_terrain(seed: int = 7) -> Heightmap:
-    """The demo's terrain: 200 x 200 m at 0.5 m, rolling hills, a steep knoll in the middle and a small unknown pond.
+    """Make the terrain of the demo: 200 x 200 m of rolling hills with a steep knoll in the middle.
 
-    Between SAMPLE_START and SAMPLE_GOAL the shortest way climbs the knoll, which a robot can but should not: the
-    energy-optimal way goes round it.
+    Between SAMPLE_START and SAMPLE_GOAL the shortest way climbs the knoll; the energy-optimal way goes round it.
+
+    Parameters
+    ----------
+    seed : int, optional
+        Seed of everything random.
+
+    Returns
+    -------
+    Heightmap
+        400 x 400 cells of 0.5 m, with a small pond of unknown height.
     """
     frame = GridFrame(west_m=0.0, north_m=200.0, resolution_m=0.5, rows=400, cols=400)
     rng = np.random.default_rng(seed)

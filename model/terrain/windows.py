@@ -151,12 +151,12 @@ def overview(ground: Ground) -> Heightmap:
     gutter = max(4, math.ceil(4.0 / frame.resolution_m))  # wider than any slope is judged over
     side = math.isqrt(_SAMPLE_CELLS) // _BLOCKS
 
-    def starts(length: int) -> list[tuple[int, int]]:
+    def _starts(length: int) -> list[tuple[int, int]]:
         count = min(_BLOCKS, max(1, length // side))
         wide = min(side, length)
         return [(int(at), int(at) + wide) for at in np.linspace(0, length - wide, count)]
 
-    rows, cols = starts(frame.rows), starts(frame.cols)
+    rows, cols = _starts(frame.rows), _starts(frame.cols)
     high, wide = (max(b - a for a, b in spans) + gutter for spans in (rows, cols))
     heights = np.full((high * len(rows), wide * len(cols)), np.nan, dtype=np.float32)
     for i, (row0, row1) in enumerate(rows):

@@ -27,10 +27,30 @@ def write_bands_geotiff(
     descriptions: Sequence[str] | None = None,
     tags: Mapping[str, str] | None = None,
 ) -> bytes | None:
-    """A deflated float32 GeoTIFF of bands (n, rows, cols), NaN its nodata; to `path`, or as bytes where that is None.
+    """Write a compressed float32 GeoTIFF, NaN its no-data value. A file appears whole or not at all.
 
-    descriptions : one text per band. tags : the file's metadata. A file appears whole or not at all. Raises
-    HeightmapError where shapes differ.
+    Parameters
+    ----------
+    path : str, Path or None
+        The file; None returns its bytes instead.
+    bands : ndarray of float32, (n, rows, cols)
+        The bands.
+    frame : GridFrame
+        Where they lie.
+    descriptions : sequence of str, optional
+        One text per band.
+    tags : mapping of str to str, optional
+        Metadata of the file.
+
+    Returns
+    -------
+    bytes or None
+        The file's content where `path` is None.
+
+    Raises
+    ------
+    HeightmapError
+        If the shapes differ.
     """
     bands = np.asarray(bands, dtype=np.float32)
     if bands.ndim != 3 or bands.shape[1:] != frame.shape:
@@ -54,7 +74,7 @@ def write_bands_geotiff(
         **({"tiled": True, "blockxsize": 256, "blockysize": 256} if min(frame.shape) > 512 else {}),
     }
 
-    def fill(dataset: rasterio.io.DatasetWriter) -> None:
+    def _fill(dataset: rasterio.io.DatasetWriter) -> None:
         dataset.write(bands)
         for index, text in enumerate(descriptions or (), start=1):
             dataset.set_band_description(index, text)
@@ -67,13 +87,13 @@ def write_bands_geotiff(
         if path is None:
             with MemoryFile() as memory:
                 with memory.open(**profile) as dataset:
-                    fill(dataset)
+                    _fill(dataset)
                 return bytes(memory.getbuffer())
         path = Path(path)
         partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         try:
             with rasterio.open(str(partial), "w", **profile) as dataset:
-                fill(dataset)
+                _fill(dataset)
             partial.replace(path)
         finally:
             partial.unlink(missing_ok=True)
@@ -81,5 +101,18 @@ def write_bands_geotiff(
 
 
 def write_geotiff(path: str | Path | None, heightmap: Heightmap) -> bytes | None:
-    """The heightmap as a GeoTIFF of one band; to `path`, or as bytes where that is None."""
+    """Write a heightmap as a GeoTIFF of one band.
+
+    Parameters
+    ----------
+    path : str, Path or None
+        The file; None returns its bytes instead.
+    heightmap : Heightmap
+        The heights.
+
+    Returns
+    -------
+    bytes or None
+        The file's content where `path` is None.
+    """
     return write_bands_geotiff(path, heightmap.heights[None], heightmap.frame, descriptions=["height [m]"])
