@@ -95,9 +95,12 @@ def train(
     robot: RobotLike = None,
     architecture: str = "compact",
     start_from: ModelLike | None = None,
+    backbone: str | Path | None = None,
+    patch_size: int | None = None,
     epochs: int | None = None,
     seed: int = 0,
     charge: bool = False,
+    resume: bool = False,
     overwrite: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Model:
@@ -118,12 +121,18 @@ def train(
     start_from : str, Path or Model, optional
         Model to fine-tune: "default", a folder, or "none" to train from random weights. By default the shipped network
         for "compact", "none" otherwise.
+    backbone : str or Path, optional
+        File of ResNet18 weights with torchvision's names, for "resnet18".
+    patch_size : int, optional
+        Rows and columns of a patch, for "resnet18"; 256 in the paper.
     epochs : int, optional
         Most passes over the data.
     seed : int, optional
         The same seed and data give the same weights.
     charge : bool, optional
         Whether charge times nominal voltage is learned instead of energy, for logs whose voltage is wrong.
+    resume : bool, optional
+        Whether an interrupted training of the same data and settings is continued.
     overwrite : bool, optional
         Whether a model that is there already is replaced.
     progress : callable, optional
@@ -161,9 +170,12 @@ def train(
         out=folder,
         architecture=architecture,
         start_from=start_folder(model_folder(start)),
+        backbone=None if backbone is None else Path(backbone),
+        patch_size=patch_size,
         epochs=epochs,
         seed=seed,
         charge=charge,
+        resume=resume,
         progress=progress,
     )
     return Model(folder, asdict(made))
