@@ -56,7 +56,8 @@ class PlainErrors(TyperGroup):
             from joulemap.service.problems import exit_code
 
             command = self.get_command(ctx, ctx.invoked_subcommand or "")
-            fail(with_option_names(error.message, command.params if command is not None else ()))
+            options = command.params if command is not None else ()
+            fail(with_option_names(error.message, options) + _way_out(error, options))
             raise typer.Exit(exit_code(error)) from error
         except KeyboardInterrupt as stop:
             fail(str(stop), mark="stopped")
@@ -67,6 +68,13 @@ class PlainErrors(TyperGroup):
             place = f"{error.filename}: " if error.filename is not None else ""
             fail(f"{place}{error.strerror or error}")
             raise typer.Exit(1) from error
+
+
+def _way_out(error: JoulemapError, options: Iterable[Any]) -> str:
+    """An option of the command that helps, of which the library cannot know."""
+    if "nearest" in error.context and any("--snap" in option.opts for option in options):
+        return "; --snap goes there"
+    return ""
 
 
 def fail(message: str, *, mark: str = "error") -> None:
@@ -179,7 +187,7 @@ def json_text(document: Mapping[str, Any]) -> str:
 
 
 def _place_of_no_number(value: Any, place: str = "") -> str:
-    """Where the first number that is not finite stands, like features[0].geometry; empty where there is none."""
+    """Where the first number is that is not finite, like features[0].geometry; empty where there is none."""
     if isinstance(value, float):
         return "" if math.isfinite(value) else place
     inside: Iterable[tuple[str, Any]] = ()

@@ -42,32 +42,37 @@ def distill(
             help="Compact model that the student starts from: `default` or a folder.",
         ),
     ] = "default",
-    answers: Annotated[int, typer.Option(min=100, help="Places and headings that the teacher is asked for.")] = 20_000,
+    answers: Annotated[
+        int, typer.Option(min=100, help="Number of places and headings that the teacher is asked for.")
+    ] = 20_000,
     epochs: Annotated[int | None, typer.Option(min=1, help="Passes over the data. [default: 30]")] = None,
-    charge: Annotated[bool, typer.Option("--charge", help="Count charge, as for `train`.")] = False,
+    charge: Annotated[
+        bool, typer.Option("--charge", help="Take charge times nominal voltage as the energy, as `train`.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
     *,
     reading: Reading,
 ) -> None:
-    """Distil a slow **ResNet18 into the fast network**: taught by its answers everywhere on the map, fitted to the
-    measured segments at the same time. Tells how far the two differ, and how both predict the runs that neither saw.
+    """Distil a slow **ResNet18 into the fast network**, which learns from its answers and from the measured segments.
 
-    Example: `joulemap distill --teacher paper --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --out fast`
+    The answer says how far the two differ, and how well both predict runs that neither was trained on.
+
+    Example: `joulemap distill --teacher paper --heightmap dem.tif --robot robot.toml --runs logs/*.csv --out fast`
     """
     from dataclasses import asdict
 
     from joulemap.model.energy.artifact import CONFIG_FILE
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.model.training.distillation import distil_on_runs
-    from joulemap.service.commands.models import folder_of
+    from joulemap.service.models import start_folder
 
     output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
-    start = folder_of(start_from)
+    start = start_folder(start_from)
     if start is None:
-        raise typer.BadParameter("a student starts from a compact model, not from none")
+        raise typer.BadParameter("--from none: a student starts from a compact model")
     with progress_bar("Distilling") as report:
         model = distil_on_runs(
             read_heightmap(heightmap, **reading),
@@ -87,7 +92,7 @@ def distill(
     output.table(
         {
             "learned from": f"{model.answers} answers of the teacher and {model.segments} measured segments",
-            "differs by": f"{model.difference:.1%} of the energy, where nobody drove",
+            "differs by": f"{model.difference:.1%} of the energy, where no run was driven",
             "held out": f"{', '.join(model.held_out_runs)}: student {student:.1%}, teacher {taught:.1%} per segment",
         }
     )

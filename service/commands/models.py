@@ -104,10 +104,10 @@ def simulate(
     ] = 0,
     json_file: JsonFile = None,
 ) -> None:
-    """Simulate **measured runs**: a robot driven over a site, its battery, and a logger at 10 Hz with all its faults.
+    """Simulate **measured runs**: a robot, a site, a battery, and a 10 Hz logger with noise, gaps and spikes.
 
-    The robot's true mass and losses are drawn around what its file declares, as they are in life. Without `--robot`,
-    robot.toml declares the rolling resistance that its owner would measure on smooth level ground of that site.
+    The robot's true mass and losses differ a little from what its file declares. Without `--robot`, robot.toml declares
+    the rolling resistance that its owner would measure on smooth level ground of that site.
 
     Examples:
 
@@ -189,8 +189,8 @@ Charge = Annotated[
     bool,
     typer.Option(
         "--charge",
-        help="Count charge [A s], times the robot's nominal voltage, instead of energy: for logs whose voltage is "
-        "broken. (Where it is missing, that is the rule.)",
+        help="Take charge [A s] times the robot's nominal voltage as the energy, for logs whose voltage is wrong. "
+        "Logs without a voltage are always read like this.",
     ),
 ]
 
@@ -218,7 +218,7 @@ def train(
             "--start-from",
             metavar="M",
             callback=known_model,
-            help="Model to fine-tune: `default`, a folder, or `none` to train afresh. "
+            help="Model to fine-tune: `default`, a folder, or `none` for random weights. "
             "[default: `default` for compact, `none` for resnet18]",
         ),
     ] = None,
@@ -236,11 +236,11 @@ def train(
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option(min=1, help="Passes over the data, at most. [default: 12 for compact, 60 for resnet18]"),
+        typer.Option(min=1, help="Most passes over the data. [default: 12 for compact, 60 for resnet18]"),
     ] = None,
     charge: Charge = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a training of the same data and settings that was cut off.")
+        bool, typer.Option("--resume", help="Continue an interrupted training of the same data and settings.")
     ] = False,
     seed: Annotated[
         int | None,
@@ -251,20 +251,22 @@ def train(
     *,
     reading: Reading,
 ) -> None:
-    """Train a **model**: without `--runs` the shipped one anew, with them one for your robot on your ground.
+    """Train a **model** on measured runs, for your robot on your ground.
+
+    Without `--runs` and `--heightmap` the shipped network is trained again, on simulated data.
 
     Examples:
 
-    `joulemap train --out weights` (simulates the shipped network's data and trains on it)
+    `joulemap train --heightmap dem.tif --robot robot.toml --runs logs/*.csv --out mine`
 
-    `joulemap train --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv' --out mine`
+    `joulemap train --out weights` (the shipped network)
     """
     from joulemap.model.energy.artifact import CONFIG_FILE
 
     output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
     if heightmap is None and not runs:
-        told = {
+        given = {
             "--robot": robot,
             "--from": start_from,
             "--weights": weights,
@@ -274,7 +276,7 @@ def train(
             "--resume": resume,
             "--arch": architecture is not _DEFAULT,
         }
-        if idle := [name for name, value in told.items() if value]:
+        if idle := [name for name, value in given.items() if value]:
             raise typer.BadParameter(f"{', '.join(idle)}: only with --heightmap and --runs")
         from joulemap.model.training.pretraining import DEFAULT_SEED, train_default
 
@@ -289,6 +291,7 @@ def train(
 
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.model.training.measured_runs import train_on_runs
+    from joulemap.service.models import start_folder
 
     with progress_bar("Training") as report:
         model = train_on_runs(
@@ -297,7 +300,7 @@ def train(
             find_runs(runs),
             out=out,
             architecture=architecture.value,
-            start_from=folder_of(start_from or ("default" if architecture is _DEFAULT else "none")),
+            start_from=start_folder(start_from or ("default" if architecture is _DEFAULT else "none")),
             backbone=weights,
             patch_size=patch_size,
             epochs=epochs,
@@ -311,8 +314,8 @@ def train(
         {
             "learned from": f"{model.segments} segments of {runs_words(len(model.runs))}",
             "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
-            + (", flattered a little: they said when to stop" if model.stopped_by_held_out else ""),
-            "turning": f"{model.turn_j_per_rad:.1f} J/rad beyond straight driving and the robot's own, in plans too",
+            + (" (a little too low: these runs decided when to stop)" if model.stopped_by_held_out else ""),
+            "turning": f"{model.turn_j_per_rad:.1f} J/rad more than straight driving, used in plans too",
         }
     )
     if not model.keeps_runs:
@@ -332,19 +335,16 @@ def evaluate(
     *,
     reading: Reading,
 ) -> None:
-    """Tell how well a **model predicts measured runs**, per 1 m segment and over whole runs.
+    """Measure how well a **model predicts measured runs**, per 1 m segment and over whole runs.
 
-    Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs 'logs/*.csv'`
+    Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs logs/*.csv`
     """
     from joulemap.model.terrain.readers import read_heightmap
-    from joulemap.model.training.evaluation import evaluate_on_runs
-    from joulemap.service.models import find_predictor
+    from joulemap.service.library import models as library
 
     output = Output(json_file)
-    rover = robot_of(robot)
-    found = evaluate_on_runs(
-        find_predictor(model), read_heightmap(heightmap, **reading), rover, find_runs(runs), charge=charge
-    )
+    ground = read_heightmap(heightmap, **reading)
+    found = library.evaluate(ground, runs, model=model, robot=robot, charge=charge).document
     output.say(
         f"[bold]Model {found['model']}[/] on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}"
     )
@@ -359,15 +359,6 @@ def evaluate(
     )
     output.warn(found["warnings"])
     output.document(found)
-
-
-def folder_of(name: str) -> Path | None:
-    """A model's folder; the shipped one's for "default", None for "none"."""
-    from joulemap.model.energy.predictor import SHIPPED_WEIGHTS
-
-    if name == "none":
-        return None
-    return Path(str(SHIPPED_WEIGHTS)) if name == "default" else Path(name)
 
 
 def _coverage_words(covered: dict[str, float] | None) -> str:

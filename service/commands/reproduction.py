@@ -42,7 +42,7 @@ class HeightmapFrom(StrEnum):
 
 def reproduce(
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for everything; a cut-off run goes on there.")
+        Path, typer.Option("--out", metavar="DIR", help="Folder for everything; an interrupted run is continued there.")
     ],
     profile: Annotated[
         ProfileName,
@@ -71,8 +71,8 @@ def reproduce(
 ) -> None:
     """Reproduce the **paper's section V** on simulated sites: both networks, every training strategy, all baselines.
 
-    Writes `REPRODUCTION.md`, `results.json` and figures into the folder. Experiments that are there already are not run
-    again.
+    Writes `REPRODUCTION.md`, `results.json` and figures into the folder. Experiments that are in it already are not
+    run again.
 
     Example: `joulemap reproduce --out reproduction`
     """

@@ -47,10 +47,10 @@ def worker(
         Path | None, typer.Option(metavar="DIR", help="The service's data folder, shared with it. [default: data]")
     ] = None,
 ) -> None:
-    """**Do a service's jobs**, cost maps (tile by tile) and calibrations, beside other workers (Ctrl-C stops it).
+    """**Work on a service's jobs**, cost maps (tile by tile) and calibrations, beside other workers (Ctrl-C stops it).
 
     It shares the service's data folder and database: `JOULEMAP_DATABASE_URL` names a PostgreSQL that all machines
-    reach. A worker that is killed loses at most the tile at hand, which another one makes after a few seconds.
+    reach. If a worker is killed, another one repeats its current tile after a few seconds.
 
     Example: `JOULEMAP_DATABASE_URL=postgresql+psycopg://joulemap@db/joulemap joulemap worker --data-dir /srv/joulemap`
     """
@@ -100,7 +100,7 @@ def _writable(settings: Settings) -> Settings:
 
 @reads_heightmap
 def demo(
-    exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service and end by itself.")] = False,
+    exit_after: Annotated[bool, typer.Option("--exit", help="Stop the service at the end.")] = False,
     heightmap: Annotated[
         Path | None,
         typer.Option(metavar="FILE", callback=there, help="Another heightmap than the sample."),
@@ -124,9 +124,9 @@ def demo(
     *,
     reading: Reading,
 ) -> None:
-    """See it **work in a minute**: a service, a heightmap sent to it, a cost map, a path, a verdict and a picture.
+    """Show the whole **in a minute**: start a service, send it a heightmap, ask for a cost map, a path and a verdict.
 
-    The service is left running (Ctrl-C stops it) unless `--exit` is given.
+    The service runs until Ctrl-C, unless `--exit` is given.
 
     Examples: `joulemap demo --exit`, `joulemap demo --heightmap dem.tif --start 12,40 --goal 180,95`
     """
@@ -149,7 +149,7 @@ def demo(
 
 
 def warmup(json_file: JsonFile = None) -> None:
-    """Compile every kernel **once and keep it**, so that no request waits for a compiler (part of the installation)."""
+    """Compile every kernel **once and keep it**, so that no request waits for the compiler (after an installation)."""
     from joulemap.service.workflows import warm_up
 
     output = Output(json_file)

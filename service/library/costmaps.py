@@ -135,7 +135,16 @@ class CostMap:
         )
         return PlannedRoute(found, self.lattice)
 
-    def tour(self, stops: Sequence[Point], *, neighbours: int = 16, time_limit_s: float = 10.0) -> PlannedTour:
+    def tour(
+        self,
+        stops: Sequence[Point],
+        *,
+        neighbours: int = 16,
+        refine: bool = True,
+        snap: bool = False,
+        time_limit_s: float = 10.0,
+        progress: Callable[[float], None] | None = None,
+    ) -> PlannedTour:
         """Visit all stops and come home to the first one, in the order that takes least energy.
 
         Parameters
@@ -144,8 +153,14 @@ class CostMap:
             World x, y [m]; the first is home.
         neighbours : int, optional
             Directions of a step on the grid: 8, 16 or 32.
+        refine : bool, optional
+            Whether the legs are improved to any angle.
+        snap : bool, optional
+            Whether a stop on blocked ground is moved to the nearest free place.
         time_limit_s : float, optional
             For the search of the order [s].
+        progress : callable, optional
+            Called with the share done, 0..1.
 
         Returns
         -------
@@ -158,7 +173,10 @@ class CostMap:
             As `plan`; the two stops are named.
         """
         places = [_point(stop, f"stop {k}") for k, stop in enumerate(stops)]
-        return PlannedTour(self.planner.tour(places, neighbours=neighbours, time_limit_s=time_limit_s), self.lattice)
+        found = self.planner.tour(
+            places, neighbours=neighbours, refine=refine, snap=snap, time_limit_s=time_limit_s, progress=progress
+        )
+        return PlannedTour(found, self.lattice)
 
     def feasibility(
         self,

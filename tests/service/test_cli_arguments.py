@@ -238,3 +238,39 @@ def test_of_the_lines_of_a_path_the_energy_optimal_one_is_judged(costmap: Path, 
     assert code == 0, errors
     _, judged, _ = joulemap("feasibility", costmap, "--path", tmp_path / "path.geojson", "--json", "-")
     assert json.loads(judged)["energy_j"] == pytest.approx(json.loads(words)["energy_j"], rel=1e-6)
+
+
+def test_snap_takes_the_nearest_free_place(tmp_path: Path) -> None:
+    heights = np.zeros((20, 30), dtype=np.float32)
+    heights[8:12, 10:20] = np.nan
+    write_geotiff(tmp_path / "dem.tif", Heightmap(heights, GridFrame(0.0, 20.0, 1.0, 20, 30)))
+    out = tmp_path / "dem.zarr"
+    assert joulemap("costmap", tmp_path / "dem.tif", "--model", "physics", "--out", out)[0] == 0
+    ends = ("--start", "13.5,11.4", "--goal", "25.5,3.5")  # the start is in the hole
+    tasks = {"path": ends, "feasibility": ends, "tour": ("--stop", "13.5,11.4", "25.5,3.5", "3.5,3.5")}
+    for command, task in tasks.items():
+        if command == "tour":
+            pytest.importorskip("ortools")
+        code, _, errors = joulemap(command, out, *task)
+        assert code == 4
+        assert "the nearest free place is (" in errors
+        assert errors.endswith("; --snap goes there")
+        code, words, errors = joulemap(command, out, *task, "--snap", "--json", "-")
+        assert code == 0, errors
+        assert "moved to the nearest free place" in errors
+        found = json.loads(words)
+        x, y, _ = (found["out"] if command == "feasibility" else found)["path"][0]
+        assert 12.0 <= y < 14.0
+        assert abs(x - 13.5) <= 1.0
+
+
+def test_a_model_judged_by_its_own_runs_is_said_to_be(field: Path, tmp_path: Path) -> None:
+    measured = ("--heightmap", field / "dem.tif", "--robot", field / "robot.toml")
+    code, _, errors = joulemap("train", *measured, "--runs", field, "--epochs", "1", "--out", tmp_path / "mine")
+    assert code == 0, errors
+    asked = ("evaluate", *measured, "--model", tmp_path / "mine", "--runs", field / "run_01.csv")
+    code, _, errors = joulemap(*asked)
+    assert code == 0
+    assert "warning:" in errors
+    assert "run_01.csv" in errors
+    assert "trained" in errors
