@@ -1,1 +1,1 @@
-"""The calibration loop: measured runs, the segments cut from them, and what they say about the model."""
+"""The calibration loop: what the residuals of measured runs say about a model, and the calibrated model made of it."""

@@ -1,8 +1,9 @@
-"""How far a force is felt: as far as the drives pull; where the ground pushes the robot, brakes have less to do.
+"""Load-dependent response: a force costs energy where the drives pull, and less where the ground pushes the robot.
 
-Within a metre the drives' force varies with every bump. Taken as normal around its mean (spread: `spread_n`), a share
-of it pushes even where the mean pulls, and what the metre costs bends smoothly from nothing (or what regeneration
-returns) far downhill to the full force uphill. What another newton costs bends with it.
+Within a metre the force of the drives varies with every bump. It is modelled as normal around its mean with the
+standard deviation `spread_n`. A share of it pushes even where the mean pulls, so that the cost of a metre changes
+smoothly from nothing (or what regeneration returns) far downhill to the full force uphill. What another newton costs
+follows the same curve.
 """
 
 from __future__ import annotations
@@ -38,9 +39,17 @@ _PULLED = _pulled(_MEANS)
 
 @dataclass(frozen=True)
 class Bend:
-    """felt : coefficients of the force's columns, near to the true ones. spread_n : standard deviation of the drives'
-    force within a metre [N, as the battery feels it]. share : of the force that was felt in the runs it was fitted to,
-    in least squares: divided by it, a coefficient says what the force cost there on the whole.
+    """The load-dependent response of a force.
+
+    Attributes
+    ----------
+    felt : tuple of float
+        Coefficients of the force's columns, close to the true ones.
+    spread_n : float
+        Standard deviation of the drives' force within a metre [N], as the battery sees it.
+    share : float
+        Share of the force that cost energy in the runs of the fit, in least squares. A coefficient divided by it says
+        what the force cost there in total.
     """
 
     felt: tuple[float, ...]
@@ -48,11 +57,37 @@ class Bend:
     share: float = 1.0
 
     def columns(self, drive: Drive, plain: FloatArray) -> FloatArray:
-        """(n, k) the columns of a force, as far as it is felt."""
+        """Return the columns of a force, reduced to what it costs.
+
+        Parameters
+        ----------
+        drive : Drive
+            Features of the segments.
+        plain : ndarray of float, (n, k)
+            Columns of the force.
+
+        Returns
+        -------
+        ndarray of float, (n, k)
+            Per unit of the coefficients.
+        """
         return plain * (self.felt_share(drive, plain @ np.asarray(self.felt)) / self.share)[:, None]
 
     def felt_share(self, drive: Drive, energy: FloatArray) -> FloatArray:
-        """(n,) share of a force's energy [J] by which the cost truly grows; all of it where the robot stands."""
+        """Return the share of a force's energy by which the cost grows.
+
+        Parameters
+        ----------
+        drive : Drive
+            Features of the segments.
+        energy : ndarray of float, (n,)
+            Of the force over each segment [J].
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            0..1; 1 while stationary.
+        """
         length = np.where(drive.standing, 1.0, drive.length_m)
         regained = drive.robot.regeneration
         x = _mean_force(np.nan_to_num(drive.traction_per_m) / self.spread_n, regained)
@@ -62,15 +97,28 @@ class Bend:
         return np.where(drive.standing, 1.0, regained + (1.0 - regained) * pulled)
 
     def as_dict(self) -> dict[str, Any]:
+        """Return it as a JSON-able mapping."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Bend:
+        """Read what `as_dict` returned.
+
+        Parameters
+        ----------
+        values : mapping
+            From a file.
+
+        Returns
+        -------
+        Bend
+            The same.
+        """
         return cls(tuple(float(v) for v in values["felt"]), float(values["spread_n"]), float(values["share"]))
 
 
 def _mean_force(traction: FloatArray, regained: float) -> FloatArray:
-    """Mean force of which so much is felt, both in deviations; further down than two of them as the base model goes."""
+    """Mean force that costs so much, both in standard deviations; below minus two of them as in the base model."""
     costs = (1.0 - regained) * _PULLED + regained * _MEANS
     lowest = costs[0] / regained if costs[0] < 0.0 else costs[0]
     cost = np.where(traction < 0.0, regained * traction, traction)
@@ -79,26 +127,53 @@ def _mean_force(traction: FloatArray, regained: float) -> FloatArray:
 
 
 def spread_of(drive: Drive) -> float:
-    """Spread of the drives' force within a metre [N], from how the base model's cost of motion bends with the slope.
+    """Estimate the spread of the drives' force within a metre from how the base model's cost depends on the slope.
 
-    Least squares of k (weight) times the positive part of mu + grade + normal noise: k between 1 and 2 is what the
-    drivetrain makes of a newton, mu the rolling resistance.
+    Parameters
+    ----------
+    drive : Drive
+        Features of the segments.
+
+    Returns
+    -------
+    float
+        Standard deviation [N].
+
+    Notes
+    -----
+    Least squares of k (weight) times the positive part of mu + grade + normal noise. k between 1 and 2 is what the
+    drivetrain makes of a newton; mu is the rolling resistance.
     """
     moving, weight, regained = ~drive.standing, drive.robot.weight_n, drive.robot.regeneration
     grade = drive.grade[moving]
     cost = drive.motion_part[moving] * drive.unit_j / drive.length_m[moving] / weight
 
-    def away(guess: FloatArray) -> FloatArray:
+    def _away(guess: FloatArray) -> FloatArray:
         gain, rolling, spread = guess
         mean = rolling + grade
         return np.asarray(gain * ((1.0 - regained) * spread * _pulled(mean / spread) + regained * mean) - cost)
 
-    found = least_squares(away, _START, bounds=(_LEAST, _MOST), loss="soft_l1", f_scale=_OUTLIER)
+    found = least_squares(_away, _START, bounds=(_LEAST, _MOST), loss="soft_l1", f_scale=_OUTLIER)
     return float(found.x[0] * found.x[2] * weight)
 
 
 def bend_of(residuals: Residuals, plain: FloatArray, spread_n: float) -> Bend:
-    """The bend of a force with these columns (n, k), as large as the residuals say that it is."""
+    """Fit the load-dependent response of a force to residuals.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    plain : ndarray of float, (n, k)
+        Columns of the force.
+    spread_n : float
+        See `Bend`.
+
+    Returns
+    -------
+    Bend
+        With the size of the force that the residuals show.
+    """
     weight = (residuals.moving / residuals.scale**2)[:, None]
     bend = Bend((0.0,) * plain.shape[1], spread_n)
     for _ in range(_STEPS):

@@ -1,6 +1,4 @@
-"""Where exactly a part of the operating range begins: the threshold that runs left out speak for, and those that do as
-well.
-"""
+"""The threshold at which an effect that is limited to a part of the operating range begins."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ import numpy as np
 
 from joulemap.model.loop.effects import Term, inside
 from joulemap.model.loop.evidence import Evidence
-from joulemap.model.loop.formulas import quantity
+from joulemap.model.loop.quantities import quantity
 from joulemap.model.loop.residual import Residuals
 
 _STEPS = np.linspace(0.05, 0.95, 37)
@@ -19,9 +17,26 @@ _LEAST_PART = 30  # segments on either side of a threshold
 
 
 def bounded(residuals: Residuals, terms: Sequence[Term], silent: Sequence[Term]) -> tuple[list[Term], list[list[Term]]]:
-    """(terms, others): every term that acts above or below a value, with the value at which the held-out squared error
-    is least; and all terms again, once for every other value that is worse by no more than one standard error (Breiman
-    et al. 1984, section 3.4.3).
+    """Choose the threshold of every limited term by the held-out error.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    terms : sequence of Term
+        Of which those that act above or below a value are changed.
+    silent : sequence of Term
+        Fitted along, as they are.
+
+    Returns
+    -------
+    tuple of (list of Term, list of list of Term)
+        The terms with the threshold of least held-out squared error; and all terms again, once for every other
+        threshold whose error is larger by at most one standard error.
+
+    References
+    ----------
+    Breiman et al. 1984, section 3.4.3.
     """
     out = list(terms)
     rivals: list[tuple[int, Term]] = []

@@ -18,7 +18,7 @@ from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.drive import Drive, describe_segments, planned_drive
 from joulemap.model.loop.effects import Term
-from joulemap.model.loop.formulas import driven_heights
+from joulemap.model.loop.quantities import driven_heights
 from joulemap.model.loop.words import effect_name
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
@@ -29,19 +29,30 @@ FloatArray = NDArray[np.float64]
 CALIBRATION_FILE = "calibration.json"
 FORMAT = 1
 _CHUNK = 400_000  # cells x headings described at a time
-_OTHER_HEIGHTS = 0.05  # of a map: less is no news
+_OTHER_HEIGHTS = 0.05  # of a map: less is not worth a warning
 
 
 @dataclass(frozen=True)
 class Correction:
     """What a calibration adds to a base model.
 
-    terms : everything on top of it. planner : per term, whether a planner knows what it depends on. charge : the base
-    prediction's scale is unknown, so that the terms replace it. turn_j_per_rad : of turning in plans, beyond the
-    robot's own. conditions : logged columns at which plans are made unless told otherwise (their means on the runs).
-    evidence : the report's effects, JSON-able. spread : how far off the calibrated model was on held-out runs, whose
-    fits did not know them: what is not explained and what the coefficients are in doubt. Its factor is that on
-    `assumed_std`; None of a charge.
+    Attributes
+    ----------
+    terms : tuple of Term
+        Everything that is added.
+    planner : tuple of bool
+        Whether what each term depends on is known before a drive.
+    charge : bool
+        Whether the scale of the base prediction is unknown, so that the terms replace it.
+    turn_j_per_rad : float
+        Cost of turning in plans [J/rad], in addition to the robot's own.
+    conditions : mapping
+        Logged columns at which plans are made unless others are given: their means on the runs.
+    evidence : sequence of mapping
+        The report's effects, JSON-able.
+    spread : Spread, optional
+        Error of the calibrated model on held-out runs: what is not explained, and the uncertainty of the coefficients.
+        Its factor is that on `assumed_std`. None of a charge.
     """
 
     terms: tuple[Term, ...]
@@ -53,7 +64,20 @@ class Correction:
     spread: Spread | None = None
 
     def predict(self, drive: Drive, *, planner_only: bool = False) -> FloatArray:
-        """(n,) energy of every row [J, or A s]; without its log where only what a planner knows may be used."""
+        """Return the energy of every row.
+
+        Parameters
+        ----------
+        drive : Drive
+            Features of the segments.
+        planner_only : bool
+            Leave out what depends on what is known only after a drive.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s].
+        """
         total = np.zeros(len(drive)) if self.charge else drive.predicted.copy()
         for term, known in zip(self.terms, self.planner, strict=True):
             if known or not planner_only:
@@ -61,6 +85,7 @@ class Correction:
         return total
 
     def as_dict(self) -> dict[str, Any]:
+        """Return it as a JSON-able mapping."""
         return {
             "terms": [t.as_dict() for t in self.terms],
             "planner": list(self.planner),
@@ -73,7 +98,23 @@ class Correction:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Correction:
-        """Raises ModelError where something is missing."""
+        """Read what `as_dict` returned.
+
+        Parameters
+        ----------
+        values : mapping
+            From a file.
+
+        Returns
+        -------
+        Correction
+            The same.
+
+        Raises
+        ------
+        ModelError
+            If something is missing.
+        """
         try:
             spread = values.get("spread")
             return cls(
@@ -90,7 +131,22 @@ class Correction:
 
 
 def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
-    """Standard deviation [J] of 1 m segments before a calibration: the base model's, or a usual share of its price."""
+    """Return the standard deviation of 1 m segments before a calibration.
+
+    Parameters
+    ----------
+    std_j : ndarray of float, optional
+        As the base model gives it [J]; without it a usual share of the price is taken.
+    traction_per_m : ndarray of float
+        Of the base model [J/m].
+    robot : Robot
+        As declared.
+
+    Returns
+    -------
+    ndarray of float
+        Standard deviation [J], shaped as `traction_per_m`.
+    """
     if std_j is not None:
         return std_j
     level = robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
@@ -98,14 +154,26 @@ def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot:
 
 
 class CalibratedPredictor:
-    """A base model with a correction, asked like any other model."""
+    """A base model with a correction, used like any other model.
+
+    Parameters
+    ----------
+    base : Predictor
+        The model that was calibrated.
+    correction : Correction
+        What is added to it.
+    name : str
+        Of the calibrated model.
+    version : str
+        As `save_calibrated` returned it.
+    """
 
     def __init__(self, base: Predictor, correction: Correction, *, name: str, version: str) -> None:
         self.base, self.correction, self.name, self.version = base, correction, name, version
         self.spread = correction.spread or base.spread
 
     def provenance(self) -> dict[str, Any]:
-        """What the model is, JSON-able."""
+        """Return what the model is and what it was made of, as a JSON-able mapping."""
         effects = [t.as_dict() for t in self.correction.terms]
         return {
             "name": self.name,
@@ -117,7 +185,21 @@ class CalibratedPredictor:
         }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Those of the base, effects that plans cannot contain, and those of heights that this map does not have."""
+        """Return warnings about the use of the model on a map, for a person.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            To plan on.
+        robot : Robot
+            To plan for.
+
+        Returns
+        -------
+        list of str
+            Those of the base model, effects that plans cannot contain, and effects that are known at other heights
+            only.
+        """
         found = list(self.base.warnings(heightmap, robot))
         for term, known in zip(self.correction.terms, self.correction.planner, strict=True):
             if not known:
@@ -135,13 +217,39 @@ class CalibratedPredictor:
         return found
 
     def robot_with_turning(self, robot: Robot) -> Robot:
-        """The robot with what its turns were found to cost."""
+        """Return the robot with the cost of turning that was found.
+
+        Parameters
+        ----------
+        robot : Robot
+            As declared.
+
+        Returns
+        -------
+        Robot
+            For plans.
+        """
         return replace(robot, turn_j_per_rad=max(robot.turn_j_per_rad + self.correction.turn_j_per_rad, 0.0))
 
     def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
-        """(n,) predicted energy of measured segments [J, or A s] from all that is known of them; NaN where the map is
-        unknown. The base model speaks of the declared robot: what a logged load costs is for the effects to say. Of a
-        model of charge, joules are ampere seconds times the nominal voltage.
+        """Predict measured segments from everything that their log says.
+
+        The base model describes the declared robot: what a logged payload costs is left to the effects.
+
+        Parameters
+        ----------
+        segments : Segments
+            Measured.
+        heightmap : Heightmap
+            On which they were driven.
+        robot : Robot
+            That drove.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s] of segments of charge; NaN where the map is unknown. A model of charge gives
+            joules as ampere seconds times the nominal voltage.
         """
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)
@@ -153,7 +261,24 @@ class CalibratedPredictor:
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> FloatArray:
-        """(n,) [J/m] of straight 1 m segments at cruising speed, effects included; NaN where the map is unknown."""
+        """Return the traction of straight 1 m segments at cruising speed, effects included.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            That drives.
+        x, y : array_like
+            Centres [m].
+        heading_rad : array_like
+            Headings [rad].
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Traction [J/m]; NaN where the map is unknown.
+        """
         xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
         traction = self.base.segment_traction(heightmap, robot, xs, ys, headings)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction)
@@ -161,14 +286,46 @@ class CalibratedPredictor:
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, FloatArray | None]:
-        """`segment_traction`, and the standard deviation of each segment's energy [J]."""
+        """Return the traction of straight 1 m segments, and the standard deviation of their energy.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            That drives.
+        x, y : array_like
+            Centres [m].
+        heading_rad : array_like
+            Headings [rad].
+
+        Returns
+        -------
+        tuple of ndarray of float, (n,)
+            As `segment_traction` [J/m]; and the standard deviation [J], None where it is not known.
+        """
         xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
         traction, std = self.base.segment_traction_and_std(heightmap, robot, xs, ys, headings)
         std = self.std_of(std, traction, robot)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction), std
 
     def std_of(self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any] | None:
-        """Standard deviation of 1 m segments [J]; std_j, traction_per_m : as the base model says."""
+        """Return the standard deviation of 1 m segments after the calibration.
+
+        Parameters
+        ----------
+        std_j : ndarray of float, optional
+            Of the base model [J].
+        traction_per_m : ndarray of float
+            Of the base model [J/m].
+        robot : Robot
+            As declared.
+
+        Returns
+        -------
+        ndarray of float or None
+            Standard deviation [J].
+        """
         if self.correction.spread is None:
             return std_j
         return assumed_std(std_j, traction_per_m, robot) * traction_per_m.dtype.type(self.correction.spread.factor)
@@ -176,13 +333,47 @@ class CalibratedPredictor:
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> NDArray[np.float32]:
-        """(rows, cols, headings) float32 [J/m] at the cell centres of `frame`; NaN where the map is unknown."""
+        """Return the traction at the cell centres of a grid, effects included.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            That drives.
+        frame : GridFrame
+            The grid.
+        headings_rad : ndarray of float, (headings,)
+            Headings [rad].
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols, headings)
+            Traction [J/m]; NaN where the map is unknown.
+        """
         return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """`traction_per_m`, and the standard deviation of a 1 m segment's energy [J]."""
+        """Return the traction at the cell centres of a grid, and the standard deviation of a 1 m segment there.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            That drives.
+        frame : GridFrame
+            The grid.
+        headings_rad : ndarray of float, (headings,)
+            Headings [rad].
+
+        Returns
+        -------
+        tuple of ndarray of float32, (rows, cols, headings)
+            As `traction_per_m` [J/m]; and the standard deviation [J], None where it is not known.
+        """
         traction, std = self.base.traction_and_std(heightmap, robot, frame, headings_rad)
         std = self.std_of(std, traction, robot)
         x, y = frame.centres()
@@ -206,7 +397,7 @@ class CalibratedPredictor:
     ) -> FloatArray:
         """Traction whose price is the calibrated one; of a charge, ampere seconds times the nominal voltage.
 
-        Where the effects leave less than nothing of the motion, the price says so as far as regeneration does.
+        Where the effects leave less than nothing of the motion, the price follows as far as regeneration returns it.
         """
         drive = planned_drive(
             heightmap,
@@ -226,8 +417,26 @@ class CalibratedPredictor:
 
 
 def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[str, Any]) -> str:
-    """Write `calibration.json` into a folder that has none. base : what and where the base model is. Returns the
-    version, the SHA-256 of the content (16 hex digits). Raises ConflictError where a calibration is there already.
+    """Write `calibration.json` into a folder that has none.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Of the calibrated model; it is made if needed.
+    correction : Correction
+        What is added to the base model.
+    base : mapping
+        What the base model is, and where.
+
+    Returns
+    -------
+    str
+        The version: the first 16 hex digits of the SHA-256 of the content.
+
+    Raises
+    ------
+    ConflictError
+        If there is a calibration already.
     """
     path = Path(folder) / CALIBRATION_FILE
     if path.exists():
@@ -240,7 +449,23 @@ def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[st
 
 
 def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str]:
-    """(correction, base, version) of a folder. Raises ModelError where the file is broken or was changed."""
+    """Read `calibration.json` of a folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Of the calibrated model.
+
+    Returns
+    -------
+    tuple of (Correction, dict, str)
+        The correction, the base model as given to `save_calibrated`, and the version.
+
+    Raises
+    ------
+    ModelError
+        If the file cannot be read, or was changed after it was written.
+    """
     path = Path(folder) / CALIBRATION_FILE
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -22,17 +22,33 @@ from joulemap.model.loop.trace import Trace, trace
 
 FloatArray = NDArray[np.float64]
 
-_MOST_SHOWN = 0.5  # of an effect, by base runs: more is no news
-_SMALL = 0.2  # share of the residual's squared size below which an effect has to differ from nil
+_MOST_SHOWN = 0.5  # of an effect, by baseline runs: more is in the baseline already
+_SMALL = 0.2  # share of the residual's sum of squares below which an effect must differ from nil
 _WITH_BASE = Floors(physical=0.055, learned=0.08, place=0.08)
 
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found, fitted. coefficients : what is new in these runs; those of the term hold what the base
-    model's own runs show as well. low, high : 95 % intervals. share : of the residual's squared size that goes with it,
-    and with the interactions that it is part of. planner : stated in what a planner knows beforehand. shadow : of other
-    effects, whose form it mends, and no cause of its own.
+    """An effect that was found, with its fitted size.
+
+    Attributes
+    ----------
+    term : Term
+        With all coefficients, also what the baseline runs show.
+    coefficients : ndarray of float, (k,)
+        What is new in these runs and not in the baseline.
+    low, high : ndarray of float, (k,)
+        95 % confidence intervals of `coefficients`.
+    p_value : float
+        Allowing for everything that was tested.
+    share : float
+        Share of the residual's sum of squares that the effect explains, together with the interactions it is part of.
+    planner : bool
+        Whether what it depends on is known before a drive.
+    reveals : str
+        Runs that would measure it better.
+    shadow : bool
+        Whether it is a collinear covariate: it corrects the form of other effects and is no cause of its own.
     """
 
     term: Term
@@ -48,12 +64,33 @@ class Effect:
 
 @dataclass(frozen=True)
 class Calibration:
-    """effects : found, the most telling first. silent : what was refitted without being an effect (the level).
-    shared : corrections known from the base model's own runs. before, corrected, after, after_planner : errors on
-    held-out runs (mean_relative, rmse, bias), of the base model, with those corrections alone, with the effects, and
-    with those that a planner knows. residuals : as traced. held_out : (n,) prediction of each row by a fit without its
-    run; held_out_planner : the same from what a planner knows. first_terms, planner_terms : what is added to the base
-    prediction before, and with what a planner knows.
+    """The result of a calibration.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        In order of their share.
+    silent : tuple of Term
+        What was refitted without being an effect: the base model's scale.
+    shared : SharedErrors
+        Errors of the base model that its own runs show already.
+    before, corrected, after, after_planner : dict
+        Errors on held-out runs (mean_relative, rmse, bias, by_run): of the base model, with `shared` alone, with the
+        effects, and with those effects that are known before a drive.
+    trace : Trace
+        How the effects were selected.
+    candidates : tuple of Candidate
+        All that were tested.
+    refused : dict
+        Why others could not be tested, by name.
+    residuals : Residuals
+        In which effects were searched.
+    first : ndarray of float, (n,)
+        Prediction before the calibration.
+    held_out, held_out_planner : ndarray of float, (n,)
+        Prediction of each row by a fit without its run; and the same from what is known before the drive.
+    first_terms, planner_terms : tuple of Term
+        What is added to the base prediction for `before`, and for `after_planner`.
     """
 
     effects: tuple[Effect, ...]
@@ -75,22 +112,33 @@ class Calibration:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """Everything on top of the base prediction: shared corrections, the level, the effects."""
+        """Everything that is added to the base prediction: errors known from the baseline, the scale, the effects."""
         return (*self.shared.terms, *self.silent, *(e.term for e in self.effects))
 
     def errors_on(self, others: Residuals) -> dict[str, Any]:
-        """Errors before, corrected, after and after_planner on runs of the same base model that had no part in this."""
+        """Return the errors on other runs, which had no part in this calibration.
+
+        Parameters
+        ----------
+        others : Residuals
+            Against the same base model.
+
+        Returns
+        -------
+        dict
+            `before`, `corrected`, `after` and `after_planner`, each as in the attributes.
+        """
         predicted = np.zeros(len(others)) if others.charge else others.predicted
 
-        def error(terms: Sequence[Term]) -> dict[str, Any]:
+        def _error_with(terms: Sequence[Term]) -> dict[str, Any]:
             return _errors(others, predicted + _total(terms, others))
 
-        before = error(self.first_terms) if others.charge else _errors(others, _said(others))
+        before = _error_with(self.first_terms) if others.charge else _errors(others, _said(others))
         return {
             "before": before,
-            "corrected": before if others.charge else error(self.shared.terms),
-            "after": error(self.terms),
-            "after_planner": error(self.planner_terms),
+            "corrected": before if others.charge else _error_with(self.shared.terms),
+            "after": _error_with(self.terms),
+            "after_planner": _error_with(self.planner_terms),
         }
 
 
@@ -102,10 +150,30 @@ def calibrate(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Trace residuals of new runs, given those of the base model's own runs where they are known.
+    """Find the effects that the base model lacks on new runs.
 
-    electric : mean voltage, current and power of each row, which no candidate may copy. Of a charge, neither the scale
-    nor the zero is known, so that a plane in the base model's traction is fitted first and "before" is its error.
+    Parameters
+    ----------
+    measured : Residuals
+        Of the new runs against the base model.
+    electric : mapping, optional
+        Mean voltage, current and power of each row, (n,), which no candidate may copy.
+    base : Residuals, optional
+        Of the baseline runs: what they show as well is not new.
+    seed : int
+        Of the permutations.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    Calibration
+        With no effects where none is significant.
+
+    Notes
+    -----
+    The scale and the zero of a charge are unknown. A plane in the base model's traction is fitted first, and `before`
+    is its error.
     """
     shared = shared_errors(None if measured.charge else base, most_carried(measured))
     plane = _plane_terms(measured)
@@ -170,7 +238,7 @@ def calibrate(
 
 
 class _Fitted(NamedTuple):
-    """The effects of a trace, fitted on top of `silent` terms to `start`, which holds what is corrected by `level`."""
+    """The effects of a trace, fitted with `silent` terms to `start`, which is corrected by `level` already."""
 
     fit: Fit
     silent: list[Term]
@@ -183,7 +251,7 @@ def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: Shar
     chosen = [traced.evidence.terms[f.verdict.term] for f in traced.found]
     if chosen and not plane and not traced.evidence.moves_level(traced.chosen):
         silent = [Term("level", "level", ("",))]
-    parts = {name for f in traced.found for name in f.candidate.parts}  # their interaction says where they differ
+    parts = {name for f in traced.found for name in f.candidate.parts}  # their interaction describes where they differ
     chosen, others = bounded(start, localised(start, chosen, silent, whole=parts), silent)
 
     def fitted() -> Fit:
@@ -197,16 +265,18 @@ def _fitted(traced: Trace, start: Residuals, plane: Sequence[Term], shared: Shar
 
     fit = fitted()
     if silent and not plane and abs(share := fit.terms[0].coefficients[0]) > shared.level_doubt:
-        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as in tracing
+        level = [silent.pop().fitted(np.array([np.copysign(shared.level_doubt, share)]))]  # as far as while tracing
         start = start.corrected(_total(level, start))
         fit = fitted()
     return _Fitted(fit, silent, level, start)
 
 
 def _idle(causes: Trace, fitted: _Fitted, shared: SharedErrors) -> Found | None:
-    """The least telling cause that is no news, whatever helped to find it: base runs show most of it, or it explains
-    little and may be nil in its one or two coefficients (those of a curve share what is there). How far base runs are
-    apart is part of the p-value of what differs between runs. What an interaction is part of stands with it.
+    """The least important cause that is not new, whatever helped to find it.
+
+    The baseline runs show most of it, or it explains little and its one or two coefficients may be nil (those of a
+    curve share what is there). Heterogeneity between baseline runs is part of the p-value of what differs between runs.
+    A cause with an interaction is kept.
     """
     skip = len(fitted.silent)
     for k, found in reversed(list(enumerate(causes.found))):
@@ -219,7 +289,7 @@ def _idle(causes: Trace, fitted: _Fitted, shared: SharedErrors) -> Found | None:
 
 
 def _share(traced: Trace, one: Found) -> float:
-    """Of the residual's squared size that goes with an effect, and with the interactions that it is part of."""
+    """Share of the residual's sum of squares that an effect explains, with the interactions that it is part of."""
     gone = [one, *interactions_of(one, traced.found)]
     lost = _error(traced, [f.verdict.term for f in traced.found if f not in gone]) - _error(traced, traced.chosen)
     return float(np.clip(lost / float(traced.evidence.by_fold[:, -1, -1].sum()), 0.0, 1.0))
@@ -230,19 +300,19 @@ def _total(terms: Sequence[Term], residuals: Residuals) -> FloatArray:
 
 
 def _said(measured: Residuals) -> FloatArray:
-    """(n,) what the base model said of all that it was told; its prediction where that is not known."""
+    """(n,) prediction of the base model from everything it was given; its plain prediction where that is not known."""
     if measured.told is None:
         return measured.predicted
     return np.where(np.isfinite(measured.told), measured.told, measured.predicted)
 
 
 def _plane_terms(measured: Residuals) -> tuple[Term, ...]:
-    """Of a charge: what replaces the prediction whose scale and zero nobody knows."""
+    """Of a charge: what replaces the prediction, whose scale and zero are unknown."""
     return (Term("level", "plane", ("A s/m", "1/V", "1/V")),) if measured.charge else ()
 
 
 def _usual(base: Residuals | None) -> dict[str, float]:
-    """Means of what was logged on the base model's own runs: there it holds."""
+    """Means of the logged columns over the baseline runs, where the base model holds."""
     if base is None:
         return {}
     means = {k: v[np.isfinite(v)] for k, v in base.drive.columns.items()}

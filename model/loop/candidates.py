@@ -1,4 +1,4 @@
-"""Which effects these runs can be asked about: each with its formulas, and what was refused and why."""
+"""The candidate effects that these runs can be tested for: each with its formulas, and what was refused and why."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from joulemap.model.loop.bend import spread_of
 from joulemap.model.loop.columns import usable_columns
 from joulemap.model.loop.effects import Term
-from joulemap.model.loop.formulas import quantity
 from joulemap.model.loop.places import field_settings, grid_over
+from joulemap.model.loop.quantities import quantity
 from joulemap.model.loop.residual import Residuals
 from joulemap.model.loop.words import quantity_name
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
@@ -33,18 +33,31 @@ _SMOOTH_KNOTS = 5
 _MOST_CENTRES = 60
 _MOST_RIPPLE = 4.0  # more is a broken reading
 _LEAST_GENTLE = 0.01
-_MOST_RUNS = 12  # that may each have something of their own
+_MOST_RUNS = 12  # that may have coefficients of their own
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect to be tried.
+    """An effect to be tested.
 
-    variants : ways in which it may act. planner : stated in what a planner knows beforehand. response : a column that
-    answers to the drive (a command, a measured attitude), tried once nothing else is found. reveals : the drive that
-    shows it. sign : that its (last) coefficient must have, 0 where either makes sense: no robot has a negative drag.
-    most : above it its size makes none. parts : of an interaction, the effect that it
-    modifies, and the one by which.
+    Attributes
+    ----------
+    name : str
+        Its key in reports.
+    variants : tuple of Term
+        Ways in which it may act.
+    reveals : str
+        Runs that would measure it.
+    planner : bool
+        Whether what it depends on is known before a drive.
+    response : bool
+        Whether its column responds to the drive (a command, a measured attitude): such ones are tested last.
+    sign : int
+        Sign that its last coefficient must have; 0 where both are possible. No robot has a negative drag.
+    most : float
+        Largest possible size.
+    parts : tuple of str
+        Of an interaction: the effect that it modifies, and the one by which.
     """
 
     name: str
@@ -58,20 +71,44 @@ class Candidate:
 
     @property
     def learned(self) -> bool:
+        """Whether it is a fitted curve or field without a physical form."""
         return self.name.startswith("learned:")
 
     def in_plans(self, term: Term) -> bool:
-        """Whether a planner knows beforehand what a variant depends on: the wind of a run that is over it does not."""
+        """Return whether what a variant depends on is known before a drive.
+
+        Parameters
+        ----------
+        term : Term
+            One of the variants, perhaps limited to some runs.
+
+        Returns
+        -------
+        bool
+            False for the wind of runs that are over.
+        """
         return self.planner and "runs" not in term.where and term.settings.get("of") != "wind_constant"
 
 
 def find_candidates(
     residuals: Residuals, columns: Mapping[str, FloatArray], *, usual: Mapping[str, float] | None = None
 ) -> tuple[list[Candidate], dict[str, str]]:
-    """(candidates, refused: name -> why).
+    """Return the candidate effects that these runs can be tested for.
 
-    columns : mean voltage [V], current [A] and power [W] of each row, that nothing may copy; and the current's
-    `ripple`. usual : of a logged column, the value at which the base model holds.
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    columns : mapping
+        Mean voltage [V], current [A] and power [W] of each row, (n,), which no candidate may copy; and the current's
+        `ripple`.
+    usual : mapping, optional
+        Values of logged columns at which the base model holds.
+
+    Returns
+    -------
+    tuple of (list of Candidate, dict)
+        The candidates; and why others were refused, by name.
     """
     drive, moving = residuals.drive, residuals.moving
     unit, amount = ("A s", "A") if residuals.charge else ("J", "W")
@@ -113,7 +150,7 @@ def find_candidates(
 
 
 def _bent(residuals: Residuals, found: list[Candidate]) -> list[Candidate]:
-    """The same with forces that are felt as far as the drives pull; of a charge nobody knows how far they do."""
+    """The same with the load-dependent response of forces; of a charge it is not known."""
     spread = spread_of(residuals.drive)
     return [replace(c, variants=tuple(v.bent(residuals, spread) for v in c.variants)) for c in found]
 
@@ -185,7 +222,7 @@ def _of_path(unit: str, ripple: float) -> Iterator[Candidate]:
 
 
 def _ripple(residuals: Residuals, measured: FloatArray | None) -> float:
-    """How much more the square of a current is in the mean of a segment than at its mean current."""
+    """Mean square of the current over the square of its mean within a segment, on average."""
     if measured is None:
         return 1.0
     weight = np.where(residuals.moving & np.isfinite(measured), residuals.predicted**2, 0.0)
@@ -259,7 +296,7 @@ def _wind_logged(residuals: Residuals, usable: Sequence[str]) -> bool:
 
 
 def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator[Candidate]:
-    """What nobody recorded and every run had its own of."""
+    """Conditions that nobody recorded and that may differ from run to run."""
     drive = residuals.drive
     runs = np.unique(drive.run[residuals.moving])
     names = list(drive.runs)
@@ -274,7 +311,7 @@ def _of_each_run(residuals: Residuals, usable: list[str], unit: str) -> Iterator
 
 
 def _of_words(key: str, values: NDArray[np.str_], kinds: list[str], unit: str) -> Iterator[Candidate]:
-    """All words against the most common one, each word alone against all others, and turning that differs by word."""
+    """All classes against the most common one, each class against all others, and turning that differs by class."""
     usual = max(kinds, key=lambda w: int((values == w).sum()))
     others = [str(w) for w in kinds if w != usual]
     name = "terrain_class" if key in ("terrain", "ground", "surface") else f"terrain_class:{key}"

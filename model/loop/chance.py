@@ -1,9 +1,9 @@
-"""Could chance do it? p-values that allow for everything that was tried.
+"""Significance tests: p-values that allow for everything that was tested.
 
-Of what varies within runs, the residual is shifted circularly along every run by random amounts: that keeps what makes
-neighbours alike in it and in the effect, and the largest statistic over all terms in each shifting is what a find must
-exceed. What differs between runs alone has only as many witnesses as there are runs: how far they are usually apart is
-known from the base model's own runs as well.
+For what varies within runs, the residual is shifted circularly along every run by random amounts. This keeps the
+autocorrelation of the residual and of the effect. The largest statistic over all terms in each shift is what an
+effect must exceed. For what differs between runs only, there are only as many observations as runs; how much runs
+usually differ is known from the baseline runs as well.
 """
 
 from __future__ import annotations
@@ -20,17 +20,36 @@ IntArray = NDArray[np.int64]
 
 SHIFTS = 999
 
-_LEAST_RUNS = 3  # for each coefficient that is told between runs
+_LEAST_RUNS = 3  # for each coefficient that differs between runs
 _LEAST_LEVEL = 3e-3  # of the energy: runs that differ by less in an effect do not vary it
 
 
 def by_shifts(
     z: FloatArray, run: IntArray, basis: FloatArray, tried: Mapping[int, FloatArray], *, seed: int = 0
 ) -> dict[int, float]:
-    """p of terms that vary within runs: the share of shiftings in which any of them does as well.
+    """Return p-values of terms that vary within runs, from circular shifts.
 
-    z, run : (n,) residual [scaled] without the span of `basis` (n, k) orthonormal, and number of the run, in driving
-    order. tried : orthonormal columns (n, q) of each term, without that span too.
+    Parameters
+    ----------
+    z : ndarray of float, (n,)
+        Residual [scaled], without the span of `basis`, in driving order.
+    run : ndarray of int, (n,)
+        Number of the run.
+    basis : ndarray of float, (n, k)
+        Orthonormal columns of what is fitted already.
+    tried : mapping of int to ndarray of float, (n, q)
+        Orthonormal columns of each term, without the span of `basis`.
+    seed : int
+        Of the shifts.
+
+    Returns
+    -------
+    dict of int to float
+        The share of shifts in which any of the terms does as well.
+
+    References
+    ----------
+    Wilson & Hilferty 1931 for the scale on which terms are compared.
     """
     rng = np.random.default_rng(seed)
     order = np.empty((z.size, SHIFTS), dtype=np.int64)
@@ -55,14 +74,36 @@ def by_shifts(
 def between_runs(
     levels: FloatArray, tried: Mapping[int, FloatArray], *, usual: float, freedom: int, taken: int = 0, seed: int = 0
 ) -> dict[int, float]:
-    """p of terms that differ between runs alone; those are left out that need more runs than there are.
+    """Return p-values of terms that differ between runs only.
 
-    levels : (R,) by how much each run is off, a share of its energy. tried : columns (R, q) of each term, likewise.
-    usual : standard deviation of the levels of runs without an effect, known with so many degrees of `freedom` (0: not
-    known). taken : effects told from runs already.
+    Parameters
+    ----------
+    levels : ndarray of float, (R,)
+        Offset of each run, a share of its energy.
+    tried : mapping of int to ndarray of float, (R, q)
+        Columns of each term, likewise.
+    usual : float
+        Standard deviation of the offsets of runs without an effect.
+    freedom : int
+        Degrees of freedom with which `usual` is known; 0 if it is not.
+    taken : int
+        Number of effects between runs that were taken already.
+    seed : int
+        Of the simulated offsets.
 
-    A term's share in the levels is held against what it leaves and what is usual, together (a moderated F: Smyth 2004);
-    what counts is how rare the rarest find over all terms is in runs that differ by chance (Westfall & Young 1993).
+    Returns
+    -------
+    dict of int to float
+        Without the terms that need more runs than there are.
+
+    Notes
+    -----
+    What a term explains of the offsets is compared with what it leaves and with what is usual, together (a moderated F
+    test). The p-value is how rare the smallest p-value over all terms is when runs differ at random.
+
+    References
+    ----------
+    Smyth 2004; Westfall & Young 1993.
     """
     rng = np.random.default_rng(seed)
     scale = usual if freedom else 1.0
@@ -87,13 +128,39 @@ def between_runs(
 
 
 def apart(levels: FloatArray, usual: float) -> float:
-    """p of levels (R,) that are no further from each other than `usual`, their standard deviation."""
+    """Return the p-value of the hypothesis that runs differ no more than usual.
+
+    Parameters
+    ----------
+    levels : ndarray of float, (R,)
+        Offset of each run.
+    usual : float
+        Their usual standard deviation.
+
+    Returns
+    -------
+    float
+        Of a chi-squared test of heterogeneity.
+    """
     away = (levels - levels.mean()) / usual
     return float(chi2.sf(float((away**2).sum()), max(levels.size - 1, 1)))
 
 
 def orthonormal(columns: FloatArray, *, least: float = 1e-6) -> FloatArray:
-    """An orthonormal basis of columns (n, k); directions shorter than `least` times sqrt(n) do not count."""
+    """Return an orthonormal basis of columns.
+
+    Parameters
+    ----------
+    columns : ndarray of float, (n, k)
+        May be collinear.
+    least : float
+        Directions shorter than this times sqrt(n) do not count.
+
+    Returns
+    -------
+    ndarray of float, (n, at most k)
+        The basis.
+    """
     if columns.shape[1] == 0:
         return columns
     u, s, _ = np.linalg.svd(columns, full_matrices=False)

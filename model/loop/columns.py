@@ -1,4 +1,4 @@
-"""Which logged columns residuals may be asked about, and why not the others: nothing may copy the measurement."""
+"""The logged columns that residuals may depend on, and why others are refused: none may copy the measurement."""
 
 from __future__ import annotations
 
@@ -20,8 +20,21 @@ _SPIKE = 8.0  # times the median size
 
 
 def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
-    """Logged columns that vary, copy no other column, and are no part of the measurement; why the others are not goes
-    into `refused`.
+    """Return the logged columns that vary, copy no other column, and are no part of the measurement.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    electric : mapping
+        Readings of the battery by name, (n,).
+    refused : dict
+        To which the reasons against all others are added, by name.
+
+    Returns
+    -------
+    list of str
+        Names of the columns.
     """
     drive, moving = residuals.drive, residuals.moving
     only = drive.take(moving)
@@ -52,10 +65,11 @@ def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], ref
 
 
 def _alike(values: FloatArray, electric: FloatArray, expected: Sequence[FloatArray], drive: Drive) -> bool:
-    """Whether a column follows a reading of the battery from segment to segment: what both have of a day's slow course
-    (a voltage sinks while the air warms) makes no copy, so that each run's straight line in time is taken out; nor do
-    spikes, which were taken out of the reading, make a copy another. What follows something of `expected`, which needs
-    no meter, more closely still is that (a pitch on hills); a copy with noise is nearer to what it copies.
+    """Whether a column follows a reading of the battery from segment to segment.
+
+    Both may follow a slow course over the day (a voltage sinks while the air warms), so a straight line in time is
+    subtracted in each run. Spikes are left out, since the reading has none. A column that follows one of `expected`
+    more closely, which needs no meter, is no copy (a pitch on hills).
     """
     both = np.isfinite(values) & np.isfinite(electric)
     for _ in range(3):

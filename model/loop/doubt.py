@@ -1,4 +1,4 @@
-"""How far coefficients are in doubt beyond what whole runs left out say: about their form, and about the base model."""
+"""Uncertainty of coefficients beyond what left-out runs show: about their form, and about the base model."""
 
 from __future__ import annotations
 
@@ -21,8 +21,20 @@ _FIELDS = frozenset({"by_run", "place", "disk"})
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Weighted least squares with a ridge: columns a (n, K) [scaled], what they are to explain z (n,), and what is left
-    out together.
+    """Weighted least squares with a ridge.
+
+    Attributes
+    ----------
+    a : ndarray of float, (n, K)
+        Columns [scaled].
+    z : ndarray of float, (n,)
+        What they are fitted to.
+    weight : ndarray of float, (n,)
+        Of each row.
+    ridge : ndarray of float, (K,)
+        Penalty of each coefficient.
+    fold : ndarray of int, (n,)
+        What is left out together.
     """
 
     a: FloatArray
@@ -33,22 +45,35 @@ class Equations:
 
     @cached_property
     def solved(self) -> FloatArray:
-        """(K,) coefficients."""
+        """The coefficients, (K,)."""
         return self._solve(np.ones(self.z.size, dtype=bool))
 
     @cached_property
     def each(self) -> FloatArray:
-        """(folds, K) without each fold."""
+        """The coefficients without each fold, (folds, K)."""
         return np.stack([self._solve(self.fold != f) for f in np.unique(self.fold)])
 
     @property
     def errors(self) -> FloatArray:
-        """(K,) standard errors: the jackknife over folds."""
+        """Standard errors of the coefficients, (K,), by the jackknife over folds."""
         count = len(self.each)
         return np.sqrt((count - 1) / count * ((self.each - self.each.mean(axis=0)) ** 2).sum(axis=0))
 
     def beside(self, columns: FloatArray, ridge: FloatArray) -> Equations:
-        """With more columns."""
+        """Return the equations with more columns.
+
+        Parameters
+        ----------
+        columns : ndarray of float, (n, k)
+            To append.
+        ridge : ndarray of float, (k,)
+            Their penalties.
+
+        Returns
+        -------
+        Equations
+            With K + k coefficients.
+        """
         return replace(self, a=np.concatenate([self.a, columns], axis=1), ridge=np.append(self.ridge, ridge))
 
     def _solve(self, rows: NDArray[np.bool_]) -> FloatArray:
@@ -60,9 +85,29 @@ class Equations:
 def other_judgements(
     equations: Equations, residuals: Residuals, terms: Sequence[Term], counts: list[int]
 ) -> FloatArray:
-    """How far coefficients move when all noise counts as alike, or as a share of the energy without outliers (a right
-    formula gives the same whatever counts more: White 1980), when effects that do not ask for the slope may be stronger
-    uphill than downhill, and when the base model's level is taken as right.
+    """Return how much coefficients change under other assumptions about noise and base model.
+
+    Parameters
+    ----------
+    equations : Equations
+        As fitted.
+    residuals : Residuals
+        Of the runs.
+    terms : sequence of Term
+        In the order of the columns.
+    counts : list of int
+        Columns of each term.
+
+    Returns
+    -------
+    ndarray of float, (K,)
+        Standard deviation over the assumptions: as fitted; all noise equal; noise a share of the energy without
+        outliers (a right formula gives the same under any weights); effects that do not depend on the slope may be
+        stronger uphill than downhill; and the base model's scale is right.
+
+    References
+    ----------
+    White 1980.
     """
     scale, moving, grade = residuals.scale, residuals.moving, residuals.drive.grade
     blind = np.repeat([not (t.reads_ground or t.formula in _FIELDS) for t in terms], counts).astype(bool)
@@ -79,8 +124,28 @@ def other_judgements(
 
 
 def bends(equations: Equations, terms: Sequence[Term], counts: list[int]) -> FloatArray:
-    """How far the coefficient of a small amount is from that of a large one: of a law that is no straight line the one
-    number is anywhere between (a rectangular distribution: JCGM 100:2008, 4.3.7), as far as that is more than noise.
+    """Return how far the coefficient of small amounts differs from that of large ones.
+
+    If a law is no straight line, its one coefficient lies anywhere between them: a rectangular distribution, as far as
+    the difference is more than noise.
+
+    Parameters
+    ----------
+    equations : Equations
+        As fitted.
+    terms : sequence of Term
+        In the order of the columns.
+    counts : list of int
+        Columns of each term.
+
+    Returns
+    -------
+    ndarray of float, (K,)
+        Standard deviation; 0 for terms with several coefficients.
+
+    References
+    ----------
+    JCGM 100:2008, 4.3.7.
     """
     out = np.zeros(sum(counts))
     for k, (term, count) in enumerate(zip(terms, counts, strict=True)):
@@ -100,8 +165,27 @@ def bends(equations: Equations, terms: Sequence[Term], counts: list[int]) -> Flo
 def of_others(
     equations: Equations, found: FloatArray, residuals: Residuals, others: Sequence[Sequence[Term]]
 ) -> FloatArray:
-    """How far the coefficients of other terms are from those found, in the mean (model uncertainty: Buckland et al.
-    1997).
+    """Return how far the coefficients of alternative terms are from those found, root mean square.
+
+    Parameters
+    ----------
+    equations : Equations
+        As fitted.
+    found : ndarray of float, (K,)
+        The coefficients.
+    residuals : Residuals
+        Of the runs.
+    others : sequence of sequence of Term
+        Alternatives with the same coefficients.
+
+    Returns
+    -------
+    ndarray of float, (K,)
+        Uncertainty due to the choice of the model.
+
+    References
+    ----------
+    Buckland et al. 1997.
     """
     squares = np.zeros_like(found)
     for terms in others:
@@ -112,7 +196,20 @@ def of_others(
 
 
 def otherwise_bent(residuals: Residuals, terms: Sequence[Term]) -> list[list[Term]]:
-    """The same terms with forces that vary half and twice as much within a metre: how much is read off a curve."""
+    """Return the terms again with forces that vary half and twice as much within a metre.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    terms : sequence of Term
+        As fitted.
+
+    Returns
+    -------
+    list of list of Term
+        Empty where no term has a load-dependent response.
+    """
     if not any(t.bend for t in terms):
         return []
     return [[t.bent(residuals, times * t.bend.spread_n) if t.bend else t for t in terms] for times in _SPREADS]
@@ -121,8 +218,24 @@ def otherwise_bent(residuals: Residuals, terms: Sequence[Term]) -> list[list[Ter
 def found_in_base(
     base: Residuals | None, terms: Sequence[Term], usual: FloatArray, counts: list[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Coefficients (so many per term) on runs without the effects, shrunk by what may be noise, and their standard
-    errors; 0 where these runs vary a column much less than `usual` (as large as it is where the effects are).
+    """Fit the same terms to the baseline runs, where the effects are not at work.
+
+    Parameters
+    ----------
+    base : Residuals, optional
+        Of the baseline runs.
+    terms : sequence of Term
+        As fitted to the new runs.
+    usual : ndarray of float, (K,)
+        Root mean square of each column in the new runs.
+    counts : list of int
+        Columns of each term.
+
+    Returns
+    -------
+    tuple of ndarray of float, (K,)
+        Coefficients, shrunk by what may be noise, and their standard errors. 0 where the baseline runs vary a column
+        much less than `usual`.
     """
     own, doubt = np.zeros((2, sum(counts)))
     shared = np.repeat([t.formula != "by_run" and "runs" not in t.where for t in terms], counts).astype(bool)

@@ -1,4 +1,4 @@
-"""What can be said of driven segments apart from their cost: path, ground, time, weather and whatever was logged."""
+"""Features of driven segments: path, ground, time, weather and whatever was logged, but not their energy."""
 
 from __future__ import annotations
 
@@ -18,30 +18,66 @@ from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
-_REACH_M = 0.5  # the square metre that a segment's ground is judged on
+_REACH_M = 0.5  # half the side of the square metre around a segment
 _SIDE = 5  # samples along its sides, and places of a segment
-_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # what each place stands for
+_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # weight of each place
 _PLACES = np.linspace(-2.0 * _REACH_M, 2.0 * _REACH_M, 2 * _SIDE - 1)  # half a metre before to half a metre after
 _LEAST_M = 0.1  # between wheels
-_AROUND_M = 2.5  # what a hollow lies in: several times the robot, and less than a hill
+_AROUND_M = 2.5  # radius of the surroundings of a place: several times the robot, and less than a hill
 _BEARINGS = 8
-_LIKE_OTHER_STANDS = 0.3  # of their power: else the robot did something while it stood
+_LIKE_OTHER_STANDS = 0.3  # of their power: otherwise the robot did something while stationary
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Segments and stands as columns of (n,), the only thing an effect's formula sees.
+    """Features of segments and stationary intervals, the only input of an effect's formula.
 
-    length_m : 0 for a stand, which has no path and no ground (zeros). traction_per_m [J/m] : what the base model says.
-    turned_rad, turned_abs_rad, gentle_turn_rad, gained_m2ps2 : as in `Segments`. grade : tangent of the ground along
-    the heading (> 0 uphill), as the axles feel it along the segment; grades : (n, places) the same over a metre, at
-    evenly spaced places from one end of the segment to the other; cross : across it (> 0 down to the right); cross_abs,
-    cross_sq : mean of the magnitude and of the square of the tangent across, as the wheels feel it. roughness_m :
-    departure of the square metre from its plane. elevation_m. hollow_m : how much lower than the ground around it,
-    within 2.5 m (< 0 on a rise). since_s, driven_m : since the start of the run; clock_s : since that of the first run.
-    run : number of the run, an index into `runs`, which tells runs apart by name and first stamp. columns, words (in
-    small letters) : what else was logged (NaN, "" : not recorded). robot : as declared. unit_j : joules of one unit of
-    energy here (1, or the nominal voltage for charge in ampere seconds).
+    Attributes
+    ----------
+    robot : Robot
+        As declared.
+    run : ndarray of int, (n,)
+        Index into `runs`.
+    x, y : ndarray of float, (n,)
+        Centre [m].
+    heading_rad : ndarray of float, (n,)
+        Of the segment.
+    length_m : ndarray of float, (n,)
+        0 for a stationary interval, which has no path and no ground (zeros).
+    duration_s : ndarray of float, (n,)
+        Of the segment.
+    traction_per_m : ndarray of float, (n,)
+        Prediction of the base model [J/m].
+    turned_rad, turned_abs_rad, gained_m2ps2 : ndarray of float, (n,)
+        As `heading_change_rad`, `turned_abs_rad` and `gained_m2ps2` in `Segments`.
+    gentle_turn_rad : ndarray of float, (n, 7)
+        As in `Segments`.
+    grade : ndarray of float, (n,)
+        Tangent of the slope along the heading, positive uphill, mean over the segment between both axles.
+    grades : ndarray of float, (n, places)
+        The same over a metre, at evenly spaced places from one end of the segment to the other.
+    cross : ndarray of float, (n,)
+        Tangent of the slope across the heading, positive down to the right.
+    cross_abs, cross_sq : ndarray of float, (n,)
+        Mean of the magnitude and of the square of the tangent across, between the wheels.
+    roughness_m : ndarray of float, (n,)
+        Root mean square distance of the square metre from its plane.
+    elevation_m : ndarray of float, (n,)
+        Of the centre.
+    hollow_m : ndarray of float, (n,)
+        Topographic position index over 2.5 m with the opposite sign: how much lower a place is than its surroundings.
+    since_s, driven_m : ndarray of float, (n,)
+        Since the start of the run.
+    clock_s : ndarray of float, (n,)
+        Since the start of the first run.
+    columns : dict of str to ndarray of float, (n,)
+        Further columns of the log; NaN where blank.
+    words : dict of str to ndarray of str, (n,)
+        Columns of text in small letters; empty where blank.
+    unit_j : float
+        Joules of one unit of energy: 1, or the nominal voltage for charge in ampere seconds.
+    runs : tuple of str
+        Name and first stamp of each run, so that runs of the same name differ.
     """
 
     robot: Robot
@@ -76,11 +112,33 @@ class Drive:
         return int(self.x.size)
 
     def along(self, of_grade: Callable[[FloatArray], FloatArray]) -> FloatArray:
-        """(n,) the mean over a segment of what depends on the slope at every place."""
+        """Return the mean over each segment of a function of the slope.
+
+        Parameters
+        ----------
+        of_grade : callable
+            Takes and returns (n, places).
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            With half weight at both ends.
+        """
         return of_grade(self.grades) @ _ENDS_HALF
 
     def take(self, which: ArrayLike) -> Drive:
-        """The rows of a mask or of indices."""
+        """Return some of the rows.
+
+        Parameters
+        ----------
+        which : array_like
+            A mask, or indices.
+
+        Returns
+        -------
+        Drive
+            In the order of `which`.
+        """
         index = np.asarray(which)
         changed: dict[str, Any] = {
             f.name: getattr(self, f.name)[index] for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)
@@ -91,23 +149,24 @@ class Drive:
 
     @property
     def standing(self) -> NDArray[np.bool_]:
+        """Whether each row is a stationary interval, (n,)."""
         return self.length_m == 0.0
 
     @property
     def speed_mps(self) -> FloatArray:
-        """Mean speed over a segment; the robot's own for a stand."""
+        """Mean speed over each segment, (n,) [m/s]; the robot's cruising speed for a stationary interval."""
         moving = ~self.standing & (self.duration_s > 0)
         return np.where(moving, self.length_m / np.where(moving, self.duration_s, 1.0), self.robot.speed_mps)
 
     @property
     def backwards(self) -> NDArray[np.bool_]:
-        """Whether the compass pointed against the way that was driven; False without a compass."""
+        """Whether the compass pointed against the direction of motion, (n,); False without a compass."""
         compass = np.radians(self.columns.get("heading", np.full(len(self), np.nan)))
         return ~self.standing & (np.cos(compass - self.heading_rad) < 0.0)
 
     @property
     def odometer_m(self) -> FloatArray:
-        """Driven since the start of the first run."""
+        """Distance driven since the start of the first run, (n,) [m]."""
         order = np.argsort(self.clock_s, kind="stable")
         out = np.empty(len(self))
         out[order] = np.cumsum(self.length_m[order])
@@ -115,25 +174,44 @@ class Drive:
 
     @property
     def hotel_part(self) -> FloatArray:
-        """Declared idle power over the time it took [J, or A s]."""
+        """Energy of the declared idle power over each row, (n,) [J, or A s]."""
         return self.robot.idle_power_w * self.duration_s / self.unit_j
 
     @property
     def motion_part(self) -> FloatArray:
-        """What the base model says of the motion [J, or A s]: traction, or what braking returns of it."""
+        """Prediction of the base model for the motion, (n,) [J, or A s], with what regeneration returns."""
         t = self.traction_per_m
         return self.length_m * (np.maximum(t, 0.0) + self.robot.regeneration * np.minimum(t, 0.0)) / self.unit_j
 
     @property
     def predicted(self) -> FloatArray:
-        """The base prediction [J, or A s]: both parts."""
+        """Prediction of the base model, (n,) [J, or A s]: idle power and motion."""
         return self.hotel_part + self.motion_part
 
 
 def describe_segments(
     segments: Segments, heightmap: Heightmap, robot: Robot, traction_per_m: ArrayLike, *, with_stands: bool = True
 ) -> tuple[Drive, FloatArray]:
-    """The segments, and after them the stands, as a `Drive`; and what was measured over each [J, or A s]."""
+    """Return the features of segments, and after them those of the stationary intervals.
+
+    Parameters
+    ----------
+    segments : Segments
+        Measured.
+    heightmap : Heightmap
+        On which they were driven.
+    robot : Robot
+        That drove.
+    traction_per_m : array_like, (n,)
+        Of the base model [J/m].
+    with_stands : bool
+        Add the stationary intervals.
+
+    Returns
+    -------
+    tuple of (Drive, ndarray of float)
+        The features; and the measured energy of each row [J, or A s].
+    """
     n = len(segments)
     ground = _ground(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     first = np.array([segments.t0[segments.run == k].min(initial=math.inf) for k in range(len(segments.runs))])
@@ -185,8 +263,29 @@ def planned_drive(
     *,
     with_ground: bool = True,
 ) -> Drive:
-    """Straight 1 m segments at cruising speed that nobody has driven yet. conditions : logged columns as expected.
-    with_ground : read slopes, roughness and heights, which takes most of the time; else they are NaN.
+    """Return the features of straight 1 m segments at cruising speed that were not driven yet.
+
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        That will drive.
+    x, y : ndarray of float, (n,)
+        Centres [m].
+    heading_rad : ndarray of float, (n,)
+        Headings [rad].
+    traction_per_m : array_like, (n,)
+        Of the base model [J/m].
+    conditions : mapping
+        Logged columns as expected.
+    with_ground : bool
+        Read slopes, roughness and heights, which takes most of the time; otherwise they are NaN.
+
+    Returns
+    -------
+    Drive
+        Of one run.
     """
     n = x.size
     zero = np.zeros(n)
@@ -213,8 +312,8 @@ def planned_drive(
 
 
 def _with_stands(drive: Drive, run: NDArray[np.int64], seconds: FloatArray) -> Drive:
-    """Stands after the segments: they take time and have no path and no ground; of what else was logged, their run's
-    mean.
+    """With stationary intervals after the segments. They take time and have no path and no ground; further columns have
+    the mean of their run.
     """
     m = run.size
 
@@ -291,8 +390,8 @@ def _ground(
 
 
 def _around(heightmap: Heightmap, x: FloatArray, y: FloatArray) -> FloatArray:
-    """(n,) mean height of the known ground on a circle and on one of half its radius around each centre (topographic
-    position: Weiss 2001); NaN where none is known.
+    """(n,) mean height of the known ground on a circle of 2.5 m and on one of half its radius around each centre
+    (topographic position: Weiss 2001); NaN where none is known.
     """
     dx, dy = heading_vector(np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False))
     total, count = np.zeros(x.size), np.zeros(x.size)

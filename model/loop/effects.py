@@ -1,6 +1,7 @@
-"""A missing effect: a formula with its settings, its coefficients and the part of the operating range it acts in.
+"""A missing effect: a formula with its settings, its coefficients, and the part of the operating range in which it
+acts.
 
-It is JSON-able, and prices drives nobody has made yet.
+It is JSON-able, and gives the energy of segments that were not driven yet.
 """
 
 from __future__ import annotations
@@ -15,15 +16,27 @@ from numpy.typing import NDArray
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.bend import Bend, bend_of
 from joulemap.model.loop.drive import Drive
-from joulemap.model.loop.formulas import FORCES, FORMULAS, GROUND, quantity
+from joulemap.model.loop.formulas import FORCES, FORMULAS, GROUND
+from joulemap.model.loop.quantities import quantity
 from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
 
 
 def inside(drive: Drive, where: Mapping[str, Any]) -> FloatArray:
-    """(n,) 0..1, how much of a row lies in a part of the operating range: {"over": quantity, "above" | "below": value},
-    {"word": column, "is": value} or {"runs": names}. A metre over the brow of a hill is partly uphill.
+    """Return how much of each row lies in a part of the operating range.
+
+    Parameters
+    ----------
+    drive : Drive
+        Features of the segments.
+    where : mapping
+        {"over": quantity, "above" or "below": value}, {"word": column, "is": value} or {"runs": names}.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        0..1: a metre over the top of a hill is partly uphill.
     """
     if "runs" in where:
         return np.isin(drive.runs or [""], where["runs"])[drive.run].astype(np.float64)
@@ -31,18 +44,32 @@ def inside(drive: Drive, where: Mapping[str, Any]) -> FloatArray:
         return np.where(drive.words.get(where["word"], np.full(len(drive), "")) == where["is"], 1.0, 0.0)
     over = where["over"]
 
-    def beyond(values: FloatArray) -> FloatArray:
+    def _beyond(values: FloatArray) -> FloatArray:
         return np.where(values > where["above"] if "above" in where else values < where["below"], 1.0, 0.0)
 
-    return drive.along(beyond) if over == "grade" else beyond(quantity(drive, over))
+    return drive.along(_beyond) if over == "grade" else _beyond(quantity(drive, over))
 
 
 @dataclass(frozen=True)
 class Term:
     """A formula with its settings: one way in which an effect may act.
 
-    name : the effect's. units : of each coefficient. where : see `inside`. coefficients : empty until fitted. bend : of
-    a force, how far it is felt.
+    Attributes
+    ----------
+    name : str
+        Of the effect.
+    formula : str
+        A key of `joulemap.model.loop.formulas.FORMULAS`.
+    units : tuple of str
+        Of each coefficient.
+    settings : mapping
+        Arguments of the formula.
+    where : mapping
+        The part of the operating range, see `inside`; empty for everywhere.
+    coefficients : tuple of float
+        Empty until it is fitted.
+    bend : Bend, optional
+        Of a force: its load-dependent response.
     """
 
     name: str
@@ -54,7 +81,23 @@ class Term:
     bend: Bend | None = None
 
     def columns(self, drive: Drive) -> FloatArray:
-        """(n, k) per unit of the coefficients; 0 where the ground or a column is not known."""
+        """Return what the effect adds to each row, per unit of its coefficients.
+
+        Parameters
+        ----------
+        drive : Drive
+            Features of the segments.
+
+        Returns
+        -------
+        ndarray of float, (n, k)
+            0 where the ground or a column is not known.
+
+        Raises
+        ------
+        ModelError
+            If the formula is not known.
+        """
         if self.formula not in FORMULAS:
             raise ModelError(f"a model has an effect {self.formula!r}, which this version does not know")
         found = np.nan_to_num(FORMULAS[self.formula](drive, **self.settings))
@@ -64,13 +107,24 @@ class Term:
 
     @property
     def is_force(self) -> bool:
-        """Whether it pushes against the motion over every metre, so that it is felt as far as the drives pull."""
+        """Whether it pushes against the motion over every metre, so that it has a load-dependent response."""
         shares = any(self.settings.get(key) for key in ("of_motion", "of_all", "of_time"))
         return not shares and self.settings.get("of", self.formula) in FORCES
 
     def bent(self, residuals: Residuals, spread_n: float | None = None) -> Term:
-        """A force as far as it is felt, being as large as the residuals say; any other effect as it is. spread_n : see
-        `Bend`; that of the bend it has unless given.
+        """Return a force with its load-dependent response, fitted to residuals; any other effect unchanged.
+
+        Parameters
+        ----------
+        residuals : Residuals
+            That give its size.
+        spread_n : float, optional
+            See `Bend`; without it, that of the response it has already.
+
+        Returns
+        -------
+        Term
+            With the same settings.
         """
         spread = spread_n if spread_n is not None or self.bend is None else self.bend.spread_n
         if spread is None or not self.is_force:
@@ -79,19 +133,30 @@ class Term:
 
     @property
     def reads_ground(self) -> bool:
-        """Whether slopes, roughness or height of the ground change it; all else it takes from the base and the path."""
+        """Whether it depends on slopes, roughness or height of the ground."""
         named = (self.formula, *self.settings.values(), *self.where.values())
         return not GROUND.isdisjoint(name for name in named if isinstance(name, str))
 
     @property
     def goes_with(self) -> str | None:
-        """The quantity it goes with, as far as that is one of a drive's own, or of a log."""
+        """The quantity it depends on, if there is one; None otherwise."""
         logged = {"temperature": "temperature", "payload": self.settings.get("column")}.get(self.formula)
         over = self.settings.get("over")
         return f"column:{logged}" if logged else None if over is None else str(over)
 
     def record(self, drive: Drive) -> FloatArray | None:
-        """(n,) what a log says that the effect goes with: a column, or 1 where a word stands; None without a record."""
+        """Return the logged record that the effect follows.
+
+        Parameters
+        ----------
+        drive : Drive
+            Features of the segments.
+
+        Returns
+        -------
+        ndarray of float, (n,), or None
+            A column, or 1 where one of its classes was logged.
+        """
         over = str(self.settings.get("over", ""))
         if self.formula == "smooth" and over.startswith("column:"):
             return quantity(drive, over)
@@ -101,13 +166,37 @@ class Term:
         return None
 
     def energy(self, drive: Drive) -> FloatArray:
-        """(n,) [J, or A s] that the effect adds."""
+        """Return the energy that the effect adds.
+
+        Parameters
+        ----------
+        drive : Drive
+            Features of the segments.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s].
+        """
         return self.columns(drive) @ np.asarray(self.coefficients)
 
     def fitted(self, coefficients: FloatArray) -> Term:
+        """Return the term with coefficients.
+
+        Parameters
+        ----------
+        coefficients : ndarray of float, (k,)
+            In its units.
+
+        Returns
+        -------
+        Term
+            Otherwise the same.
+        """
         return replace(self, coefficients=tuple(float(c) for c in coefficients))
 
     def as_dict(self) -> dict[str, Any]:
+        """Return it as a JSON-able mapping."""
         return {
             "name": self.name,
             "formula": self.formula,
@@ -120,7 +209,23 @@ class Term:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Term:
-        """Raises ModelError where something is missing."""
+        """Read what `as_dict` returned.
+
+        Parameters
+        ----------
+        values : mapping
+            From a file.
+
+        Returns
+        -------
+        Term
+            The same.
+
+        Raises
+        ------
+        ModelError
+            If something is missing.
+        """
         try:
             coefficients = tuple(float(c) for c in values["coefficients"])
             bend = values.get("bend")
@@ -138,9 +243,25 @@ class Term:
 
 
 def turning_per_rad(terms: Sequence[Term], drive: Drive) -> float:
-    """What a radian of turning costs in plans [J, or A s]: the slope of the terms' energy of turning over how far each
-    segment turned, in least squares. A turn within a metre counts, not the wandering of straight driving, which a plan
-    has none of; of one term that acts everywhere it is the coefficient, also where turning saturates.
+    """Return the cost of a radian of turning in plans.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Of which those of turning count.
+    drive : Drive
+        Features of the segments.
+
+    Returns
+    -------
+    float
+        Cost [J/rad, or A s/rad].
+
+    Notes
+    -----
+    It is the slope of the energy of turning over the angle that each segment turned, in least squares. Turns within a
+    metre count, and the wandering of straight driving hardly does, which plans have none of. For one term that acts
+    everywhere it is its coefficient, also where turning saturates.
     """
     turned = drive.turned_abs_rad
     energy = np.sum([t.energy(drive) for t in terms if t.formula.startswith("turning")] or [0.0 * turned], axis=0)

@@ -1,12 +1,13 @@
 """What the runs say for and against every way in which an effect may act.
 
 Two questions are asked of each. *Does it help where it was not fitted?* Whole runs are held out in turn, and the share
-by which the squared error there falls is the gain; all such fits are solved from one cross-product matrix per run.
-In each fit the base model's level may be off by as much as it usually is, and by no more: what moves the level further
+by which the squared error falls there is the gain; all such fits are solved from one cross-product matrix per run. In
+each fit the base model's scale may be off by as much as it usually is, and by no more: what changes the scale further
 is an effect like any other.
-*Could chance do it?* For what varies within runs `by_shifts` of `loop.chance` says it, for what differs between
-them alone `between_runs`. An effect on the level of all runs could be the base model's own error: there a t-test over
-left-out runs decides, with the doubt about that level in it, and p is multiplied by the number of such effects.
+
+*Is it significant?* For what varies within runs `by_shifts` decides, for what differs between them only,
+`between_runs`. An effect on the scale of all runs could be an error of the base model itself. There a t-test over
+left-out runs decides, which includes the uncertainty of that scale, and p is multiplied by the number of such effects.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from scipy.stats import t as student
 
 from joulemap.model.loop.chance import apart, between_runs, by_shifts, orthonormal
 from joulemap.model.loop.effects import Term
-from joulemap.model.loop.formulas import FORMULAS, quantity
+from joulemap.model.loop.formulas import FORMULAS
+from joulemap.model.loop.quantities import quantity
 from joulemap.model.loop.residual import Residuals
 from joulemap.model.loop.steps import step_chance
 
@@ -28,23 +30,34 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEVEL_FORMULAS = frozenset({"hotel_load", "sensor_gain", "payload", "friction", "temperature", "battery"})
-"""Formulas that are not nil on average: the silent refit of the level would hide them."""
+"""Formulas that are not nil on average: the refit of the scale would hide them."""
 
-_FIELD_RIDGE = 5.0  # as many segments say that a bell curve of a field is flat
+_FIELD_RIDGE = 5.0  # as if so many segments showed that a field is flat
 _LEAST_RUNS = 3
 _SLIGHT = 1e-4
-_BETWEEN = 0.05  # what has less of its variance within runs differs between them alone
-_LEAST_SHARE = 0.05  # of the usual energy: shares of less say nothing
-_NEAR_COPIES = 5  # effects on the level are
+_BETWEEN = 0.05  # what has a smaller share of its variance within runs differs between them only
+_LEAST_SHARE = 0.05  # of the usual energy: a share of less means nothing
+_NEAR_COPIES = 5  # effects on the scale are near-collinear
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """On one term.
+    """The evidence about one term.
 
-    gain : share by which the held-out squared error falls; net : the same with the level free in both fits, of an
-    effect that is not itself one of level. p_value : allowing for all that was tried (1 where it cannot be asked).
-    steady : share of the folds in which it helps. why : where it cannot be asked, why.
+    Attributes
+    ----------
+    term : int
+        Index of the term.
+    gain : float
+        Share by which the held-out squared error falls.
+    net : float
+        The same with the scale free in both fits, for an effect that is not itself one of scale.
+    p_value : float
+        Allowing for everything that was tested; 1 where it cannot be tested.
+    steady : float
+        Share of the folds in which it helps.
+    why : str
+        Why it cannot be tested; empty where it can.
     """
 
     term: int
@@ -56,9 +69,20 @@ class Verdict:
 
 
 class Evidence:
-    """The terms of all candidates on one set of residuals. level_doubt : how far the base model's level may be off on
-    any day, a share of the energy: twice the standard deviation of single runs, known with so many degrees of
-    level_freedom. seed : of what is drawn. differs : of each term, whether its quantity differs between runs alone.
+    """The terms of all candidates on one set of residuals.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    terms : sequence of Term
+        Of all candidates.
+    level_doubt : float
+        Relative uncertainty of the base model's scale on any day: twice the standard deviation of the offsets of runs.
+    level_freedom : int
+        Degrees of freedom with which it is known; 0 if it is assumed.
+    seed : int
+        Of the permutations.
     """
 
     def __init__(
@@ -116,19 +140,56 @@ class Evidence:
         }
 
     def moves_level(self, chosen: Sequence[int]) -> bool:
-        """Whether any of these effects is told from the level by its size alone."""
+        """Return whether any of some effects changes the scale of the energy and is distinguished from it by its size
+        only.
+
+        Parameters
+        ----------
+        chosen : sequence of int
+            Indices of terms.
+
+        Returns
+        -------
+        bool
+            False for charge, whose scale is free.
+        """
         terms = [self.terms[k] for k in chosen if not self.terms[k].settings.get("begun")]
         return not self.residuals.charge and any(
             t.formula in LEVEL_FORMULAS or t.settings.get("of") in LEVEL_FORMULAS for t in terms
         )
 
     def columns_of(self, chosen: Sequence[int]) -> IntArray:
+        """Return the columns of some terms.
+
+        Parameters
+        ----------
+        chosen : sequence of int
+            Indices of terms.
+
+        Returns
+        -------
+        ndarray of int
+            Indices of columns.
+        """
         return np.concatenate([self.nuisance[:0], *(self.columns[k] for k in chosen)]).astype(np.int64)
 
     def held_out(self, active: IntArray, *, blocks: bool = False, free: bool = False) -> FloatArray:
-        """(folds,) squared error [scaled] of each fold, fitted to all others, with the level refitted: within the doubt
-        about it, or (with `free`, and of a charge) to any value. Where runs have coefficients of their own (or with
-        `blocks`) a fold is a third of every run.
+        """Return the squared error of each fold, predicted by a fit to all others.
+
+        Parameters
+        ----------
+        active : ndarray of int
+            Columns of the fit.
+        blocks : bool
+            Hold out a third of every run at a time instead of whole runs; always so where runs have coefficients of
+            their own.
+        free : bool
+            Refit the scale to any value, instead of within its uncertainty; always so for charge.
+
+        Returns
+        -------
+        ndarray of float, (folds,)
+            Sum of squares [scaled].
         """
         gram = self.by_block if blocks or self.own(active) else self.by_fold
         every = np.concatenate([self.nuisance, active])
@@ -146,25 +207,75 @@ class Evidence:
         return np.asarray(gram[:, -1, -1] + error)
 
     def own(self, active: IntArray) -> bool:
-        """Whether runs have coefficients of their own among these columns."""
+        """Return whether runs have coefficients of their own among these columns.
+
+        Parameters
+        ----------
+        active : ndarray of int
+            Indices of columns.
+
+        Returns
+        -------
+        bool
+            True if so.
+        """
         return not self.own_of_runs.isdisjoint(active.tolist())
 
     def coefficients(self, active: IntArray, *, without: int | None = None) -> FloatArray:
-        """Least squares coefficients of columns in their own units, without a fold."""
+        """Return least squares coefficients.
+
+        Parameters
+        ----------
+        active : ndarray of int, (k,)
+            Columns of the fit.
+        without : int, optional
+            A fold to leave out.
+
+        Returns
+        -------
+        ndarray of float, (k,)
+            In the units of the terms.
+        """
         keep = np.arange(self.folds.size) != (-1 if without is None else without)
         left = self.by_fold[:, active[:, None], active][keep].sum(axis=0) + np.diag(self.ridge[active])
         right = self.by_fold[:, active, -1][keep].sum(axis=0)
         return np.asarray(np.linalg.solve(left, right) / self.size[active])
 
     def size_of(self, chosen: Sequence[int], k: int) -> float:
-        """The last coefficient of a term, given the chosen ones; 0 where it has several of equal rank."""
+        """Return the last coefficient of a term, given the chosen ones.
+
+        Parameters
+        ----------
+        chosen : sequence of int
+            Terms that are fitted along.
+        k : int
+            Index of the term.
+
+        Returns
+        -------
+        float
+            0 where the term has several coefficients of equal rank.
+        """
         if self.columns[k].size > 1 and not self.terms[k].settings.get("begun"):
             return 0.0
         level = self.nuisance[: 0 if self.moves_level([*chosen, k]) else None]
         return float(self.coefficients(np.concatenate([level, self.columns_of([*chosen, k])]))[-1])
 
     def judge(self, chosen: Sequence[int], tried: Sequence[int]) -> list[Verdict]:
-        """A verdict on each tried term, given the chosen ones."""
+        """Return the evidence about terms, given the chosen ones.
+
+        Parameters
+        ----------
+        chosen : sequence of int
+            Terms that were taken already.
+        tried : sequence of int
+            Terms to judge.
+
+        Returns
+        -------
+        list of Verdict
+            In the order of `tried`.
+        """
         selected = self.columns_of(chosen)
         before = {
             blocks: [self.held_out(selected, blocks=blocks, free=free) for free in (False, True)]
@@ -184,7 +295,7 @@ class Evidence:
         return verdicts
 
     def _chances(self, chosen: Sequence[int], tried: Sequence[int]) -> tuple[dict[int, float], dict[int, str]]:
-        """p-values by term, and why where one could not be asked for."""
+        """p-values by term, and why where one could not be tested."""
         drive, rows = self.residuals.drive, self.moving
         runs = np.unique(drive.run[rows], return_inverse=True)[1]
         asked = runs.max() + 1
@@ -249,7 +360,7 @@ class Evidence:
         return p_values, reasons
 
     def _beyond_level(self, k: int, block: FloatArray) -> FloatArray:
-        """Columns of a term without the level that it brings of its own, if any: any column would do to carry that."""
+        """Columns of a term without the constant part that it brings, if any: any column would do to carry that."""
         term = self.terms[k]
         if not (term.settings.get("level") or term.settings.get("begun")):
             return block
@@ -258,7 +369,7 @@ class Evidence:
         return np.asarray(block - np.outer(level, level @ block) / max(float(level @ level), 1e-300))
 
     def _by_steps(self, z: FloatArray, runs: IntArray, tried: Sequence[int]) -> dict[int, float]:
-        """p of the terms that follow a record which changes seldom, times the number of different records."""
+        """p-values of the terms that follow a record which changes seldom, times the number of different records."""
         chances: dict[int, float] = {}
         of_state: dict[bytes, float] = {}
         for k in tried:
@@ -274,23 +385,34 @@ class Evidence:
         return {k: min(1.0, p * asked) for k, p in chances.items()}
 
     def _beyond_doubt(self, chosen: Sequence[int], k: int) -> float:
-        """p of a t-test over left-out runs for a term that moves the level of all: is it more than the doubt?"""
+        """p-value of a t-test over left-out runs: does a term change the scale of all by more than its uncertainty?"""
         level = self.nuisance[: 0 if self.moves_level([*chosen, k]) else None]
         active = np.concatenate([self.columns_of(chosen), level, self.columns[k]])
         value = self.coefficients(active)[-1]
         spread = self.jackknife(active)[-1]
         share = self.x[self.moving][:, self.columns[k]] * self.size[self.columns[k]]
         predicted = self.residuals.predicted[self.moving]
-        predicted = np.maximum(predicted, _LEAST_SHARE * np.median(predicted))  # of a descent it may be nil
+        predicted = np.maximum(predicted, _LEAST_SHARE * np.median(predicted))  # it may be nil downhill
         lift = float(np.mean(share[:, 0] * self.residuals.scale[self.moving] / predicted))
         doubtful = self.moves_level([k]) and not self.moves_level(chosen)
         doubt = self.level_doubt / max(abs(lift), 1e-12) if doubtful else 0.0
         freedom = self.folds.size - 1 - len(chosen)
-        beyond = max(abs(value) - doubt, 0.0)  # a test of "more than the doubt", not of "more than nothing"
+        beyond = max(abs(value) - doubt, 0.0)  # tests against the uncertainty, not against nothing
         return float(2.0 * student.sf(beyond / max(spread, 1e-300), max(freedom, 1)))
 
     def jackknife(self, active: IntArray) -> FloatArray:
-        """Standard errors of `coefficients`, leaving out a fold at a time."""
+        """Return the standard errors of `coefficients`, leaving out a fold at a time.
+
+        Parameters
+        ----------
+        active : ndarray of int, (k,)
+            Columns of the fit.
+
+        Returns
+        -------
+        ndarray of float, (k,)
+            In the units of the terms.
+        """
         count = self.folds.size
         each = np.stack([self.coefficients(active, without=f) for f in range(count)])
         return np.asarray(np.sqrt((count - 1) / count * ((each - each.mean(axis=0)) ** 2).sum(axis=0)))

@@ -1,4 +1,4 @@
-"""Coefficients of the chosen effects: weighted, robust least squares, with intervals from whole runs left out."""
+"""Coefficients of the chosen effects: weighted, robust least squares, with intervals from left-out runs."""
 
 from __future__ import annotations
 
@@ -22,9 +22,18 @@ _STEPS = 12
 
 @dataclass(frozen=True)
 class Fit:
-    """terms : with coefficients. own : of these, what the base model's own runs show as well: its error, not what is
-    new. low, high : 95 % intervals of what is new. One array per term each. held_out : (n,) energy that the terms add
-    to each row, fitted without its fold [J, or A s].
+    """Fitted terms, with one array per term each.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+        With coefficients.
+    own : tuple of ndarray of float
+        Part of the coefficients that the baseline runs show as well: the base model's error, and not new.
+    low, high : tuple of ndarray of float
+        95 % confidence intervals of what is new.
+    held_out : ndarray of float, (n,)
+        Energy that the terms add to each row, fitted without its fold [J, or A s].
     """
 
     terms: tuple[Term, ...]
@@ -42,18 +51,40 @@ def fit_terms(
     base: Residuals | None = None,
     others: Sequence[Sequence[Term]] = (),
 ) -> Fit:
-    """Fit terms together to residuals (n,).
+    """Fit terms together.
 
-    The noise is a share of the energy (`Residuals.scale`); far segments weigh less (Huber 1964). Intervals are those of
-    the jackknife over runs with Student's t of as many degrees of freedom (Cameron & Miller 2015, section VI: few
-    clusters), so that what makes the segments of a run alike widens them; where runs have coefficients of their own, a
-    third of every run is left out at a time.
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    terms : sequence of Term
+        With or without coefficients, which are replaced.
+    level_doubt : float
+        Relative uncertainty of the base model's scale; half of it is one standard deviation.
+    base : Residuals, optional
+        Of the baseline runs.
+    others : sequence of sequence of Term
+        Terms that do as well in the place of these.
 
-    What the same formulas find where they are not at work, on the runs of `base`, is the base model's own error along
-    them and no part of an effect (a negative control, and the difference of differences: Lipsitch et al. 2010), as far
-    as it is more than noise there. The doubts of `loop.doubt` are added: about that, about the form of an effect,
-    about how far forces are felt, about terms that do as well in the place of these (`others`), and about the base
-    model's level, which may be off by half of `level_doubt`, a share of the energy.
+    Returns
+    -------
+    Fit
+        With 95 % confidence intervals.
+
+    Notes
+    -----
+    The noise is a share of the energy (`Residuals.scale`); outliers weigh less. The intervals are those of the
+    jackknife over runs with Student's t of as many degrees of freedom, so that correlation within runs widens them.
+    Where runs have coefficients of their own, a third of every run is left out at a time.
+
+    What the same formulas find in the baseline runs, where the effects are not at work, is the base model's own error
+    along them and no part of an effect (a negative control), as far as it is more than noise there. Further
+    uncertainties are added, see `joulemap.model.loop.doubt`: of that error, of the form of an effect, of the
+    load-dependent response of forces, of alternative terms, and of the base model's scale.
+
+    References
+    ----------
+    Huber 1964; Cameron & Miller 2015, section VI (few clusters); Lipsitch et al. 2010 (negative controls).
     """
     by_run = any(t.formula == "by_run" for t in terms)
     scale, fold, moving = residuals.scale, residuals.block if by_run else residuals.fold, residuals.moving

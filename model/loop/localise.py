@@ -1,6 +1,4 @@
-"""Where an effect acts: everywhere, or only in a part of the operating range or of the map; and how fine a map of it
-these runs can draw.
-"""
+"""Where an effect acts: everywhere, or in a part of the operating range or of the map only."""
 
 from __future__ import annotations
 
@@ -13,8 +11,8 @@ from numpy.typing import NDArray
 
 from joulemap.model.loop.effects import Term, inside
 from joulemap.model.loop.evidence import Evidence
-from joulemap.model.loop.formulas import quantity
 from joulemap.model.loop.places import field_settings
+from joulemap.model.loop.quantities import quantity
 from joulemap.model.loop.residual import Residuals
 
 FloatArray = NDArray[np.float64]
@@ -36,11 +34,28 @@ def localised(
     whole: Collection[str] = (),
     progress: Callable[[], None] | None = None,
 ) -> list[Term]:
-    """Each term, restricted to the part where it acts if it plainly does so in one part only. whole : names of those
-    that are left as they are.
+    """Restrict terms to the part of the operating range in which they act, if they clearly act in one part only.
 
-    A part is taken where the held-out squared error falls by a good share of what the effect explains at all, in most
-    folds, and where the effect is nearly absent outside. Of all thresholds over all quantities the best is tried.
+    A part is taken if the held-out squared error falls by a good share of what the effect explains, in most folds, and
+    if the effect is nearly absent outside. All thresholds over all quantities are tried.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    terms : sequence of Term
+        To restrict.
+    silent : sequence of Term
+        Fitted along, as they are.
+    whole : collection of str
+        Names of terms that are left as they are.
+    progress : callable, optional
+        Called after each term.
+
+    Returns
+    -------
+    list of Term
+        In the order of `terms`.
     """
     out = list(terms)
     for k, term in enumerate(out):
@@ -71,7 +86,7 @@ def localised(
 
 
 def _sharpest(residuals: Residuals, term: Term, others: Sequence[Term]) -> Term:
-    """A field as fine as held-out runs bear: found by the coarsest, which cannot follow what lies beside a place."""
+    """A field as fine as held-out runs support. It was found by the coarsest one, which cannot follow details."""
     drive = residuals.drive.take(residuals.moving)
     fields = [term]
     for finer in _FINER:

@@ -1,5 +1,5 @@
-"""What is said of effects once they are found: which are causes and which their shadows, and what could stand in for
-them.
+"""Interpretation of the effects found: which are causes, which are collinear covariates, and which candidates could
+replace them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,20 @@ _TOLERANCE = 0.1
 
 
 def shadows_of(search: Search, found: Sequence[Found]) -> list[Found]:
-    """The effects that only fill in where the others have not quite the right form, the weakest first."""
+    """Return the collinear covariates among the effects: they only correct the form of others.
+
+    Parameters
+    ----------
+    search : Search
+        That found them.
+    found : sequence of Found
+        All effects.
+
+    Returns
+    -------
+    list of Found
+        In the order of `found`.
+    """
     causes = list(found)
     while shadows := [f for f in causes if not interactions_of(f, causes) and _shadow(search, causes, f)]:
         causes.remove(min(shadows, key=lambda f: search.worth(causes, f)))
@@ -22,8 +35,10 @@ def shadows_of(search: Search, found: Sequence[Found]) -> list[Found]:
 
 
 def _shadow(search: Search, found: Sequence[Found], one: Found) -> bool:
-    """Whether an effect is but the shadow of others: a curve over the ground or over what answers to the drive on
-    it, of which they explain nine tenths of all it explains alone (a tolerance below 0.1: Marquardt 1970).
+    """Whether an effect is only a covariate of others.
+
+    It is a curve over the ground, or over what responds to the drive on it, and the others explain nine tenths of all
+    that it explains alone (a tolerance below 0.1: Marquardt 1970).
     """
     rest = [f.verdict.term for f in search.beside(found, one)]
     follows = one.candidate.response or search.evidence.terms[one.verdict.term].reads_ground
@@ -35,12 +50,25 @@ def _shadow(search: Search, found: Sequence[Found], one: Found) -> bool:
 
 
 def by_worth(search: Search, found: list[Found]) -> list[Found]:
-    """The most telling first; what answers to the drive comes after what explains it."""
+    """Return the effects in order of importance; what responds to the drive comes after what explains it.
+
+    Parameters
+    ----------
+    search : Search
+        That found them.
+    found : list of Found
+        All effects.
+
+    Returns
+    -------
+    list of Found
+        The most important first.
+    """
     return sorted(found, key=lambda f: (f.candidate.response, -search.worth(found, f)))
 
 
 def _contains(search: Search, rival: int, term: int) -> bool:
-    """Whether a rival is the very effect and something more, which shows nothing but the effect again."""
+    """Whether a rival is the same effect and something more."""
     its, mine = (search.evidence.x[:, search.evidence.columns[k]] for k in (rival, term))
     if its.shape[1] <= mine.shape[1]:
         return False
@@ -49,8 +77,21 @@ def _contains(search: Search, rival: int, term: int) -> bool:
 
 
 def rivals(search: Search, found: Sequence[Found], one: Found) -> list[str]:
-    """Candidates that could stand in for an effect found: the held-out error would not grow by more than noise. A
-    curve over its own quantity is none.
+    """Return the candidates that could replace an effect: the held-out error would not grow by more than noise.
+
+    Parameters
+    ----------
+    search : Search
+        That found it.
+    found : sequence of Found
+        All effects.
+    one : Found
+        Of these.
+
+    Returns
+    -------
+    list of str
+        Names of candidates, without curves over the effect's own quantity.
     """
     rest = [f.verdict.term for f in found if f is not one]
     names = {CURVES.get(one.candidate.name), *(f.candidate.name for f in found)}

@@ -1,4 +1,4 @@
-"""What a model says of measured segments: from ground, path, payload and turns, which a planner knows beforehand."""
+"""Prediction of measured segments from ground, path, payload and turns, which are known before a drive."""
 
 from __future__ import annotations
 
@@ -20,9 +20,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prediction:
-    """Per segment, (n,) each; NaN on unknown ground. energy_j [J] : drawn from the battery. std_j : its standard
-    deviation, None from a model that does not know it. traction_per_m [J/m] : of the declared robot, before any
-    calibration. turning_j : the part of the energy that goes into turning, apart from a calibration's effects.
+    """Predictions per segment; NaN on unknown ground.
+
+    Attributes
+    ----------
+    energy_j : ndarray of float, (n,)
+        Drawn from the battery [J].
+    std_j : ndarray of float, (n,), optional
+        Its standard deviation [J]; None from a model that does not know it.
+    traction_per_m : ndarray of float, (n,)
+        Of the declared robot, before any calibration [J/m].
+    turning_j : ndarray of float, (n,)
+        The part of the energy for turning, without the effects of a calibration [J].
     """
 
     energy_j: FloatArray
@@ -31,13 +40,35 @@ class Prediction:
     turning_j: FloatArray
 
     def take(self, index: NDArray[np.int64]) -> Prediction:
-        """Some of the segments, in that order."""
+        """Return some of the segments.
+
+        Parameters
+        ----------
+        index : ndarray of int
+            Their indices.
+
+        Returns
+        -------
+        Prediction
+            In the order of `index`.
+        """
         std = None if self.std_j is None else self.std_j[index]
         return Prediction(self.energy_j[index], std, self.traction_per_m[index], self.turning_j[index])
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:
-    """Predictions of one kind of model one after the other: without a deviation where one has none."""
+    """Join predictions of one kind of model.
+
+    Parameters
+    ----------
+    parts : sequence of Prediction
+        At least one.
+
+    Returns
+    -------
+    Prediction
+        One after the other; without a standard deviation where one part has none.
+    """
     stds = [part.std_j for part in parts if part.std_j is not None]
     return Prediction(
         np.concatenate([part.energy_j for part in parts]),
@@ -48,16 +79,32 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 
 
 def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
-    """What the model says of every segment, driven at the robot's declared speed along the track's length.
+    """Predict segments that are driven at the robot's declared speed along the length of their track.
 
-    A network's own turning counts from the turn that its straight segments had: what those took is in its prices.
+    A network's own cost of turning counts from the turn that its straight segments had, whose cost is in its prices.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Any model.
+    heightmap : Heightmap
+        On which they were driven.
+    robot : Robot
+        That drove.
+    segments : Segments
+        Measured.
+
+    Returns
+    -------
+    Prediction
+        In the order of the segments.
     """
     base = predictor.base if isinstance(predictor, CalibratedPredictor) else predictor
     traction, std = base.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     factor = payload_factor(base, robot, segments)
     std = predictor.std_of(std, traction, robot) if isinstance(predictor, CalibratedPredictor) else std
     std = None if std is None else std * factor * segments.driven_m
-    if isinstance(predictor, CalibratedPredictor):  # its effects know more of a log than a plan could
+    if isinstance(predictor, CalibratedPredictor):  # its effects use more of a log than a plan could
         energy = predictor.segment_energy(segments, heightmap, robot)
         return Prediction(energy, std, traction, np.zeros(len(segments)))
     turned = np.abs(segments.heading_change_rad)
@@ -68,8 +115,22 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
 
 
 def payload_factor(predictor: Predictor, robot: Robot, segments: Segments) -> NDArray[np.float64]:
-    """Weight with the logged payload over the declared weight, as far as the model learned of payloads; 1 where none
-    was logged. (n,)
+    """Return the weight with the logged payload over the declared weight, as far as the model was trained with
+    payloads.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        Any model.
+    robot : Robot
+        As declared.
+    segments : Segments
+        Measured.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        1 where no payload was logged.
     """
     logged = segments.extras.get("payload")
     if logged is None or not isinstance(predictor, Learned):

@@ -1,4 +1,4 @@
-"""Residuals as a file: the runs a model was made from, kept beside it, so that later runs can be held against them."""
+"""Baseline runs as a file: the residuals of the runs a model was made from, kept beside it for later calibrations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,15 @@ _KEPT = {f.name for f in fields(Drive)} - {"robot", "columns", "words", "unit_j"
 
 
 def save_record(folder: str | Path, residuals: Residuals) -> None:
-    """Write `base_runs.npz` into a model's folder."""
+    """Write `base_runs.npz` into a model's folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Of the model.
+    residuals : Residuals
+        Of the runs it was made from.
+    """
     drive = residuals.drive
     arrays: dict[str, Any] = {
         f.name: getattr(drive, f.name) for f in fields(drive) if isinstance(getattr(drive, f.name), np.ndarray)
@@ -34,7 +42,23 @@ def save_record(folder: str | Path, residuals: Residuals) -> None:
 
 
 def read_record(folder: str | Path) -> Residuals | None:
-    """The runs a model was made from; None where its folder has no record. Raises ModelError where it is broken."""
+    """Read the runs a model was made from.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Of the model.
+
+    Returns
+    -------
+    Residuals or None
+        None where the folder has no record.
+
+    Raises
+    ------
+    ModelError
+        If the record is damaged, or of an older version.
+    """
     path = Path(folder) / RECORD_FILE
     if not path.is_file():
         return None

@@ -14,7 +14,7 @@ from joulemap.model.frames import heading_vector
 from joulemap.model.loop.calibration import Calibration, Effect
 from joulemap.model.loop.effects import Term
 from joulemap.model.loop.evidence import Verdict
-from joulemap.model.loop.formulas import driven_heights
+from joulemap.model.loop.quantities import driven_heights
 from joulemap.model.loop.selection import ALPHA
 from joulemap.model.loop.words import coefficient_meaning, effect_name, quantity_name, quantity_value
 

@@ -1,4 +1,4 @@
-"""Residual = measured - predicted, per segment, with the scale of its noise and the runs that are held out whole."""
+"""Residual = measured - predicted, per segment, with the scale of its noise and the runs that are held out together."""
 
 from __future__ import annotations
 
@@ -17,18 +17,27 @@ FloatArray = NDArray[np.float64]
 LEAST_SEGMENTS = 40
 LEAST_FOLDS = 4
 
-_FAR = 4.0  # a residual beyond so many predictions is a broken reading, not an effect
-_STAND_NOISE = 0.4  # of what a moving segment of the same energy has: standing draws evenly
-_LEAST_STAND = 0.1  # of the usual energy of a segment: a robot without idle power is predicted to draw nothing
+_FAR = 4.0  # times the prediction: a larger residual is a broken reading, not an effect
+_STAND_NOISE = 0.4  # of the noise of a segment of the same energy: the power is even while stationary
+_LEAST_STAND = 0.1  # of the usual energy of a segment: without declared idle power the prediction is nil
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Measured and predicted energy of the rows of a drive (stands last, in driving order before).
+    """Measured and predicted energy of segments in driving order, and of stationary intervals after them.
 
-    measured, predicted : (n,) [J, or A s]; predicted may hold corrections on top of `drive.predicted`. runs : names by
-    number. charge : whether the energy is charge, of which neither the scale nor the zero is known. told : (n,) what
-    the model says of each row with the turns and loads that it learned of, where that is another thing (NaN of stands).
+    Attributes
+    ----------
+    drive : Drive
+        Features of the rows.
+    measured, predicted : ndarray of float, (n,)
+        Energy [J], or charge [A s]. The prediction may contain corrections in addition to `drive.predicted`.
+    runs : tuple of str
+        Names by number.
+    charge : bool
+        Whether the energy is charge, whose scale and zero are unknown.
+    told : ndarray of float, (n,), optional
+        Informed prediction: with the turns and payloads that the model was trained on. NaN of stationary intervals.
     """
 
     drive: Drive
@@ -43,18 +52,20 @@ class Residuals:
 
     @property
     def residual(self) -> FloatArray:
+        """Measured minus predicted, (n,) [J, or A s]."""
         return self.measured - self.predicted
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
+        """Whether each row is a segment and no stationary interval, (n,)."""
         return ~self.drive.standing
 
     @cached_property
     def scale(self) -> FloatArray:
-        """Standard deviation of the noise, up to one factor: (n,) > 0, as large as the energy itself where the noise
-        is a share of it.
+        """Standard deviation of the noise up to one common factor, (n,), above 0.
 
-        A constant part and a part that goes with the prediction, from the spread of the residual in ten bands of it.
+        A constant part and a part proportional to the prediction, from the spread of the residual in ten bands of the
+        prediction. It equals the energy where the noise is a share of it.
         """
         p, r, moving = self.predicted, self.residual, self.moving
         middle = max(float(np.median(p[moving])), 1e-9)
@@ -70,7 +81,7 @@ class Residuals:
 
     @cached_property
     def fold(self) -> NDArray[np.int64]:
-        """(n,) what is held out together: the run, or blocks of a run where there are fewer than four runs."""
+        """What is held out together, (n,): the run, or blocks of a run where there are fewer than four runs."""
         runs = np.unique(self.drive.run)
         if runs.size >= LEAST_FOLDS:
             return np.searchsorted(runs, self.drive.run)
@@ -83,7 +94,7 @@ class Residuals:
 
     @cached_property
     def block(self) -> NDArray[np.int64]:
-        """(n,) another way to hold out: the same third of every run, for effects that each run has its own of."""
+        """Another way to hold out, (n,): the same third of every run, for effects with coefficients of each run."""
         out = np.zeros(len(self), dtype=np.int64)
         for run in np.unique(self.drive.run):
             mine = np.flatnonzero(self.drive.run == run)
@@ -91,25 +102,70 @@ class Residuals:
         return out
 
     def take(self, which: ArrayLike) -> Residuals:
+        """Return some of the rows.
+
+        Parameters
+        ----------
+        which : array_like
+            A mask, or indices.
+
+        Returns
+        -------
+        Residuals
+            In the order of `which`.
+        """
         index = np.asarray(which)
         return Residuals(self.drive.take(index), self.measured[index], self.predicted[index], self.runs, self.charge)
 
     def without_prediction(self) -> Residuals:
-        """The same with nothing predicted, noise judged as before."""
+        """Return the residuals of a prediction of nothing, with the noise judged as before."""
         bare = Residuals(self.drive, self.measured, np.zeros(len(self)), self.runs, self.charge)
         bare.__dict__["scale"] = self.scale
         return bare
 
     def corrected(self, energy: FloatArray) -> Residuals:
-        """The same with `energy` added to the prediction."""
+        """Return the residuals of a corrected prediction.
+
+        Parameters
+        ----------
+        energy : ndarray of float, (n,)
+            To add to the prediction.
+
+        Returns
+        -------
+        Residuals
+            Otherwise the same.
+        """
         return Residuals(self.drive, self.measured, self.predicted + energy, self.runs, self.charge)
 
 
 def residuals_of(
     drive: Drive, measured: FloatArray, runs: tuple[str, ...], *, charge: bool, least: int = LEAST_SEGMENTS
 ) -> Residuals:
-    """Residuals of the rows whose ground the heightmap knows and whose reading is not broken. Raises RunsError where
-    fewer than `least` segments are left.
+    """Return the residuals of rows whose ground is known and whose reading is not broken.
+
+    Parameters
+    ----------
+    drive : Drive
+        Features of the rows.
+    measured : ndarray of float, (n,)
+        Energy [J], or charge [A s].
+    runs : tuple of str
+        Names by number.
+    charge : bool
+        Whether it is charge.
+    least : int
+        Smallest number of segments.
+
+    Returns
+    -------
+    Residuals
+        Of the usable rows.
+
+    Raises
+    ------
+    RunsError
+        If fewer than `least` segments are usable.
     """
     known = drive.standing | (np.isfinite(drive.traction_per_m) & np.isfinite(drive.grade))
     predicted = drive.predicted

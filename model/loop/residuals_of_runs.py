@@ -1,4 +1,4 @@
-"""From measured runs to residuals against a model, and what a model keeps of its own runs."""
+"""From measured runs to residuals against a model, and the runs that a model keeps."""
 
 from __future__ import annotations
 
@@ -22,15 +22,37 @@ from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
-_MARK = "beside "  # of columns that only go along
+_MARK = "beside "  # of columns that are only carried along
 
 
 def residuals_on(
     predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments, *, least: int = LEAST_SEGMENTS
 ) -> tuple[Residuals, dict[str, FloatArray], FloatArray]:
-    """Residuals of segments against a model; of each row what the battery's meters said (means of voltage, current and
-    power, energy, the current's ripple), which no effect may copy; and (n,) the standard deviation [J] that the model
-    believes in. Raises RunsError as `check_runs`, and where fewer than `least` segments are usable.
+    """Return the residuals of segments against a model.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        The model.
+    heightmap : Heightmap
+        On which they were driven.
+    robot : Robot
+        That drove.
+    segments : Segments
+        Measured.
+    least : int
+        Smallest number of usable segments.
+
+    Returns
+    -------
+    tuple of (Residuals, dict, ndarray of float)
+        The residuals; the readings of the battery of each row (means of voltage, current and power, energy, the
+        current's ripple), (n,), which no effect may copy; and the standard deviation that the model assumes, (n,) [J].
+
+    Raises
+    ------
+    RunsError
+        As `check_runs`, and if fewer than `least` segments are usable.
     """
     check_runs(segments, heightmap, robot)
     said = predict_segments(predictor, heightmap, robot, segments)
@@ -60,7 +82,7 @@ def _residuals(
     *,
     least: int = LEAST_SEGMENTS,
 ) -> tuple[Residuals, dict[str, FloatArray]]:
-    """Residuals, and the rows of `beside`, (n,) of the segments each, that go with them (NaN of stands)."""
+    """Residuals, and the rows of `beside` that belong to them, (n,) each (NaN of stationary intervals)."""
     drive, measured = describe_segments(segments, heightmap, robot, traction, with_stands=not segments.charge)
     rest = np.full(len(drive) - len(segments), np.nan)
     marked = {_MARK + key: np.concatenate([values, rest]) for key, values in beside.items()}
@@ -73,10 +95,25 @@ def _residuals(
 
 
 def keep_base_runs(folder: Path, heightmap: Heightmap, robot: Robot, segments: Segments, traction: FloatArray) -> bool:
-    """Leave the runs that a model was trained on beside it, so that a calibration can hold later runs against them.
+    """Keep the runs that a model was trained on beside it, as the baseline of later calibrations.
 
-    traction : (n,) [J/m] of every segment, from a network that had not seen its run. False, and nothing is kept, where
-    they are too few to hold anything against.
+    Parameters
+    ----------
+    folder : Path
+        Of the model.
+    heightmap : Heightmap
+        On which they were driven.
+    robot : Robot
+        That drove.
+    segments : Segments
+        Measured.
+    traction : ndarray of float, (n,)
+        Of every segment [J/m], from a network that was trained without its run.
+
+    Returns
+    -------
+    bool
+        False, and nothing is kept, where there are too few segments.
     """
     try:
         residuals, _ = _residuals(heightmap, robot, segments, traction, {})
@@ -89,7 +126,26 @@ def keep_base_runs(folder: Path, heightmap: Heightmap, robot: Robot, segments: S
 def base_residuals(
     model: str | Path, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: Segments | None
 ) -> Residuals | None:
-    """The base model's own runs: those given, or those kept in its folder."""
+    """Return the residuals of the baseline runs.
+
+    Parameters
+    ----------
+    model : str or Path
+        Name or folder of the base model.
+    predictor : Predictor
+        The base model.
+    heightmap : Heightmap
+        On which the given runs were driven.
+    robot : Robot
+        That drove.
+    runs : Segments, optional
+        Baseline runs; without them, those kept in the model's folder.
+
+    Returns
+    -------
+    Residuals or None
+        None where there are no baseline runs.
+    """
     if runs is None:
         return None if model in MODEL_NAMES else read_record(model)
     return residuals_on(predictor, heightmap, robot, runs)[0]

@@ -1,7 +1,7 @@
-"""What the base model's own runs already show of its errors: no news in other runs, and no evidence of a new effect.
+"""Errors of the base model that the baseline runs show already: they are not new, and no evidence of an effect.
 
-A model is never perfect on the runs it was made from: turns that it knows nothing of, a level that is some per cent
-off. Such terms are found there by held-out runs and added to the prediction, before new runs are traced.
+A model is never perfect on the runs it was made from: it may know nothing of turns, or its scale may be some per cent
+off. Such terms are found there by held-out runs and added to the prediction before new runs are traced.
 """
 
 from __future__ import annotations
@@ -24,8 +24,16 @@ _LEAST_RUNS = 3
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """terms : corrections of the base prediction, fitted. level_doubt : how far the model's level may be off on another
-    day, a share of the energy. residuals : of the base runs, corrected (None where there are none).
+    """Errors of the base model in the baseline runs.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+        Corrections of the base prediction, fitted.
+    level_doubt : float
+        Relative uncertainty of the base model's scale on another day.
+    residuals : Residuals, optional
+        Of the baseline runs, corrected.
     """
 
     terms: tuple[Term, ...] = ()
@@ -34,12 +42,23 @@ class SharedErrors:
 
     @property
     def level_freedom(self) -> int:
-        """Degrees of freedom with which that is known; 0 where it is the usual doubt."""
+        """Degrees of freedom with which `level_doubt` is known; 0 where it is assumed."""
         runs = 0 if self.residuals is None else np.unique(self.residuals.drive.run[self.residuals.moving]).size
         return runs - 1 if runs >= _LEAST_RUNS else 0
 
     def gains(self, terms: Sequence[Term]) -> np.ndarray:
-        """(terms,) share of the base runs' own squared error that each explains there, held out; 0 without runs."""
+        """Return how much of the baseline runs' own squared error each term explains there, held out.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+            To test.
+
+        Returns
+        -------
+        ndarray of float, (terms,)
+            Shares; 0 without baseline runs.
+        """
         if self.residuals is None:
             return np.zeros(len(terms))
         evidence = Evidence(self.residuals, terms, level_doubt=self.level_doubt)
@@ -48,8 +67,18 @@ class SharedErrors:
         return np.maximum(1.0 - np.array(after) / before, 0.0)
 
     def shows(self, term: Term) -> float:
-        """Of a fitted effect, the least share that the base runs show as well: one standard error less than the least
-        squares scale of its shape there; 0 without runs, or where they were not.
+        """Return the smallest share of a fitted effect that the baseline runs show as well.
+
+        Parameters
+        ----------
+        term : Term
+            Fitted.
+
+        Returns
+        -------
+        float
+            Least squares scale of its shape there, minus one standard error; 0 without baseline runs, or where its
+            quantity was absent.
         """
         if self.residuals is None:
             return 0.0
@@ -60,7 +89,20 @@ class SharedErrors:
 
 
 def shared_errors(base: Residuals | None, carried_kg: float = 0.0) -> SharedErrors:
-    """Corrections that hold over the runs the base model was made from. carried_kg : most that the new runs carried."""
+    """Fit the corrections that hold over the baseline runs.
+
+    Parameters
+    ----------
+    base : Residuals, optional
+        Of the baseline runs.
+    carried_kg : float
+        Largest payload in the new runs [kg].
+
+    Returns
+    -------
+    SharedErrors
+        Empty without baseline runs.
+    """
     if base is None:
         return SharedErrors()
     always = [Term("level", "level", ("",))]
@@ -83,7 +125,7 @@ def shared_errors(base: Residuals | None, carried_kg: float = 0.0) -> SharedErro
 
 
 def _known_forms(base: Residuals, carried_kg: float) -> list[Term]:
-    """What everybody knows to cost energy, one coefficient each."""
+    """The physical forms that are known to cost energy, one coefficient each."""
     forms = [
         Term("turning", "turning", ("J/rad",), {"limit_radps": None}),
         Term("cross_slope", "cross_slope", ("",), {"power": 1}),
@@ -92,19 +134,30 @@ def _known_forms(base: Residuals, carried_kg: float) -> list[Term]:
         Term("battery", "battery", ("ohm",)),
         Term("acceleration", "acceleration", ("kg",)),
     ]
-    if 0.0 < carried_kg <= _FURTHER * most_carried(base):  # what a few kilograms show says little of many
+    if 0.0 < carried_kg <= _FURTHER * most_carried(base):  # a few kilograms say little about many
         forms.append(Term("payload", "payload", ("",), {"column": "payload", "reference": 0.0}))
     return forms
 
 
 def most_carried(residuals: Residuals) -> float:
-    """The largest payload that was logged [kg], 0 without any."""
+    """Return the largest payload that was logged.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+
+    Returns
+    -------
+    float
+        Payload [kg]; 0 where none was logged.
+    """
     logged = residuals.drive.columns.get("payload", np.zeros(1))
     return float(np.max(logged, initial=0.0, where=np.isfinite(logged)))
 
 
 def _level_spread(base: Residuals) -> float:
-    """How far the level of a day's runs may be off: two standard deviations of single base runs, within reason."""
+    """Relative uncertainty of the scale of a day's runs: two standard deviations of single runs, within limits."""
     moving = base.moving
     run, z = base.drive.run[moving], base.residual[moving]
     shares = np.array([z[run == k].sum() / base.predicted[moving][run == k].sum() for k in np.unique(run)])

@@ -1,8 +1,12 @@
-"""Does the residual step where a record does? The evidence of a record that hardly changes within a run.
+"""Does the residual step where a record does? A test for a record that hardly changes within a run.
 
-A word of a log, or a load put on halfway, may change once in all runs. Shifted along its run, such a column still
-covers most of what it covered, so that shifts say little against it; what speaks for it is the place: the residual
-jumps there, and nowhere else does it jump like that (an interrupted time series: Box & Tiao 1975).
+A class of ground, or a payload put on halfway, may change once in all runs. Shifted along its run, such a column still
+covers most of what it covered, so that shifts have little power. The place has: the residual jumps there, and nowhere
+else does it jump as much.
+
+References
+----------
+Box & Tiao 1975 (interrupted time series).
 """
 
 from __future__ import annotations
@@ -20,12 +24,27 @@ _SELDOM = 40  # segments per change, on average at least
 
 
 def step_chance(z: FloatArray, state: FloatArray, run: IntArray) -> float:
-    """Chance that a residual jumps as much at the changes of a record as it does, two-sided; 1 where it never changes,
-    or so often that its course within runs can be asked instead.
+    """Return the p-value of a jump of the residual at the changes of a record, two-sided.
 
-    z, state, run : (n,) residual [scaled], record and number of the run, in driving order. The jump at a change, the
-    mean of up to 30 segments after it less that of as many before, counts by the size of the change; the spread of the
-    jumps at all other places of the runs says what is usual, with as many degrees of freedom as windows fit in.
+    Parameters
+    ----------
+    z : ndarray of float, (n,)
+        Residual [scaled], in driving order.
+    state : ndarray of float, (n,)
+        The record.
+    run : ndarray of int, (n,)
+        Number of the run.
+
+    Returns
+    -------
+    float
+        1 where the record never changes, or so often that its course within runs can be tested instead.
+
+    Notes
+    -----
+    The jump at a change is the mean of up to 30 segments after it minus that of as many before, weighted by the size of
+    the change. The spread of the jumps at all other places says what is usual, with as many degrees of freedom as
+    windows fit in.
     """
     changes = np.flatnonzero((np.diff(state) != 0) & (np.diff(run) == 0)) + 1
     if changes.size == 0 or changes.size * _SELDOM > z.size:
@@ -43,8 +62,8 @@ def step_chance(z: FloatArray, state: FloatArray, run: IntArray) -> float:
 
 
 def _jumps(z: FloatArray, at: IntArray, borders: IntArray) -> FloatArray:
-    """Mean after a place less the mean before it, as far as the next borders, in standard errors of white noise of size
-    one; NaN where a border is near.
+    """Mean after a place minus the mean before it, as far as the next borders, in standard errors of white noise of
+    size one; NaN where a border is near.
     """
     total = np.concatenate([[0.0], np.cumsum(z)])
     before = np.minimum(at - borders[np.searchsorted(borders, at, side="left") - 1], WINDOW)

@@ -1,8 +1,12 @@
-"""What to drive next: the route that tells confounded effects apart, or pins a coefficient, best.
+"""What to drive next: the route that distinguishes confounded effects best, or measures a coefficient best.
 
-Least squares knows beforehand how far a drive would narrow a coefficient: only the columns of the effect and of what it
-is confused with matter, not what will be measured. Simple routes are laid over the map in many places and headings, and
-judged by the interval that old and new segments would leave together (Fedorov 1972, D- and c-optimal design).
+Least squares predicts how far a drive would narrow a coefficient: only the columns of the effect, and of what it is
+confounded with, matter, and not what will be measured. Simple routes are tried in many places and headings of the map,
+and compared by the interval that old and new segments would leave together.
+
+References
+----------
+Fedorov 1972 (D- and c-optimal design).
 """
 
 from __future__ import annotations
@@ -34,9 +38,22 @@ _ROOM = 1.25  # times the length that there is time for: more than that a round 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """points : (n, 2) corners of the route [m]. kind : in words. effect : whose coefficient it is for. speeds : to
-    drive it at, over and over [m/s]. shrinkage : expected width of its interval over the width now (0..1).
-    length_m : of one round.
+    """A route to drive.
+
+    Attributes
+    ----------
+    points : ndarray of float, (n, 2)
+        Its corners [m].
+    kind : str
+        Its shape in words.
+    effect : str
+        Whose coefficient it measures.
+    speeds : tuple of float
+        To drive it at, round by round [m/s].
+    shrinkage : float
+        Expected width of the coefficient's interval over its width now, 0..1.
+    length_m : float
+        Of one round.
     """
 
     points: FloatArray
@@ -58,11 +75,36 @@ def suggest_drive(
     length_m: float = 200.0,
     seed: int = 0,
 ) -> Suggestion:
-    """The best of a few hundred simple routes for the coefficients of `effect`.
+    """Return the best of a few hundred simple routes for the coefficients of an effect.
 
-    residuals : the runs so far. rivals : what it is confused with, refitted beside it. traction : (x, y, heading) ->
-    [J/m], NaN where nobody may drive. length_m : about as far as there is time for. Raises InfeasibleError where no
-    route fits on known ground.
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs so far.
+    effect : Term
+        To measure.
+    rivals : sequence of Term
+        With which it is confounded; they are fitted along.
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        That will drive.
+    traction : callable
+        (x, y, heading) -> traction [J/m], NaN where driving is not allowed.
+    length_m : float
+        Approximate length that there is time for [m].
+    seed : int
+        Of places and headings.
+
+    Returns
+    -------
+    Suggestion
+        The one of smallest `shrinkage`.
+
+    Raises
+    ------
+    InfeasibleError
+        If no route fits on the known ground.
     """
     rng = np.random.default_rng(seed)
     old = _information(residuals.drive, [effect, *rivals], residuals.scale)
@@ -88,7 +130,7 @@ def suggest_drive(
 
 
 def _information(drive: Drive, terms: Sequence[Term], scale: FloatArray) -> FloatArray:
-    """Normal equations of terms with a level beside them, per unit of noise variance."""
+    """Normal equations of terms with a scale beside them, per unit of noise variance."""
     level = Term("level", "level", ("",))
     x = np.concatenate([t.columns(drive) for t in (*terms, level)], axis=1) / scale[:, None]
     return np.asarray(x.T @ x)
@@ -103,7 +145,7 @@ def _spread(information: FloatArray, count: int) -> float:
 
 
 def _routes(heightmap: Heightmap, length_m: float, rng: np.random.Generator) -> Iterator[tuple[str, FloatArray]]:
-    """Lines to and fro, squares, slaloms and circles inside the map, at places and headings of a seeded choice."""
+    """Straight lines there and back, squares, slaloms and circles, at random places and headings (seeded)."""
     west, south, east, north = heightmap.frame.bounds
     side = min(east - west, north - south)
     for _ in range(_PLACES):
@@ -129,7 +171,7 @@ def _routes(heightmap: Heightmap, length_m: float, rng: np.random.Generator) -> 
 def _along(
     points: FloatArray, heightmap: Heightmap, robot: Robot, traction: Traction, residuals: Residuals
 ) -> Drive | None:
-    """A route cut into 1 m segments, driven once; None where it is too short or leaves the known ground."""
+    """A route cut into 1 m segments, driven once; None if it is too short or leaves the known ground."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     fine = np.arange(0.0, s[-1], _STEP_M)
     x, y = np.interp(fine, s, points[:, 0]), np.interp(fine, s, points[:, 1])

@@ -1,11 +1,11 @@
-"""Trace a residual to the effects that the model lacks: select, test again what remains, until nothing more is found.
+"""Trace a residual to the effects that the model lacks: select one, test again what remains, until nothing is left.
 
-Forward: of all effects that chance cannot explain and that help on held-out runs by more than a practical floor, the
-one that helps most is taken; where a physical form does as well as a learned curve, the physical one. Columns that
-answer to the drive (commands, measured attitude) come once nothing else is found. An interaction brings along those of
-the effects it joins that show themselves beside it. After each step every effect is chosen anew given the others, and
-one that the others make needless is dropped. In the end causes are told from shadows: what only fills in where the form
-of a cause is not quite right helps to predict, but is no reason of its own.
+Forward: of all effects that are significant and help on held-out runs by more than a practical floor, the one that
+helps most is taken; where a physical form does as well as a fitted curve, the physical one. Columns that respond to the
+drive (commands, measured attitude) come after everything else. An interaction brings along those of its main effects
+that are significant beside it. After each step every effect is chosen again given the others, and one that became
+needless is dropped. In the end causes are distinguished from collinear covariates: a covariate only corrects the form
+of a cause. It helps to predict, but is no cause of its own.
 """
 
 from __future__ import annotations
@@ -24,9 +24,24 @@ MAX_EFFECTS = 6
 
 @dataclass(frozen=True)
 class Trace:
-    """What was found. ranking : every candidate's best verdict before anything was taken, best first. confounded :
-    names that these runs cannot tell from an effect found. remaining_p : of the best candidate left, over all.
-    shadows : those found that are no causes of their own.
+    """The effects that were found.
+
+    Attributes
+    ----------
+    found : list of Found
+        The most important first.
+    ranking : list of tuple of (Candidate, Verdict)
+        Every candidate's best variant before anything was taken, the best first.
+    confounded : dict
+        Names of candidates that these runs cannot distinguish from an effect found, by its name.
+    remaining : list of tuple of (Candidate, Verdict)
+        Candidates that were not taken, given those that were.
+    remaining_p : float
+        p-value of the best of them.
+    evidence : Evidence
+        Of all terms.
+    shadows : list of Found
+        Those found that are collinear covariates and no causes of their own.
     """
 
     found: list[Found]
@@ -39,15 +54,27 @@ class Trace:
 
     @property
     def chosen(self) -> list[int]:
+        """Indices of the terms found."""
         return [f.verdict.term for f in self.found]
 
     @property
     def causes(self) -> Trace:
-        """The same without shadows."""
+        """The same without collinear covariates."""
         return replace(self, found=[f for f in self.found if f not in self.shadows], shadows=[])
 
     def without(self, one: Found) -> Trace:
-        """The same with an effect fewer; shadows alone are nothing found."""
+        """Return the same with one effect fewer; nothing is found where only collinear covariates remain.
+
+        Parameters
+        ----------
+        one : Found
+            The effect to leave out.
+
+        Returns
+        -------
+        Trace
+            Where the effect is among the remaining candidates.
+        """
         found = [f for f in self.found if f is not one]
         if all(f in self.shadows for f in found):
             found = []
@@ -75,9 +102,29 @@ def trace(
 ) -> Trace:
     """Trace residuals to effects.
 
-    level_doubt : how far the base model's level may be off on any day, a share of the energy, known with so many
-    degrees of level_freedom. shared : gain of a term that the base model's own runs show as well, which is no news and
-    does not count.
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the runs.
+    candidates : sequence of Candidate
+        To test.
+    level_doubt : float
+        Relative uncertainty of the base model's scale on any day.
+    level_freedom : int
+        Degrees of freedom with which it is known; 0 if it is assumed.
+    floors : Floors, optional
+        Smallest gains that count.
+    shared : callable, optional
+        Gain of a term that the baseline runs show as well, which does not count.
+    seed : int
+        Of the permutations.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    Trace
+        With an empty `found` where nothing is significant.
     """
     owner = [c for c in candidates for _ in c.variants]
     terms = [v for c in candidates for v in c.variants]
@@ -93,8 +140,8 @@ def trace(
             break
         before = {f.candidate.name for f in [*found, taken]}
         found = search.settle(search.with_parts([*found, taken]))
-        needless |= before - {f.candidate.name for f in found}  # or it would be taken and dropped for ever
-        if wrong := search.turned(found):  # it stood for others, and what was built on it may too: begin anew
+        needless |= before - {f.candidate.name for f in found}  # otherwise it would be taken and dropped forever
+        if wrong := search.turned(found):  # it replaced others, and so may what was built on it: start again
             search.refuse(wrong)
             found, needless = [], set()
         verdicts = search.best_of_each(found)

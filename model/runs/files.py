@@ -119,7 +119,7 @@ def read_odometry_runs(
     baseline_files: Sequence[Path] = (),
     test_files: Sequence[Path] = (),
 ) -> tuple[CalibrationRuns, Heightmap]:
-    """Read runs without positions, whose wheel speeds are integrated, and lay level ground under them.
+    """Read runs without positions, whose wheel speeds are integrated, and make flat ground for them.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Logs without positions: wheel speeds are integrated to a track, and segments are cut by the distance rolled.
 
 A skid-steered robot slips in turns and turns less than its wheels indicate: `track_m` is the effective distance between
-the sides, larger than the measured one. Positions drift within minutes; on level ground only the last metre matters.
+the sides, larger than the measured one. Positions drift within minutes; on flat ground only the last metre matters.
 """
 
 from __future__ import annotations
@@ -252,7 +252,7 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
 
 
 def flat_heightmap(runs: Sequence[Run], *, resolution_m: float = 1.0, margin_m: float = 3.0) -> Heightmap:
-    """Return level ground under all runs.
+    """Return flat ground that covers all runs.
 
     Parameters
     ----------
@@ -274,13 +274,13 @@ def flat_heightmap(runs: Sequence[Run], *, resolution_m: float = 1.0, margin_m: 
         If there is no run.
     """
     if not runs:
-        raise InputError("there is no run to lay a map under")
+        raise InputError("there is no run to make a map for")
     x, y = (np.concatenate([getattr(run, key)[np.isfinite(run.x)] for run in runs]) for key in ("x", "y"))
     west, south = np.floor(x.min() - margin_m), np.floor(y.min() - margin_m)
     cols = int(np.ceil((x.max() + margin_m - west) / resolution_m))
     rows = int(np.ceil((y.max() + margin_m - south) / resolution_m))
     frame = GridFrame(float(west), float(south) + rows * resolution_m, resolution_m, rows, cols)
-    return Heightmap(np.zeros(frame.shape, np.float32), frame, "level ground under odometry")
+    return Heightmap(np.zeros(frame.shape, np.float32), frame, "flat ground for odometry")
 
 
 def _summed(steps: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.loop.calibration import Calibration
-from joulemap.model.loop.formulas import quantity
+from joulemap.model.loop.quantities import quantity
 from joulemap.service.loop.rerouting import Comparison
 
 matplotlib.use("Agg")

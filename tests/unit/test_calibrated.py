@@ -12,7 +12,8 @@ from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
 from joulemap.model.loop.effects import Term
-from joulemap.model.loop.formulas import FORMULAS, GROUND, quantity
+from joulemap.model.loop.formulas import FORMULAS, GROUND
+from joulemap.model.loop.quantities import quantity
 from joulemap.model.loop.report import where_words
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
