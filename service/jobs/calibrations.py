@@ -26,6 +26,7 @@ from joulemap.service.jobs.steps import Step, Steps
 from joulemap.service.loop.calibration import calibrate_on_runs
 from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.rerouting import Task
+from joulemap.service.loop.summary import NextStep
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import CalibrationRow, named_test_runs
@@ -36,7 +37,9 @@ _LOOK_S = 0.5  # between looks whether the job is still wanted
 
 @dataclass(frozen=True)
 class _Work:
-    """What the process gets. ground : the heightmap's file and name, or how runs without positions are read."""
+    """What the process gets. ground : the heightmap's file and name, or how runs without positions are read. request :
+    for a cost map with the calibrated model, in words.
+    """
 
     model: str | Path
     ground: tuple[Path, str] | Odometry
@@ -47,6 +50,7 @@ class _Work:
     task: Task | None
     seed: int
     out: Path
+    request: str
 
 
 class Calibrator:
@@ -96,6 +100,7 @@ class Calibrator:
             task=None if asked["start"] is None else (tuple(asked["start"][:2]), tuple(asked["goal"][:2])),
             seed=asked["seed"],
             out=out,
+            request=_costmap_request(row),
         )
         try:
             _in_a_process(work, report)
@@ -134,6 +139,14 @@ class Calibrator:
         folder = self._store.calibration_folder(calibration_id)
         for place in (folder, *folder.parent.glob(f"{calibration_id}.*.partial"), self._models_dir / calibration_id):
             shutil.rmtree(place, ignore_errors=True)
+
+
+def _costmap_request(row: CalibrationRow) -> str:
+    """What to send for a cost map with the calibrated model."""
+    usual = Robot().as_dict()
+    robot = {key: value for key, value in row.request["robot"].items() if value != usual.get(key)}
+    body = {"heightmap_id": row.heightmap_id or "HEIGHTMAP", "model": row.id} | ({"robot": robot} if robot else {})
+    return f"POST /v1/costmaps {json.dumps(body)}"
 
 
 def _in_a_process(work: _Work, report: Callable[[float], None]) -> None:
@@ -185,7 +198,8 @@ def _work(work: _Work, there: Connection) -> None:
         )
         work.out.mkdir(parents=True, exist_ok=True)
         (work.out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
-        (work.out / PAGE).write_text(report_page(made, heightmap), encoding="utf-8")
+        steps = [NextStep("Make a cost map with the calibrated model", work.request)] if made.found.terms else []
+        (work.out / PAGE).write_text(report_page(made, heightmap, steps=steps), encoding="utf-8")
     except JoulemapError as error:
         there.send(error)
     else:

@@ -27,7 +27,15 @@ from joulemap.service.schemas.planning import (
     ShortestOut,
     VerdictOut,
 )
-from joulemap.service.storage.tables import DONE, CalibrationRow, CostmapRow, HeightmapRow, JobRow, RunsRow
+from joulemap.service.storage.tables import (
+    DONE,
+    CalibrationRow,
+    CostmapRow,
+    HeightmapRow,
+    JobRow,
+    RunsRow,
+    named_test_runs,
+)
 from joulemap.service.words import verdict_words
 from joulemap.service.workflows import Assessment
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.base import JobOut, Point, Problem, Request, ResponseModel, RobotIn, RobotOut
@@ -14,27 +14,36 @@ from joulemap.service.schemas.base import JobOut, Point, Problem, Request, Respo
 class OdometryOut(ResponseModel):
     """How runs without positions are read."""
 
-    track_m: float = Field(description="distance of the sides as the robot turns [m]", examples=[1.07])
-    terrain_from_name: bool = Field(description="whether a file's name says what ground it was driven on")
+    track_m: float = Field(
+        description="effective track width: distance of the two sides as the robot turns [m]", examples=[1.07]
+    )
+    terrain_from_name: bool = Field(description="whether the name of a file says on what ground it was driven")
 
 
 class RunOut(ResponseModel):
     """What was read of one measured run, and what was left out and why."""
 
-    name: str = Field(description="of its file", examples=["run_01.csv"])
+    name: str = Field(description="name of its file", examples=["run_01.csv"])
     rows: int = Field(description="rows that are used", examples=[3312])
-    seconds: float = Field(description="from the first to the last [s]", examples=[331.1])
+    seconds: float = Field(description="time from the first to the last row [s]", examples=[331.1])
     target: Literal["energy_j", "charge_as"] = Field(description="charge where no voltage was recorded")
-    columns: list[str] = Field(description="further columns that are kept", examples=[["temperature", "terrain"]])
-    segments: int = Field(description="segments of 1 m", examples=[143])
+    columns: list[str] = Field(
+        description="logged columns that are kept beside time, position, voltage and current",
+        examples=[["temperature", "terrain"]],
+    )
+    segments: int = Field(description="number of segments of 1 m", examples=[143])
     repairs: dict[str, int] = Field(
-        description="rows by the rule that mended or dropped them", examples=[{"held_fixes": 9}]
+        description="number of rows that were repaired or dropped, by reason", examples=[{"held_fixes": 9}]
     )
-    left_out: dict[str, int] = Field(description="what was made no segment, by reason", examples=[{"stops": 2}])
+    left_out: dict[str, int] = Field(
+        description="number of places that are in no segment, by reason", examples=[{"stops": 2}]
+    )
     bounds: list[float] = Field(
-        min_length=4, max_length=4, description="[west, south, east, north] driven [m]; by odometry, from its start"
+        min_length=4,
+        max_length=4,
+        description="[west, south, east, north] of the positions [m]; without positions, from the start",
     )
-    odometry: OdometryOut | None = Field(default=None, description="of a run without positions")
+    odometry: OdometryOut | None = Field(default=None, description="null for a run with positions")
 
 
 class RunsOut(ResponseModel):
@@ -47,27 +56,29 @@ class RunsOut(ResponseModel):
 
 
 class CalibrationRequest(Request):
-    """Which runs to hold against which model."""
+    """Which runs to compare with which model."""
 
     heightmap_id: str | None = Field(
         default=None,
         max_length=100,
-        description="that the runs were driven on; runs without positions lie on none",
+        description="heightmap that the runs were driven on; leave it out for runs without positions",
         examples=["hm-5f0c2a9d41be"],
     )
     runs: list[Annotated[str, Field(max_length=100)]] = Field(
-        min_length=1, max_length=100, description="ids of runs", examples=[["runs-3b9d0c1e77aa"]]
+        min_length=1, max_length=100, description="ids of the runs to learn from", examples=[["runs-3b9d0c1e77aa"]]
     )
-    base_runs: list[Annotated[str, Field(max_length=100)]] = Field(
+    baseline_runs: list[Annotated[str, Field(max_length=100)]] = Field(
         default=[],
         max_length=100,
-        description="ids of runs in which nothing new is at work; default: those the model keeps of its training",
+        validation_alias=AliasChoices("baseline_runs", "base_runs"),
+        description="ids of earlier runs, without what is looked for; default: those the model keeps of its training",
     )
-    aside_runs: list[Annotated[str, Field(max_length=100)]] = Field(
+    test_runs: list[Annotated[str, Field(max_length=100)]] = Field(
         default=[],
         max_length=100,
-        description="ids of runs (also of `runs`) that nothing is sought or fitted in; the report has the error on "
-        "them before and after",
+        validation_alias=AliasChoices("test_runs", "aside_runs"),
+        description="ids of runs (also some of `runs`) that are not used to find or fit effects; the report has the "
+        "error on them before and after",
     )
     model: str = Field(
         default=DEFAULT_MODEL,
@@ -75,12 +86,22 @@ class CalibrationRequest(Request):
         description="`physics`, `default`, or the id of a trained model",
         examples=["physics"],
     )
-    robot: RobotIn | None = Field(default=None, description="that drove; default: the paper's 4WD robot")
+    robot: RobotIn | None = Field(default=None, description="robot that drove; default: the 4WD robot of the paper")
     start: Point | None = Field(
-        default=None, description="of the task whose route is compared; default: a few are tried"
+        default=None, description="start of the route that is compared before and after; default: a few pairs are tried"
     )
-    goal: Point | None = Field(default=None, description="likewise")
-    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="of the permutations")
+    goal: Point | None = Field(default=None, description="its goal")
+    seed: int = Field(
+        default=0, ge=0, le=2**31 - 1, description="seed of the permutations: the same seed gives the same report"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_name_each(cls, values: Any) -> Any:
+        for name, former in (("baseline_runs", "base_runs"), ("test_runs", "aside_runs")):
+            if isinstance(values, dict) and name in values and former in values:
+                raise ValueError(f"`{former}` is the former name of `{name}`: give one of them")
+        return values
 
     @model_validator(mode="after")
     def _whole_task(self) -> CalibrationRequest:
@@ -90,19 +111,21 @@ class CalibrationRequest(Request):
 
 
 class CalibrationOut(JobOut):
-    """A calibration: asked for, being made, or done. What is only known when done is null before."""
+    """A calibration: queued, running, done or failed. Fields that are known when it is done are null before."""
 
     id: str = Field(examples=["cal-2f7719c0be04"])
     heightmap_id: str | None = Field(description="null for runs without positions", examples=["hm-5f0c2a9d41be"])
-    runs: list[str] = Field(description="ids of the runs")
-    base_runs: list[str] = Field(description="ids of the runs that they were held against")
-    aside_runs: list[str] = Field(description="ids of the runs that it was only judged by")
+    runs: list[str] = Field(description="ids of the runs to learn from")
+    baseline_runs: list[str] = Field(description="ids of the earlier runs that they were compared with")
+    test_runs: list[str] = Field(description="ids of the runs that the model was only tested with")
     robot: RobotOut
     model: str = Field(description="the model that was calibrated", examples=["physics"])
     calibrated_model: str | None = Field(
-        description="the model with what was found, to ask cost maps with; null where nothing was found",
+        description="id of the calibrated model, for cost maps; null where there is none",
         examples=["cal-2f7719c0be04"],
     )
-    report: dict[str, Any] | None = Field(description="what was found, with its evidence; null in lists")
+    report: dict[str, Any] | None = Field(
+        description="what was found: the content of report.json; null in lists. Keys of former versions are deprecated"
+    )
     problem: Problem | None = Field(description="why it failed")
     links: dict[str, str]

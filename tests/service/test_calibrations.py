@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import json
 import os
@@ -94,9 +95,9 @@ def runs_id(service: TestClient, ground_id: str) -> str:
 def calibration(service: TestClient, ground_id: str, runs_id: str) -> dict[str, Any]:
     kept = send(service, run_csv(12), heightmap_id=ground_id).json()["id"]
     asked = {"heightmap_id": ground_id, "runs": [runs_id, kept], "model": "physics", "robot": ROBOT}
-    answer = service.post("/v1/calibrations", json=asked | {"aside_runs": [kept]}, headers={"Prefer": "wait=200"})
+    answer = service.post("/v1/calibrations", json=asked | {"test_runs": [kept]}, headers={"Prefer": "wait=200"})
     assert answer.status_code == 201, answer.text
-    assert (answer.json()["runs"], answer.json()["aside_runs"]) == ([runs_id], [kept])
+    assert (answer.json()["runs"], answer.json()["test_runs"]) == ([runs_id], [kept])
     assert answer.headers["location"] == f"/v1/calibrations/{answer.json()['id']}"
     return answer.json()
 
@@ -126,13 +127,16 @@ def test_the_hidden_effect_is_found_and_planned_with(
     assert report["effects"][0]["coefficients"][0]["value"] == pytest.approx(TURN_J, rel=0.1)
     assert report["error"]["after"]["rmse"] < 0.6 * report["error"]["before"]["rmse"]
     assert report["route"]["saving_j"] >= 0.0
-    aside = report["kept_aside"]["error"]
-    assert aside["after"]["rmse"] < 0.6 * aside["before"]["rmse"]
-    check_problem(service.delete(f"/v1/runs/{calibration['aside_runs'][0]}"), 409, "conflict", calibration["id"])
+    test = report["test_set"]["error"]
+    assert test["after"]["rmse"] < 0.6 * test["before"]["rmse"]
+    assert report["kept_aside"] == report["test_set"]  # the former key, until version 0.3
+    check_problem(service.delete(f"/v1/runs/{calibration['test_runs'][0]}"), 409, "conflict", calibration["id"])
     page = service.get(calibration["links"]["page"])
     assert page.headers["content-type"].startswith("text/html")
     assert "data:image/png;base64," in page.text
+    sent = html.unescape(page.text).split("POST /v1/costmaps ")[1].split("</code>")[0]
     asked = {"heightmap_id": ground_id, "model": calibration["calibrated_model"], "robot": ROBOT}
+    assert json.loads(sent) == asked  # the page says what to send
     made = service.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"})
     assert made.status_code == 201, made.text
     costmap = made.json()
@@ -160,7 +164,7 @@ def test_the_hidden_effect_is_found_and_planned_with(
     again = asked | {"runs": [runs_id]}
     del again["model"]
     check_problem(
-        service.post("/v1/calibrations", json=again | {"model": calibration["id"]}), 422, "invalid_input", "its base"
+        service.post("/v1/calibrations", json=again | {"model": calibration["id"]}), 422, "invalid_input", "the model that it was made from"
     )
 
 
@@ -185,10 +189,13 @@ def test_wheel_speeds_stand_in_for_positions(service: TestClient, ground_id: str
     for changed, words in (
         ({"heightmap_id": ground_id}, "leave heightmap_id out"),
         ({"runs": [runs_id]}, "name the heightmap"),
-        ({"runs": [runs_id, sent["id"]], "heightmap_id": ground_id}, "are calibrated apart"),
+        ({"runs": [runs_id, sent["id"]], "heightmap_id": ground_id}, "separately"),
     ):
         check_problem(service.post("/v1/calibrations", json=asked | changed), 422, "invalid_input", words)
-    for wrong, words in (({"heightmap_id": ground_id}, "lie on no heightmap"), ({"odometry_track_m": "0"}, "greater")):
+    for wrong, words in (
+        ({"heightmap_id": ground_id}, "belong to no heightmap"),
+        ({"odometry_track_m": "0"}, "greater"),
+    ):
         refused = service.post("/v1/runs", files=files, params=how | wrong)
         check_problem(refused, 422, refused.json()["code"], words)
     alone = service.post("/v1/runs", files=files, params={"terrain_from_name": "true"})
@@ -276,9 +283,13 @@ def test_bad_questions(service: TestClient, ground_id: str, runs_id: str) -> Non
     for changed, status, code, words in (
         ({"heightmap_id": "hm-none"}, 404, "not_found", "hm-none"),
         ({"runs": ["runs-none"]}, 404, "not_found", "runs-none"),
-        ({"base_runs": ["runs-none"]}, 404, "not_found", "runs-none"),
-        ({"aside_runs": ["runs-none"]}, 404, "not_found", "runs-none"),
+        ({"baseline_runs": ["runs-none"]}, 404, "not_found", "runs-none"),
+        ({"test_runs": ["runs-none"]}, 404, "not_found", "runs-none"),
+        ({"test_runs": [runs_id]}, 422, "invalid_input", "none to learn from"),
+        ({"base_runs": ["runs-none"]}, 404, "not_found", "runs-none"),  # former names
         ({"aside_runs": [runs_id]}, 422, "invalid_input", "none to learn from"),
+        ({"aside_runs": [], "test_runs": []}, 422, "invalid_request", "former name of `test_runs`"),
+        ({"base_runs": [], "baseline_runs": []}, 422, "invalid_request", "former name of `baseline_runs`"),
         ({"runs": []}, 422, "invalid_request", "runs"),
         ({"model": "../physics"}, 422, "invalid_model", "known are physics"),
         ({"robot": {"mass_kg": -1.0}}, 422, "invalid_robot", "mass_kg"),

@@ -53,7 +53,7 @@ def test_document_is_up_to_date() -> None:
 
 
 def test_every_field_is_described() -> None:
-    """Units stand in descriptions, so none may be missing, but where the name says it all."""
+    """Units are given in descriptions, so none may be missing, except where the name says everything."""
     plain = {"id", "status", "links", "total", "items", "rows", "cols", "crs", "type", "title", "detail", "code"}
     plain |= {"name", "version", "planners", "created_at", "heightmap_id", "request_id", "feasible", "hash", "planner"}
     plain |= {"start", "goal", "path", "profile", "shortest", "warnings", "out", "frame", "blocked", "robot", "free"}
@@ -149,7 +149,7 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
 
 def point_towards_the_map(body: dict[str, Any], known: dict[str, str]) -> None:
     """Random places are nearly always outside: put the well-formed ones on the map. Time limits stay short."""
-    for key in ("runs", "base_runs", "aside_runs"):
+    for key in ("runs", "baseline_runs", "test_runs"):
         if isinstance(body.get(key), list) and body[key] and all(isinstance(v, str) for v in body[key]):
             body[key] = [known["runs_id"]]
     if isinstance(body.get("heightmap_id"), str):

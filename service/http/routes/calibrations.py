@@ -1,4 +1,4 @@
-"""Calibrations: asked for, listed, told about, deleted."""
+"""Calibrations: create, list, get, delete."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PLACE = "/v1/calibrations"
 
 
 class CalibrationList(BaseModel):
-    """One page, newest first, without reports."""
+    """Calibrations, newest first, without reports."""
 
     total: int
     items: list[CalibrationOut]
@@ -44,21 +44,21 @@ class CalibrationList(BaseModel):
     },
 )
 async def make_calibration(wanted: CalibrationRequest, service: ServiceDep, prefer: Prefer = None) -> Response:
-    """Ask what a model lacks on measured runs: effects with evidence, and a model that has them; in the background."""
+    """Find what a model lacks on measured runs, and make a calibrated model; in the background."""
     row = await anyio.to_thread.run_sync(_enqueue, service, wanted)
     return await job_answer(service, row.id, PLACE, prefer, load=service.store.calibration, answer=calibration_out)
 
 
 @router.get("", responses=problems())
 def list_calibrations(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CalibrationList:
-    """The calibrations that are kept or being made, newest first."""
+    """All calibrations, newest first."""
     rows, total = service.store.calibrations(limit=limit, offset=offset)
     return CalibrationList(total=total, items=[calibration_out(row, with_report=False) for row in rows])
 
 
 @router.get("/{calibration_id}", responses=problems(404))
 def get_calibration(calibration_id: str, service: ServiceDep) -> CalibrationOut:
-    """Status and progress; when done, the report and the id of the model that has what was found."""
+    """Status and progress; when done, the report and the id of the calibrated model."""
     return calibration_out(service.store.calibration(calibration_id))
 
 
@@ -68,27 +68,25 @@ def get_calibration(calibration_id: str, service: ServiceDep) -> CalibrationOut:
     responses={200: {"description": "The report as a page"}, **problems(404, 409)},
 )
 def get_report(calibration_id: str, service: ServiceDep) -> HTMLResponse:
-    """The report with its plots, in one file without anything to load."""
+    """The report with its figures, in one file that loads nothing else."""
     row = service.done_calibration(calibration_id)
     return HTMLResponse((service.store.calibration_folder(row.id) / PAGE).read_bytes())
 
 
 @router.delete("/{calibration_id}", status_code=204, responses=problems(404, 409))
 def delete_calibration(calibration_id: str, service: ServiceDep) -> None:
-    """Delete a calibration and its model, or stop one that is being made; refused while cost maps use the model."""
+    """Delete a calibration and its model, or stop one that is running; refused while cost maps use the model."""
     service.delete_calibration(calibration_id)
 
 
 def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
-    """Raises what can be known to be wrong without calibrating: NotFoundError, RobotError, ModelError, InputError,
-    TooLargeError, and BusyError.
-    """
+    """Check what can be checked without calibrating, and put the calibration into the queue."""
     ground = None if wanted.heightmap_id is None else service.store.heightmap(wanted.heightmap_id).id
-    aside = list(dict.fromkeys(wanted.aside_runs))
-    runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in aside]
+    test, baseline = list(dict.fromkeys(wanted.test_runs)), list(dict.fromkeys(wanted.baseline_runs))
+    runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in test]
     if not runs:
-        raise InputError("all runs are kept aside: there is none to learn from", field="aside_runs")
-    sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*runs, *wanted.base_runs, *aside])]
+        raise InputError("all runs are test runs: there is none to learn from", field="test_runs")
+    sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*runs, *baseline, *test])]
     settings = service.settings
     for key, limit in (("rows", settings.max_calibration_rows), ("segments", settings.max_calibration_segments)):
         count = sum(run[key] for row in sent for run in row.stats)
@@ -102,21 +100,24 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     if ground is None and odometry is None:
         raise InputError("name the heightmap that these runs were driven on", field="heightmap_id")
     if ground is not None and odometry is not None:
-        raise InputError("runs without positions lie on no heightmap: leave heightmap_id out", field="heightmap_id")
+        raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
     robot = Robot.from_mapping(robot_values(wanted.robot))
     predictor = find_predictor(wanted.model, models_dir=settings.resolved_models_dir)
     refuse_calibrated(wanted.model, predictor)
     service.jobs.check_room(CALIBRATION)
     asked = wanted.model_dump(include={"model", "start", "goal", "seed"})
-    asked |= {"runs": runs, "base_runs": list(dict.fromkeys(wanted.base_runs)), "aside_runs": aside}
+    asked |= {"runs": runs, "base_runs": baseline, "test_runs": test}
     row = service.store.add_calibration(ground, {"robot": robot.as_dict(), "odometry": odometry, **asked})
     service.jobs.submit()
     return row
 
 
 def _odometry_of(sent: Sequence[RunsRow]) -> dict[str, Any] | None:
-    """How runs without positions are read, None of runs with positions. Raises InputError where they differ."""
+    """How runs without positions are read, None for runs with positions. Raises InputError if they differ."""
     first, *others = [run.get("odometry") for row in sent for run in row.stats]
     if any(other != first for other in others):
-        raise InputError("runs with and without positions, or of different tracks, are calibrated apart", field="runs")
+        raise InputError(
+            "calibrate runs with positions, runs without positions, and runs of different track widths separately",
+            field="runs",
+        )
     return first

@@ -1,4 +1,4 @@
-"""Measured runs: sent, listed, told about, deleted."""
+"""Measured runs: send, list, get, delete."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
 
 
 class RunsList(BaseModel):
-    """One page, newest first."""
+    """Measured runs, newest first."""
 
     total: int
     items: list[RunsOut]
@@ -32,29 +32,36 @@ async def send_runs(
     service: KernelsDep,
     heightmap_id: Annotated[
         str | None,
-        Query(max_length=100, description="that they were driven on; `lat` and `lon` need its coordinate system"),
+        Query(
+            max_length=100, description="heightmap that they were driven on; `lat` and `lon` need its coordinate system"
+        ),
     ] = None,
     odometry_track_m: Annotated[
         float | None,
         Query(
             gt=0.0,
             le=100.0,
-            description="the runs have no positions: integrate `speed_left` and `speed_right`, for "
-            "wheels whose sides are so far apart as the robot turns [m]",
+            description="the runs have no positions: integrate `speed_left` and `speed_right` with this effective "
+            "track width [m]",
         ),
     ] = None,
     terrain_from_name: Annotated[
-        bool, Query(description="with odometry_track_m: snow_02.csv was driven on snow")
+        bool, Query(description="with odometry_track_m: the file snow_02.csv was driven on snow")
     ] = False,
     name: Annotated[
-        str, Query(min_length=1, max_length=200, description="of a run that is the raw body; a form says it itself")
+        str,
+        Query(
+            min_length=1,
+            max_length=200,
+            description="name of a run that is the raw body; in a form, the file has a name",
+        ),
     ] = "run.csv",
 ) -> RunsOut:
-    """Send measured runs (CSV, Parquet), each as a form field `file`, or one as the raw body; all are kept or none."""
+    """Send measured runs (CSV, Parquet): each as a form field `file`, or one as the raw body. All are kept or none."""
     if terrain_from_name and odometry_track_m is None:
         raise InputError("terrain_from_name goes with odometry_track_m", field="terrain_from_name")
     if heightmap_id is not None and odometry_track_m is not None:
-        raise InputError("runs without positions lie on no heightmap: leave heightmap_id out", field="heightmap_id")
+        raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
     odometry = None if odometry_track_m is None else Odometry(odometry_track_m, terrain_from_name)
     if media_type(request) == "multipart/form-data":
         async with request.form(max_files=service.settings.max_runs, max_fields=20) as form:
@@ -67,18 +74,18 @@ async def send_runs(
 
 @router.get("", responses=problems())
 def list_runs(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> RunsList:
-    """The runs that are kept, newest first."""
+    """All runs, newest first."""
     rows, total = service.store.all_runs(limit=limit, offset=offset)
     return RunsList(total=total, items=[runs_out(row) for row in rows])
 
 
 @router.get("/{runs_id}", responses=problems(404))
 def get_runs(runs_id: str, service: ServiceDep) -> RunsOut:
-    """What was read of runs that were sent together, and what was left out and why."""
+    """What was read from runs that were sent together, and what was left out and why."""
     return runs_out(service.store.runs(runs_id))
 
 
 @router.delete("/{runs_id}", status_code=204, responses=problems(404, 409))
 def delete_runs(runs_id: str, service: ServiceDep) -> None:
-    """Delete runs; refused while calibrations made from them are kept."""
+    """Delete runs; refused while there are calibrations made from them."""
     service.store.delete_runs(runs_id)
