@@ -12,7 +12,7 @@ from joulemap.model.field.drives import Drive
 from joulemap.model.field.hidden_draws import WORDS, conditions_for, day_for, draw_effect
 from joulemap.model.field.logger import RunLog, log_trace
 from joulemap.model.field.robots import FieldRobot
-from joulemap.model.field.simulation import simulate_trace, with_stands
+from joulemap.model.field.simulation import simulate_trace, with_halts
 from joulemap.model.field.sites import Site
 
 _DAY_S = 86400.0
@@ -70,7 +70,7 @@ def simulate_day(
         stations = np.sort(rng.choice(drive.x.size - 1, int(rng.integers(2, 5)), replace=False))
         conditions = replace(conditions, halts=Halts(stations, rng.uniform(3.0, 12.0, stations.size)))
         trace = simulate_trace(site, robot, drive, rng=rng, effects=effects, conditions=conditions)
-        trace = with_stands(trace, conditions.halts)
+        trace = with_halts(trace, conditions.halts)
         words = site.words_at(trace.x, trace.y)
         yield log_trace(trace, robot, rng=rng, terrain=words, conditions=conditions, current_gain=gain)
         driven += drive.length_m

@@ -68,8 +68,8 @@ def drive_along(
         x, y = _resample(x, y)
     if rng is not None and wander_m > 0:
         heading = _track_heading(x, y)
-        aside = smooth_noise(rng, x.size, wander_length_m / STEP_M) * wander_m
-        x, y = _resample(x + aside * np.cos(heading), y - aside * np.sin(heading))
+        sideways = smooth_noise(rng, x.size, wander_length_m / STEP_M) * wander_m
+        x, y = _resample(x + sideways * np.cos(heading), y - sideways * np.sin(heading))
     heading = _track_heading(x, y)
     drive = Drive(x, y, heading, np.full(x.size, float(speed_mps)))
     turning = gaussian_filter1d(np.abs(drive.curvature), 2.0, mode="nearest")
@@ -116,14 +116,18 @@ def random_waypoints(
 
 
 def winding(
-    bounds: tuple[float, float, float, float], length_m: float, rng: np.random.Generator, *, bend_per_m: float = 0.25
+    bounds: tuple[float, float, float, float],
+    length_m: float,
+    rng: np.random.Generator,
+    *,
+    curvature_per_m: float = 0.25,
 ) -> list[tuple[float, float]]:
-    """Points of one bend after another, `bend_per_m` [rad/m] rms, smooth over 2 m; turns back before the bounds."""
+    """Points of one bend after another, `curvature_per_m` [rad/m] rms, smooth over 2 m; turns back before the bounds."""
     west, south, east, north = bounds
     x, y = float(rng.uniform(west, east)), float(rng.uniform(south, north))
     centre = (west + east) / 2, (south + north) / 2
     step = 0.25
-    bends = bend_per_m * smooth_noise(rng, max(int(length_m / step), 2), 2.0 / step)
+    bends = curvature_per_m * smooth_noise(rng, max(int(length_m / step), 2), 2.0 / step)
     heading = math.atan2(centre[0] - x, centre[1] - y)
     points = [(x, y)]
     for bend in bends:

@@ -58,8 +58,8 @@ class AirDrag(Effect):
         """Speed of the air against the robot times its part along the motion [m2/s2], > 0 from ahead."""
         wind, source = ride.conditions.wind.at(ride.clock_s)
         ahead = ride.drive.speed_mps + wind * np.cos(ride.drive.heading_rad - source)
-        aside = wind * np.sin(ride.drive.heading_rad - source)
-        return np.hypot(ahead, aside) * ahead
+        sideways = wind * np.sin(ride.drive.heading_rad - source)
+        return np.hypot(ahead, sideways) * ahead
 
 
 @dataclass(frozen=True)

@@ -162,14 +162,14 @@ def _move(
             half_track = 0.5 * track * math.cos(roll)
             for i in range(4):
                 ahead = half_base if i < 2 else -half_base
-                aside = -half_track if i % 2 == 0 else half_track
+                sideways = -half_track if i % 2 == 0 else half_track
                 wheel[i] = _wheel(
                     terrain,
                     west,
                     north,
                     res,
-                    x[k] + ahead * sx + aside * cy,
-                    y[k] + ahead * cy - aside * sx,
+                    x[k] + ahead * sx + sideways * cy,
+                    y[k] + ahead * cy - sideways * sx,
                     sx,
                     cy,
                     radius,

@@ -144,7 +144,7 @@ class Ground:
     mu : rolling loss over load, at a quarter of the robot's weight per wheel. load_exponent : how much faster than the
     load the loss grows. bump_loss : share of the lifted energy that a wheel loses when it climbs relative to the
     chassis and drops. bump_speed_mps : speed at which that loss has doubled. scrub : side friction of the tyres when
-    turning. hollow_share : rolling loss added in hollows (softer, wetter), per 0.1 m of depth below the 3 m around.
+    turning. tpi_share : rolling loss added in hollows (softer, wetter), per 0.1 m of depth below the 3 m around.
     patchiness : spread of mu from place to place (about 6 m) that no height explains. spread : multiplicative spread
     of the power at the wheels, correlated over spread_length_m, that nothing explains. tussock_m : rms of the relief
     finer than a survey sees.
@@ -156,7 +156,7 @@ class Ground:
     bump_loss: float = 0.9
     bump_speed_mps: float = 1.0
     scrub: float = 0.12
-    hollow_share: float = 0.30
+    tpi_share: float = 0.30
     patchiness: float = 0.02
     spread: float = 0.12
     spread_length_m: float = 1.0

@@ -153,7 +153,7 @@ def simulate_segments(
     return true_segments(simulate_trace(site, robot, drive, rng=rng), max_driven_m=max_driven_m)
 
 
-def with_stands(trace: Trace, halts: Halts) -> Trace:
+def with_halts(trace: Trace, halts: Halts) -> Trace:
     """The same drive with its halts. Each of them adds a station."""
     after, waited = halts.stations, halts.waited_s(trace.t.size + 1)
     columns = {}

@@ -31,7 +31,7 @@ GROUNDS: Mapping[str, Ground] = {
     "grass": Ground(),
     "soft_grass": Ground(name="grass", mu=0.072, bump_loss=0.95, patchiness=0.03),
     "dirt": Ground(
-        name="dirt", mu=0.045, load_exponent=0.12, bump_loss=1.0, scrub=0.16, hollow_share=0.20, tussock_m=0.003
+        name="dirt", mu=0.045, load_exponent=0.12, bump_loss=1.0, scrub=0.16, tpi_share=0.20, tussock_m=0.003
     ),
 }
 
@@ -181,7 +181,7 @@ def random_ground(rng: np.random.Generator) -> Ground:
         load_exponent=float(rng.uniform(0.05, 0.4)),
         bump_loss=base.bump_loss * math.exp(0.3 * rng.standard_normal()),
         scrub=base.scrub * math.exp(0.3 * rng.standard_normal()),
-        hollow_share=base.hollow_share * math.exp(0.4 * rng.standard_normal()),
+        tpi_share=base.tpi_share * math.exp(0.4 * rng.standard_normal()),
     )
 
 
@@ -247,7 +247,7 @@ def _soil(
     ratio = _SOIL_M / frame.resolution_m
     at = map_coordinates(gaussian_filter(heights, ratio, mode="nearest"), [row, col], order=1, mode="nearest")
     depth = gaussian_filter(at, 1.5 / _SOIL_M, mode="nearest") - at
-    explained = 1.0 + ground.hollow_share * np.clip(depth / 0.1, -3.0, 3.0)
+    explained = 1.0 + ground.tpi_share * np.clip(depth / 0.1, -3.0, 3.0)
     patches = gaussian_filter(rng.standard_normal(coarse.shape), 3.0 / _SOIL_M, mode="wrap")
     factor = explained * np.exp(ground.patchiness * patches / patches.std())
     return Heightmap(explained.astype(np.float32), coarse), Heightmap(factor.astype(np.float32), coarse)

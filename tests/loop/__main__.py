@@ -70,7 +70,7 @@ def document(table: str, options: argparse.Namespace) -> str:
     command += f" --calibrator {options.calibrator}" if options.calibrator != CALIBRATOR else ""
     return (
         "# Blind cases\n\n"
-        "The simulated field hides effects in runs (`model/field/blind_case.py`), and the loop is given only the "
+        "The simulated field hides effects in runs (`model/field/validation_case.py`), and the loop is given only the "
         "runs. Field and loop share no formula.\n\n"
         f"`{command}`, {dt.date.today()}, {os.cpu_count()} cores of {_processor()}, Python {platform.python_version()}."
         f"\n\n{table}\n\n{LEGEND}\n"

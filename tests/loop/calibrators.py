@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.predictor import load_predictor
-from joulemap.model.field.blind_case import BlindTruth
+from joulemap.model.field.validation_case import CaseTruth
 from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_calibration_runs, read_segments
@@ -27,7 +27,7 @@ class Joulemap:
     """What `joulemap calibrate` does, given no more than its options."""
 
     def calibrate(
-        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
+        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: CaseTruth
     ) -> dict[str, Any]:
         ground, declared = read_heightmap(heightmap), Robot.from_toml(robot)
         read = read_calibration_runs(runs, declared, crs=ground.frame.crs)
@@ -46,7 +46,7 @@ class Nothing:
     """Finds nothing, whatever there is."""
 
     def calibrate(
-        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
+        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: CaseTruth
     ) -> dict[str, Any]:
         _, segments = read_segments(runs, Robot.from_toml(robot), crs=read_heightmap(heightmap).frame.crs)
         before = _mean_error(self.predict(model, heightmap, segments, robot, out), segments)
@@ -65,7 +65,7 @@ class Oracle:
     exactly what the effects took."""
 
     def calibrate(
-        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
+        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: CaseTruth
     ) -> dict[str, Any]:
         self._truth = truth
         _, segments = read_segments(runs, Robot.from_toml(robot), crs=read_heightmap(heightmap).frame.crs)

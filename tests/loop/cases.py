@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.predictor import load_predictor
-from joulemap.model.field.blind_case import BlindTruth, RunTruth, make_blind_case, write_base
+from joulemap.model.field.validation_case import CaseTruth, RunTruth, make_validation_case, write_baseline
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.segments import Segments
@@ -46,7 +46,7 @@ class Calibrator(Protocol):
     """What is tried: finds effects in runs, and predicts with the model that it left behind."""
 
     def calibrate(
-        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: BlindTruth
+        self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: CaseTruth
     ) -> dict[str, Any]:
         """The report (its format is that of report.json). Only an oracle looks at the truth.
 
@@ -142,7 +142,7 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
     base = base_model(site_seed, work)
     folder = work / "cases" / f"{case}-{seed}"
     shutil.rmtree(folder, ignore_errors=True)
-    truth = make_blind_case(seed, effects, folder / "case", site_seed=site_seed, twins=folder / "twins")
+    truth = make_validation_case(seed, effects, folder / "case", site_seed=site_seed, without_effects=folder / "twins")
     home, robot_file = folder / "case", folder / "case" / "robot.toml"
     new = sorted((home / "new").glob("*.csv"))
     began = time.perf_counter()
@@ -200,7 +200,7 @@ def base_model(site_seed: int, work: Path, *, anew: bool = False) -> Path:
     """
     folder = work / "sites" / str(site_seed)
     if anew or not (folder / "base").is_dir():
-        write_base(site_seed, folder)
+        write_baseline(site_seed, folder)
     files = sorted(folder.glob("base/*.csv"))
     with resources.as_file(resources.files("joulemap.model") / "weights") as shipped:
         digest = hashlib.sha256((shipped / "config.json").read_bytes())
@@ -213,7 +213,7 @@ def base_model(site_seed: int, work: Path, *, anew: bool = False) -> Path:
     return out
 
 
-def fits_of(report: dict[str, Any], truth: BlindTruth) -> tuple[Fit, ...]:
+def fits_of(report: dict[str, Any], truth: CaseTruth) -> tuple[Fit, ...]:
     """Every true coefficient that the report states in the same unit, under the effect's own name."""
     found = []
     for known in truth.coefficients:
@@ -241,7 +241,7 @@ def extra_energy(truth: RunTruth, segments: Segments) -> FloatArray:
 
 
 def _segments_with_extra(
-    files: Sequence[Path], place: str, heightmap: Path, robot: Robot, truth: BlindTruth
+    files: Sequence[Path], place: str, heightmap: Path, robot: Robot, truth: CaseTruth
 ) -> tuple[Segments, FloatArray]:
     _, segments = read_segments(files, robot, crs=read_heightmap(heightmap).frame.crs)
     extra = np.zeros(len(segments))

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from joulemap.model.field.blind_case import BlindTruth, Coefficient
+from joulemap.model.field.validation_case import CaseTruth, Coefficient
 from tests.loop.calibrators import Nothing, Oracle
 from tests.loop.cases import Outcome, append_outcome, fits_of, read_outcomes, try_case
 from tests.loop.table import table_of
@@ -56,7 +56,7 @@ def test_outcomes_are_kept_as_they_are(tmp_path):
 
 
 def test_coefficients_are_compared_where_effect_and_unit_agree():
-    truth = BlindTruth(
+    truth = CaseTruth(
         0, 0, (), (Coefficient("turning", 100.0, "J/rad"), Coefficient("drift", 2.0, "J/m/h")), {}, {}, {}
     )
     stated = {"name": "turning", "value": 90.0, "unit": "J/rad", "ci95": [80.0, 95.0]}

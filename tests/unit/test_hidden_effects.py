@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import InputError, NotFoundError
-from joulemap.model.field.blind_case import make_blind_case
+from joulemap.model.field.validation_case import make_validation_case
 from joulemap.model.field.conditions import Conditions, Day, Halts, Wind
 from joulemap.model.field.drives import drive_along, winding
 from joulemap.model.field.effects import Effect, Within
@@ -28,7 +28,7 @@ from joulemap.model.field.hidden_forces import (
 from joulemap.model.field.hidden_losses import Braking, Connector, HotelLoad, HotMotors, SensorGain
 from joulemap.model.field.logger import Logger, log_trace, simulate_run
 from joulemap.model.field.robots import FieldRobot, Ground
-from joulemap.model.field.simulation import simulate_trace, with_stands
+from joulemap.model.field.simulation import simulate_trace, with_halts
 from joulemap.model.field.sites import Site
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
@@ -254,7 +254,7 @@ def test_a_gusty_wind_has_its_mean_and_its_spread():
 
 def test_a_halt_takes_time_and_standing_power_only():
     driven = trace(HotelLoad(5.0))
-    halted = with_stands(driven, Halts(np.array([100, 250]), np.array([4.0, 6.0])))
+    halted = with_halts(driven, Halts(np.array([100, 250]), np.array([4.0, 6.0])))
     assert halted.t[-1] == pytest.approx(driven.t[-1] + 10.0)
     assert halted.energy_j()[-1] == pytest.approx(driven.energy_j()[-1] + 10.0 * (IDLE + 5.0))
     np.testing.assert_array_equal(halted.x[101], halted.x[100])
@@ -265,7 +265,7 @@ def test_a_halt_takes_time_and_standing_power_only():
 def test_the_wind_goes_on_while_the_robot_stands():
     halts = Halts(np.array([100, 250]), np.array([4.0, 6.0]))
     there = Conditions(wind=Wind.gusty(5.0, 0.0, np.random.default_rng(5)), halts=halts)
-    halted = with_stands(trace(AirDrag(0.5), conditions=there), halts)
+    halted = with_halts(trace(AirDrag(0.5), conditions=there), halts)
     moving = halted.speed_mps > 0
     wind, source = there.wind.at(halted.t)
     ahead = 0.5 + wind * np.cos(source)
@@ -297,14 +297,14 @@ def test_an_unknown_effect_is_refused():
 
 
 @pytest.fixture(scope="module")
-def blind(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("blind")
-    truth = make_blind_case(1, [HotelLoad(9.0), "turning"], folder / "case", twins=folder / "twins")
+def case(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("case")
+    truth = make_validation_case(1, [HotelLoad(9.0), "turning"], folder / "case", without_effects=folder / "twins")
     return folder, truth
 
 
-def test_a_blind_case_has_the_layout_and_columns_of_the_format(blind):
-    folder, truth = blind
+def test_a_validation_case_has_the_layout_and_columns_of_the_format(case):
+    folder, truth = case
     names = sorted(str(p.relative_to(folder / "case")) for p in (folder / "case").rglob("*") if p.is_file())
     runs = [f"base/run_{k:02d}.csv" for k in range(1, 7)] + [f"new/run_{k:02d}.csv" for k in range(1, 7)]
     others = ["other_site/run_01.csv", "other_site/run_02.csv"]
@@ -317,11 +317,11 @@ def test_a_blind_case_has_the_layout_and_columns_of_the_format(blind):
     )
     assert truth.names == ("hotel_load", "turning")
     with pytest.raises(InputError, match="holds runs already"):
-        make_blind_case(1, [], folder / "case")
+        make_validation_case(1, [], folder / "case")
 
 
-def test_the_truth_of_a_blind_case_is_what_its_log_shows(blind):
-    folder, truth = blind
+def test_the_truth_of_a_validation_case_is_what_its_log_shows(case):
+    folder, truth = case
     case = folder / "case" / "new" / "run_02.csv"
     run = read_run(case)
     segments = cut_segments(run)
@@ -342,7 +342,7 @@ def test_the_truth_of_a_blind_case_is_what_its_log_shows(blind):
 
 
 def test_without_effects_a_perfect_model_needs_to_know_none(tmp_path):
-    truth = make_blind_case(2, [], tmp_path / "case")
+    truth = make_validation_case(2, [], tmp_path / "case")
     assert truth.effects == ()
     assert truth.floor_known == truth.floor_without
     assert 0.04 < truth.floor_known["new"] < 0.09

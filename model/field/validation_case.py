@@ -25,7 +25,7 @@ from joulemap.model.field.hidden_draws import WORDS, conditions_for, day_for, dr
 from joulemap.model.field.logger import Logger, log_trace
 from joulemap.model.field.patterns import PATTERNS, drive_of
 from joulemap.model.field.robots import FieldRobot
-from joulemap.model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_stands
+from joulemap.model.field.simulation import Trace, segment_gains, simulate_trace, take_ride, with_halts
 from joulemap.model.field.sites import TRUE_RESOLUTION_M, Relief, Site, make_site, random_ground
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.synthesis import TerrainRecipe
@@ -33,8 +33,8 @@ from joulemap.model.terrain.writers import write_geotiff
 
 FloatArray = NDArray[np.float64]
 
-BASE_RUNS, NEW_RUNS, OTHER_RUNS = 6, 6, 2
-_BASE_M = 4400.0
+BASELINE_RUNS, NEW_RUNS, OTHER_RUNS = 6, 6, 2
+_BASELINE_M = 4400.0
 _DAY_S = 86400.0
 
 
@@ -62,7 +62,7 @@ class Coefficient:
 
 
 @dataclass(frozen=True)
-class BlindTruth:
+class CaseTruth:
     """What a case hides. floor_known, floor_without : folder -> mean relative error of a perfect model per segment."""
 
     seed: int
@@ -89,17 +89,17 @@ class _Driven:
     plain: Trace
 
 
-def make_blind_case(
+def make_validation_case(
     seed: int,
     effects: Sequence[str | Effect],
     out: str | Path,
     *,
     site_seed: int = 0,
-    twins: str | Path | None = None,
-) -> BlindTruth:
+    without_effects: str | Path | None = None,
+) -> CaseTruth:
     """Write a case's folder and return its truth. effects : names of `hidden_draws`, or effects as they are.
 
-    twins : folder for new/ and other_site/ as the same drives would have been without effects. Same arguments, same
+    without_effects : folder for new/ and other_site/ as the same drives would have been without effects. Same arguments, same
     files. Raises NotFoundError for an unknown effect and InputError for a folder that holds runs already.
     """
     out = Path(out)
@@ -108,7 +108,7 @@ def make_blind_case(
     home, other, robot = place(site_seed)
     rng = np.random.default_rng([seed, site_seed, 2])
     hidden = tuple(e if isinstance(e, Effect) else draw_effect(e, rng, robot) for e in effects)
-    write_base(site_seed, out)
+    write_baseline(site_seed, out)
     (out / "other_site").mkdir()
     write_geotiff(out / "other_site" / "dem.tif", other.survey)
     runs: dict[str, RunTruth] = {}
@@ -124,16 +124,16 @@ def make_blind_case(
             name = f"{folder}/run_{number:02d}.csv"
             noise = int(rng.integers(2**31))
             _log(run.trace, run, robot, hidden, noise, out / name)
-            if twins is not None:
-                _log(run.plain, run, robot, (), noise, Path(twins) / name)
+            if without_effects is not None:
+                _log(run.plain, run, robot, (), noise, Path(without_effects) / name)
             runs[name] = _truth(run, hidden)
             errors.append(_errors(run, hidden))
         total = np.concatenate(errors, axis=1)
         known[folder], without[folder] = (float(total[k].mean()) for k in range(2))
-    return BlindTruth(seed, site_seed, hidden, _coefficients(first, robot, hidden), runs, known, without)
+    return CaseTruth(seed, site_seed, hidden, _coefficients(first, robot, hidden), runs, known, without)
 
 
-def write_base(site_seed: int, out: str | Path) -> Path:
+def write_baseline(site_seed: int, out: str | Path) -> Path:
     """Write dem.tif, robot.toml and base/ of a site: a day without effects, about 4,400 m."""
     home, _, robot = place(site_seed)
     rng = np.random.default_rng([site_seed, 3])
@@ -154,7 +154,7 @@ def write_base(site_seed: int, out: str | Path) -> Path:
     )
     text = "".join(f"{key} = {json.dumps(declared[key])}\n" for key in keys)  # JSON's texts and numbers are TOML's too
     (out / "robot.toml").write_text(text, encoding="utf-8")
-    lengths = np.full(BASE_RUNS, _BASE_M / BASE_RUNS)
+    lengths = np.full(BASELINE_RUNS, _BASELINE_M / BASELINE_RUNS)
     for number, run in enumerate(_drive_day(home, robot, lengths, (), rng, day=1), start=1):
         _log(run.trace, run, robot, (), int(rng.integers(2**31)), out / "base" / f"run_{number:02d}.csv")
     return out
@@ -224,15 +224,15 @@ def _drive_day(
         drive = drive_of(PATTERNS[(pattern + number) % len(PATTERNS)], site, robot, float(length), rng)
         drawn = Conditions.drawn(rng, start_s=clock, driven_m=metres, charge=charge, day=weather)
         conditions = conditions_for(effects, drawn, robot, rng, payload_logged=payload_logged)
-        chance = int(rng.integers(2**31))
+        noise_seed = int(rng.integers(2**31))
         halts_at = np.sort(rng.choice(drive.x.size - 1, int(rng.integers(2, 5)), replace=False))
         conditions = replace(conditions, halts=Halts(halts_at, rng.uniform(3.0, 12.0, halts_at.size)))
         trace = simulate_trace(
-            site, robot, drive, rng=np.random.default_rng(chance), effects=effects, conditions=conditions
+            site, robot, drive, rng=np.random.default_rng(noise_seed), effects=effects, conditions=conditions
         )
         plain = trace
         if effects:
-            plain = simulate_trace(site, robot, drive, rng=np.random.default_rng(chance), conditions=conditions)
+            plain = simulate_trace(site, robot, drive, rng=np.random.default_rng(noise_seed), conditions=conditions)
         driven.append(_Driven(site, drive, conditions, trace, plain))
         metres += drive.length_m
         charge -= float(trace.energy_j()[-1]) / 3600.0 / robot.declared.battery_wh
@@ -242,7 +242,7 @@ def _drive_day(
 
 def _log(trace: Trace, run: _Driven, robot: FieldRobot, effects: Sequence[Effect], seed: int, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    trace = with_stands(trace, run.conditions.halts)
+    trace = with_halts(trace, run.conditions.halts)
     words = run.site.words_at(trace.x, trace.y)
     log = log_trace(
         trace,
@@ -261,7 +261,7 @@ def _gain(effects: Sequence[Effect]) -> float:
 
 def _truth(run: _Driven, effects: Sequence[Effect]) -> RunTruth:
     gain = _gain(effects)
-    trace, plain = (with_stands(each, run.conditions.halts) for each in (run.trace, run.plain))
+    trace, plain = (with_halts(each, run.conditions.halts) for each in (run.trace, run.plain))
     return RunTruth(
         t=trace.t + Logger().standing_s + run.conditions.start_s,
         drawn_j=gain * trace.energy_j(),
