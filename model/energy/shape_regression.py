@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.energy.metrics import mean_relative_error
 from joulemap.model.energy.physics import SEGMENT_M, tan_grade
 from joulemap.model.errors import InputError
 from joulemap.model.frames import heading_vector
@@ -172,9 +173,8 @@ def _ridge(design: FloatArray, energy: FloatArray, penalty: float) -> FloatArray
 
 def _left_out_error(design: FloatArray, energy: FloatArray, fold: NDArray[np.generic], penalty: float) -> float:
     """Mean relative error on every fold, predicted from the others."""
-    relative = []
+    predicted = np.empty_like(energy)
     for one in np.unique(fold):
-        aside = fold == one
-        predicted = design[aside] @ _ridge(design[~aside], energy[~aside], penalty)
-        relative.append(np.abs(predicted - energy[aside]) / energy[aside])
-    return float(np.mean(np.concatenate(relative)))
+        out = fold == one
+        predicted[out] = design[out] @ _ridge(design[~out], energy[~out], penalty)
+    return mean_relative_error(predicted, energy)
