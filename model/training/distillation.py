@@ -28,6 +28,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
 from joulemap.model.training.optimisation import TrainingOptions, train_network
 from joulemap.model.training.pretraining import MAX_TURN_RAD
+from joulemap.model.training.run_record import runs_record
 
 TAUGHT = -1
 """The run of examples that were never driven."""
@@ -131,7 +132,7 @@ def distil_on_runs(
     parent = read_artifact(start_from)
     if parent.architecture != STUDENT:
         raise ModelError(f"{start_from} is no {STUDENT} model: a student cannot start from it")
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
+    runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
     check_runs(segments, heightmap, robot)
     unseen = [str(name) for name in learned.training.get("held_out_runs", [])]
     held = [number for number, name in enumerate(segments.runs) if name in unseen]
@@ -171,6 +172,8 @@ def distil_on_runs(
     training = {
         "data": "measured runs and a teacher's answers",
         "data_hash": examples.data_hash,
+        **runs_record(runs),
+        "stopped_by_held_out": True,  # the teacher's training
         "seed": seed,
         "epochs": result.epochs,
         "teacher_version": knows.provenance()["version"],

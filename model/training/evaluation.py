@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import LEVELS, Spread
 from joulemap.model.errors import InputError
@@ -17,19 +18,35 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.files import read_segments
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.training.run_record import seen_runs
 
 
 def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[str, Any]:
-    """Errors of predicted against measured energies [J] of n segments.
+    """Compare predicted with measured energies of segments.
 
-    segments; mean_relative_error and median_relative_error of |e_hat - e| / e (the paper's eq. 3); rmse_j; bias_j, the
-    mean of measured - predicted; route_relative_error, |sum e_hat - sum e| / sum e of every whole run (mean over runs),
-    and route_relative_errors of each. Raises InputError without a segment.
+    Parameters
+    ----------
+    predicted_j, energy_j : array_like, (n,)
+        Predicted and measured energy [J].
+    run : array_like, (n,)
+        The run of each segment.
+
+    Returns
+    -------
+    dict
+        JSON-able: segments; mean_relative_error and median_relative_error, as `metrics.relative_errors`; rmse_j;
+        bias_j, the mean of measured - predicted; route_relative_errors, |sum e_hat - sum e| / sum e of every whole run;
+        and route_relative_error, their mean.
+
+    Raises
+    ------
+    InputError
+        If there is no segment.
     """
     predicted, energy = np.asarray(predicted_j, dtype=np.float64), np.asarray(energy_j, dtype=np.float64)
     if energy.size == 0:
         raise InputError("there is no segment to judge by")
-    relative = np.abs(predicted - energy) / np.maximum(np.abs(energy), 1e-9)
+    relative = relative_errors(predicted, energy)
     residual = energy - predicted
     by_run = {}
     for one in np.unique(run):
@@ -47,7 +64,20 @@ def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[
 
 
 def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spread: Spread) -> dict[str, float]:
-    """Share of measured segments inside the predicted intervals, by level in percent: {"50": ..., "80": ..., ...}."""
+    """Count how many measured segments are inside the predicted intervals.
+
+    Parameters
+    ----------
+    energy_j, predicted_j, std_j : array_like, (n,)
+        Measured energy, predicted energy and its standard deviation [J].
+    spread : Spread
+        Makes the intervals.
+
+    Returns
+    -------
+    dict
+        Share of the segments by level in percent: {"50": ..., "80": ..., "90": ...}.
+    """
     energy = np.asarray(energy_j, dtype=np.float64)
     inside = {}
     for level in LEVELS:
@@ -59,11 +89,35 @@ def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spre
 def evaluate_on_runs(
     predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path], *, charge: bool = False
 ) -> dict[str, Any]:
-    """Errors of a predictor on measured runs over a heightmap, JSON-able.
+    """Judge a predictor by measured runs over a heightmap.
 
-    The numbers of `errors`, with runs named; `coverage`: share of segments inside the
-    predicted 50, 80 and 90 % intervals, where the model has some; `unknown`: segments on unknown ground; `repairs` and
-    `left_out`: what was mended in the logs, and what was not made a segment, by rule. Raises RunsError, InputError.
+    Parameters
+    ----------
+    predictor : Predictor
+        The model.
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        As its file declares it.
+    files : sequence of Path
+        The logs.
+    charge : bool, optional
+        Count charge times the nominal voltage instead of energy.
+
+    Returns
+    -------
+    dict
+        JSON-able. The numbers of `errors`, with runs named; `coverage`, the share of segments inside the predicted 50,
+        80 and 90 % intervals (None where the model has none); `unknown`, the number of segments on unknown ground;
+        `repairs` and `left_out`, what was repaired in the logs and what was not made a segment, by rule;
+        `seen_in_training`, those of the runs that the model was trained with; `warnings`, which say so in words.
+
+    Raises
+    ------
+    RunsError
+        If a log cannot be read, or does not fit the map and the robot.
+    InputError
+        If no segment is on known ground.
     """
     runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
     check_runs(segments, heightmap, robot)
@@ -74,6 +128,7 @@ def evaluate_on_runs(
     covered = None
     if said.std_j is not None:
         covered = coverage(segments.energy_j[known], said.energy_j[known], said.std_j[known], predictor.spread)
+    seen, warnings = seen_runs(predictor.provenance(), runs)
     return {
         "model": predictor.name,
         **found,
@@ -82,5 +137,6 @@ def evaluate_on_runs(
         "route_relative_errors": by_run,
         "repairs": {run.name: run.repairs for run in runs if run.repairs},
         "left_out": segments.left_out,
-        "warnings": predictor.warnings(heightmap, robot),
+        "seen_in_training": seen,
+        "warnings": [*warnings, *predictor.warnings(heightmap, robot)],
     }

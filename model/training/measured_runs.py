@@ -30,6 +30,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
 from joulemap.model.training.optimisation import TrainingOptions, averaged, train_network
 from joulemap.model.training.pretraining import MAX_TURN_RAD
+from joulemap.model.training.run_record import runs_record
 
 CHECKPOINT = "training.pt"
 FOLDS = 5
@@ -126,7 +127,7 @@ def train_on_runs(
         "data_hash": work.examples.data_hash,
         "heightmap": heightmap.data_hash,
         "robot": robot.as_dict(),
-        "runs": list(segments.runs),
+        **runs_record(runs),
         "held_out_runs": names,
         "held_out": held_out,
         "stopped_by_held_out": not crossed,

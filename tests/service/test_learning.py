@@ -34,12 +34,14 @@ def waves() -> Heightmap:
     return Heightmap((0.3 * np.sin(x[None, :] / 3.0) + 0.1 * np.cos(y[:, None])).astype(np.float32), frame)
 
 
-def drive(folder: Path, name: str, *, y: float, columns: str = "voltage", payload_kg: float = 0.0) -> Path:
-    """A log of 36 m straight to the east, 1.2 times what equation 5 asks for."""
+def drive(
+    folder: Path, name: str, *, y: float, columns: str = "voltage", payload_kg: float = 0.0, more: float = 1.2
+) -> Path:
+    """A log of 36 m straight to the east, `more` times what equation 5 asks for."""
     t = np.arange(0.0, 72.0, 0.1)
     x = 2.0 + ROBOT.speed_mps * t
     grade = tan_grade(waves(), x, 4.0, np.pi / 2)
-    power = 1.2 * ROBOT.price_per_m(ROBOT.weight_n * (ROBOT.rolling_resistance + grade)) * ROBOT.speed_mps
+    power = more * ROBOT.price_per_m(ROBOT.weight_n * (ROBOT.rolling_resistance + grade)) * ROBOT.speed_mps
     volts = ROBOT.nominal_voltage_v
     rows = [
         f"{a:.2f},{b:.4f},{y},{p / volts:.5f},{payload_kg}" + (f",{volts}" if columns else "")
@@ -164,6 +166,40 @@ def test_a_calibration_without_effects_changes_no_prediction_and_leaves_loads_to
     np.testing.assert_array_equal(predict_segments(calibrated, waves(), ROBOT, loaded).energy_j, same.energy_j)
     charge = CalibratedPredictor(base, Correction((), (), charge=True), name="mine", version="1")
     assert np.isfinite(predict_segments(charge, waves(), ROBOT, loaded).energy_j).all()
+
+
+def test_evaluation_on_runs_that_trained_the_model_says_so(tmp_path):
+    files = [drive(tmp_path, f"{k}.csv", y=2.0 + k, more=1.2 + 0.01 * k) for k in range(2)]
+    new = drive(tmp_path, "new.csv", y=5.5, more=1.1)
+    train(files, tmp_path / "mine")
+    renamed = tmp_path / "renamed.csv"
+    renamed.write_bytes(files[1].read_bytes())
+
+    def judged(*runs: Path) -> tuple[list[str], list[str]]:
+        found = evaluate_on_runs(find_predictor(tmp_path / "mine"), waves(), ROBOT, runs)
+        return found["seen_in_training"], [words for words in found["warnings"] if "runs" in words]
+
+    seen, words = judged(renamed, new)
+    assert seen == ["renamed.csv"]
+    assert len(words) == 1
+    assert words[0].startswith(
+        "the model was trained on 1 of these 2 runs: renamed.csv. The errors on them are not held"
+    )
+    assert judged(new) == ([], [])
+    config = tmp_path / "mine" / "config.json"  # a model from before runs were recorded by their data
+    values = json.loads(config.read_text())
+    del values["training"]["run_hashes"]
+    config.write_text(json.dumps(values))
+    assert judged(renamed) == ([], [])
+    seen, words = judged(files[0], new)
+    assert seen == ["0.csv"]
+    assert "by their names: this model keeps no record" in words[0]
+    values["training"] |= {"held_out_runs": ["0.csv"], "stopped_by_held_out": True}
+    config.write_text(json.dumps(values))
+    assert "1 of these 1 runs decided when the model's training stopped" in judged(files[0])[1][0]
+    calibrated = CalibratedPredictor(find_predictor(tmp_path / "mine"), Correction((), ()), name="x", version="1")
+    assert evaluate_on_runs(calibrated, waves(), ROBOT, files[:1])["seen_in_training"] == ["0.csv"]
+    assert evaluate_on_runs(find_predictor("physics"), waves(), ROBOT, files)["seen_in_training"] == []
 
 
 def test_runs_of_one_name_in_several_folders_stay_apart(tmp_path):
