@@ -20,11 +20,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog=(
-        "A first minute: `joulemap demo --exit`. "
+        "Begin with `joulemap demo --exit`. "
         "On your own map: `joulemap costmap dem.tif --robot robot.toml --out dem.zarr`, then "
         "`joulemap path dem.zarr --start X,Y --goal X,Y`. "
         "Exit codes: 0 answered, 2 wrong usage, 3 unusable input, 4 no answer (blocked, no route), 5 not there, "
-        "6 conflict, 7 too large, 8 busy, 1 anything else."
+        "6 conflict, 7 too large, 8 busy, 130 stopped by Ctrl-C, 1 anything else."
     ),
 )
 
@@ -41,8 +41,10 @@ def joulemap(
         bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Energy planner for ground robots: a heightmap in, a directional cost map, an energy-optimal path and a battery
-    verdict out.
+    """Energy planner for ground robots.
+
+    From a heightmap: a directional cost map, the energy-optimal path, and whether the battery lasts. From measured
+    runs: a model of your robot, and what it lacks.
     """
 
 

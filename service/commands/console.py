@@ -297,6 +297,3 @@ def parse_share(text: str | float) -> float:
     if (percent or share > 1.0) and 0.0 <= share <= 100.0:
         raise typer.BadParameter(f"{text} is not a share of 0..1: for {share:g} % write {share / 100.0:g}")
     raise typer.BadParameter(f"{text} is not a share of 0..1")
-
-
-Answer = Output  # until calibration.py uses the new name

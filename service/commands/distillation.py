@@ -43,13 +43,13 @@ def distill(
         ),
     ] = "default",
     answers: Annotated[
-        int, typer.Option(min=100, help="Number of places and headings that the teacher is asked for.")
+        int, typer.Option(min=100, metavar="N", help="Number of places and headings that the teacher is asked for.")
     ] = 20_000,
-    epochs: Annotated[int | None, typer.Option(min=1, help="Passes over the data. [default: 30]")] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, metavar="N", help="Passes over the data. [default: 30]")] = None,
     charge: Annotated[
         bool, typer.Option("--charge", help="Take charge times nominal voltage as the energy, as `train`.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed and data give the same weights.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="The same seed and data give the same weights.")] = 0,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
     *,

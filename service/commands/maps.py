@@ -57,8 +57,10 @@ def costmap(
     out: Annotated[Path, typer.Option("--out", metavar="MAP.zarr", help="Folder to write the cost map to.")],
     robot: RobotFile = None,
     model: ModelName = "default",
-    spacing: Annotated[float, typer.Option(min=0.01, help="Side of a cell of the cost map [m].")] = 1.0,
-    headings: Annotated[int, typer.Option(min=4, max=360, help="Heading bins per cell.")] = 16,
+    spacing: Annotated[float, typer.Option(min=0.01, metavar="M", help="Side of a cell of the cost map [m].")] = 1.0,
+    headings: Annotated[
+        int, typer.Option(min=4, max=360, metavar="N", help="Number of headings of each cell, evenly spaced.")
+    ] = 16,
     max_values: Annotated[
         int,
         typer.Option(
@@ -174,10 +176,12 @@ def path(
         str,
         typer.Option(help="astar or dijkstra (exact on the grid); rrtstar, informed_rrtstar or bitstar (sampling)."),
     ] = "astar",
-    neighbours: Annotated[int, typer.Option(help="Moves of the grid planners: 8, 16 or 32.")] = 16,
+    neighbours: Annotated[
+        int, typer.Option(metavar="N", help="Directions of a step of the grid planners: 8, 16 or 32.")
+    ] = 16,
     refine: Annotated[bool, typer.Option(help="Straighten the grid path to any angle.")] = True,
-    time_limit: Annotated[float, typer.Option(min=0.01, help="Seconds for the sampling planners.")] = 5.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the sampling planners.")] = 0,
+    time_limit: Annotated[float, typer.Option(min=0.01, metavar="S", help="Time for the sampling planners [s].")] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the sampling planners.")] = 0,
     alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
     snap: Snap = False,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
@@ -252,7 +256,8 @@ def feasibility(
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
     snap: Snap = False,
     capacity_wh: Annotated[
-        float | None, typer.Option(help="Energy of the full battery [Wh]. [default: the robot's battery_wh]")
+        float | None,
+        typer.Option(metavar="WH", help="Energy of the full battery [Wh]. [default: the robot's battery_wh]"),
     ] = None,
     charge: StateOfCharge = 1.0,
     reserve: Reserve = 0.0,

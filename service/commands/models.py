@@ -21,7 +21,6 @@ from joulemap.service.commands.options import (
     Reading,
     RobotFile,
     Runs,
-    find_runs,
     known_model,
     reads_heightmap,
     refuse_to_replace,
@@ -80,7 +79,7 @@ def simulate(
     drive: Annotated[
         DriveName, typer.Option(help="Parallel lines, or from one random point to the next.")
     ] = DriveName.LAWNMOWER,
-    runs: Annotated[int, typer.Option(min=1, max=99, help="Number of runs.")] = 4,
+    runs: Annotated[int, typer.Option(min=1, max=99, metavar="N", help="Number of runs.")] = 4,
     robot: RobotFile = None,
     hidden: Annotated[
         list[HiddenEffect] | None,
@@ -100,7 +99,10 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help="The same seed gives the same site and robot, and on the same day the same runs.")
+        int,
+        typer.Option(
+            min=0, metavar="N", help="The same seed gives the same site and robot, and on the same day the same runs."
+        ),
     ] = 0,
     json_file: JsonFile = None,
 ) -> None:
@@ -231,12 +233,15 @@ def train(
     patch_size: Annotated[
         int | None,
         typer.Option(
-            min=32, max=512, help="Rows of a resnet18 patch; 256 in the paper. [default: those of `--from`, else 64]"
+            min=32,
+            max=512,
+            metavar="N",
+            help="Rows of a resnet18 patch; 256 in the paper. [default: those of `--from`, else 64]",
         ),
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option(min=1, help="Most passes over the data. [default: 12 for compact, 60 for resnet18]"),
+        typer.Option(min=1, metavar="N", help="Most passes over the data. [default: 12 for compact, 60 for resnet18]"),
     ] = None,
     charge: Charge = False,
     resume: Annotated[
@@ -244,7 +249,9 @@ def train(
     ] = False,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="The same seed and data give the same weights. [default: 0, or the shipped one's]"),
+        typer.Option(
+            min=0, metavar="N", help="The same seed and data give the same weights. [default: 0, or the shipped one's]"
+        ),
     ] = None,
     overwrite: Overwrite = False,
     json_file: JsonFile = None,
@@ -287,41 +294,39 @@ def train(
         return
     if heightmap is None or not runs:
         raise typer.BadParameter("--heightmap and --runs go together")
-    from dataclasses import asdict
-
     from joulemap.model.terrain.readers import read_heightmap
-    from joulemap.model.training.measured_runs import train_on_runs
-    from joulemap.service.models import start_folder
+    from joulemap.service.library import models as library
 
     with progress_bar("Training") as report:
-        model = train_on_runs(
+        made = library.train(
             read_heightmap(heightmap, **reading),
-            robot_of(robot),
-            find_runs(runs),
+            runs,
             out=out,
+            robot=robot,
             architecture=architecture.value,
-            start_from=start_folder(start_from or ("default" if architecture is _DEFAULT else "none")),
+            start_from=start_from,
             backbone=weights,
             patch_size=patch_size,
             epochs=epochs,
             charge=charge,
             seed=seed or 0,
             resume=resume,
+            overwrite=overwrite,
             progress=report,
-        )
-    output.say(f"[bold]Trained[/] {out}, version {model.version}, {model.epochs} epochs")
+        ).facts
+    output.say(f"[bold]Trained[/] {out}, version {made['version']}, {made['epochs']} epochs")
     output.table(
         {
-            "learned from": f"{model.segments} segments of {runs_words(len(model.runs))}",
-            "held out": f"{', '.join(model.held_out_runs)}: {_errors_words(model.held_out)}"
-            + (" (a little too low: these runs decided when to stop)" if model.stopped_by_held_out else ""),
-            "turning": f"{model.turn_j_per_rad:.1f} J/rad more than straight driving, used in plans too",
+            "learned from": f"{made['segments']} segments of {runs_words(len(made['runs']))}",
+            "held out": f"{', '.join(made['held_out_runs'])}: {_errors_words(made['held_out'])}"
+            + (" (a little too low: these runs decided when to stop)" if made["stopped_by_held_out"] else ""),
+            "turning": f"{made['turn_j_per_rad']:.1f} J/rad more than straight driving, used in plans too",
         }
     )
-    if not model.keeps_runs:
+    if not made["keeps_runs"]:
         why = "they are too few, or lack a voltage"
         output.warn([f"the runs are not kept beside the model ({why}): give them to `calibrate` as --baseline-runs"])
-    output.document({"out": str(out), **asdict(model)})
+    output.document({"out": str(out), **made})
 
 
 @reads_heightmap

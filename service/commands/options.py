@@ -134,24 +134,40 @@ def _heightmap_option(help: str, **more: Any) -> Any:
 
 
 _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library calls it, type, default
-    "resolution": ("resolution_m", Annotated[float | None, _heightmap_option("Side of a cell [m].")], None),
-    "west": ("west_m", Annotated[float, _heightmap_option("x of the western edge [m].")], 0.0),
+    "resolution": (
+        "resolution_m",
+        Annotated[float | None, _heightmap_option("Side of a cell [m].", metavar="M")],
+        None,
+    ),
+    "west": ("west_m", Annotated[float, _heightmap_option("x of the western edge [m].", metavar="X")], 0.0),
     "north": (
         "north_m",
         Annotated[
-            float | None, _heightmap_option("y of the northern edge [m]. [default: y of the southern edge is 0]")
+            float | None, _heightmap_option("y of the northern edge [m]. [default: southern edge at 0]", metavar="Y")
         ],
         None,
     ),
-    "crs": ("crs", Annotated[str | None, _heightmap_option("Coordinate system in metres, like EPSG:32630.")], None),
-    "scale": (
-        "scale_m",
-        Annotated[float | None, _heightmap_option("Metres per stored unit; a PNG needs it. [default: 1]")],
+    "crs": (
+        "crs",
+        Annotated[str | None, _heightmap_option("Coordinate system in metres, like EPSG:32630.", metavar="CRS")],
         None,
     ),
-    "offset": ("offset_m", Annotated[float, _heightmap_option("Height of the stored value 0 [m].")], 0.0),
-    "nodata": ("nodata", Annotated[float | None, _heightmap_option("Stored value that means unknown.")], None),
-    "band": ("band", Annotated[int | None, _heightmap_option("Band of a GeoTIFF with several.", min=1)], None),
+    "scale": (
+        "scale_m",
+        Annotated[float | None, _heightmap_option("Metres per stored unit; a PNG needs it. [default: 1]", metavar="M")],
+        None,
+    ),
+    "offset": ("offset_m", Annotated[float, _heightmap_option("Height of the stored value 0 [m].", metavar="M")], 0.0),
+    "nodata": (
+        "nodata",
+        Annotated[float | None, _heightmap_option("Stored value that means unknown.", metavar="VALUE")],
+        None,
+    ),
+    "band": (
+        "band",
+        Annotated[int | None, _heightmap_option("Band of a GeoTIFF with several, from 1.", min=1, metavar="N")],
+        None,
+    ),
 }
 
 

@@ -51,7 +51,9 @@ def reproduce(
         ),
     ] = ProfileName.DEFAULT,
     full: Annotated[bool, typer.Option("--full", help="Short for `--profile full`.")] = False,
-    seeds: Annotated[int | None, typer.Option(min=1, max=99, help="Sites, robots and drives. [default: 5]")] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, max=99, metavar="N", help="Sites, robots and drives. [default: 5]")
+    ] = None,
     backbone: Annotated[
         Path | None,
         typer.Option(
@@ -66,7 +68,7 @@ def reproduce(
     only: Annotated[
         list[str] | None, typer.Option("--only", metavar="NAME...", help="Only these kinds of experiments.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes side by side, a core each.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, max=64, metavar="N", help="Processes side by side, a core each.")] = 2,
     json_file: JsonFile = None,
 ) -> None:
     """Reproduce the **paper's section V** on simulated sites: both networks, every training strategy, all baselines.

@@ -22,7 +22,8 @@ def serve(
         typer.Option(help="Address to listen at; 0.0.0.0 for every one. [default: JOULEMAP_HOST, else 127.0.0.1]"),
     ] = None,
     port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port to listen at. [default: JOULEMAP_PORT, else 8000]")
+        int | None,
+        typer.Option(min=0, max=65535, metavar="N", help="Port to listen at. [default: JOULEMAP_PORT, else 8000]"),
     ] = None,
     data_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of everything that is kept. [default: data]")
@@ -114,7 +115,10 @@ def demo(
     port: Annotated[
         int | None,
         typer.Option(
-            min=0, max=65535, help="Port; another one is taken if it is in use. [default: JOULEMAP_PORT, else 8000]"
+            min=0,
+            max=65535,
+            metavar="N",
+            help="Port; another one is taken if it is in use. [default: JOULEMAP_PORT, else 8000]",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the picture and the service's data.")] = Path(

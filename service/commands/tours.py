@@ -19,9 +19,11 @@ def tour(
         list[Any],
         typer.Option(metavar="X,Y...", parser=parse_point, help="Places to visit [m, map's CRS], home first."),
     ],
-    neighbours: Annotated[int, typer.Option(help="Moves of the grid: 8, 16 or 32.")] = 16,
+    neighbours: Annotated[int, typer.Option(metavar="N", help="Directions of a step on the grid: 8, 16 or 32.")] = 16,
     refine: Annotated[bool, typer.Option(help="Straighten the legs to any angle.")] = True,
-    time_limit: Annotated[float, typer.Option(min=0.01, help="Longest search for the best order [s].")] = 10.0,
+    time_limit: Annotated[
+        float, typer.Option(min=0.01, metavar="S", help="Longest search for the best order [s].")
+    ] = 10.0,
     charge: StateOfCharge = 1.0,
     reserve: Reserve = 0.0,
     snap: Snap = False,

@@ -15,6 +15,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from joulemap.model.errors import JoulemapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
@@ -22,6 +23,7 @@ from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice_build import MAX_LATTICE_VALUES
 from joulemap.service.cli import app
 from joulemap.service.commands.arguments import RENAMED, one_value_each, with_option_names
+from joulemap.service.commands.console import Output
 from joulemap.service.commands.maps import MOST_VALUES
 
 READING = {"--resolution", "--west", "--north", "--crs", "--scale", "--offset", "--nodata", "--band"}
@@ -264,13 +266,8 @@ def test_snap_takes_the_nearest_free_place(tmp_path: Path) -> None:
         assert abs(x - 13.5) <= 1.0
 
 
-def test_a_model_judged_by_its_own_runs_is_said_to_be(field: Path, tmp_path: Path) -> None:
-    measured = ("--heightmap", field / "dem.tif", "--robot", field / "robot.toml")
-    code, _, errors = joulemap("train", *measured, "--runs", field, "--epochs", "1", "--out", tmp_path / "mine")
-    assert code == 0, errors
-    asked = ("evaluate", *measured, "--model", tmp_path / "mine", "--runs", field / "run_01.csv")
-    code, _, errors = joulemap(*asked)
-    assert code == 0
-    assert "warning:" in errors
-    assert "run_01.csv" in errors
-    assert "trained" in errors
+def test_a_number_that_is_not_finite_is_named_and_never_written(tmp_path: Path) -> None:
+    document = {"type": "Feature", "geometry": {"coordinates": [[1.0, 2.0, 3.0], [1.0, 2.0, float("nan")]]}}
+    with pytest.raises(JoulemapError, match=r"geometry\.coordinates\[1\]\[2\] is not a finite number"):
+        Output(tmp_path / "answer.json").document(document)
+    assert list(tmp_path.iterdir()) == []
