@@ -19,7 +19,7 @@ ELSEWHERE = {
     "images/demo.png": "service/web/demo.png",
     "records/model-card.md": "model/weights/MODEL_CARD.md",
     "records/reproduction.md": "model/REPRODUCTION.md",
-    "records/blind.md": "model/loop/BLIND.md",
+    "records/validation.md": "model/loop/VALIDATION.md",
     **{
         f"records/figures/{figure.name}": f"model/figures/{figure.name}"
         for figure in (ROOT / "model/figures").iterdir()

@@ -1,1 +1,1 @@
-"""Does the loop find what nobody declared? Blind cases over effects and seeds, and the table of how it fared."""
+"""Does a calibration find hidden effects? Validation on unseen cases over effects and seeds, and their table."""

@@ -1,8 +1,8 @@
-"""`python -m tests.loop --effects turning,wind --seeds 8`: try a calibrator on blind cases and print the table.
+"""`python -m tests.loop --effects turning,wind --seeds 8`: validate a calibrator on unseen cases and print the table.
 
-Base models and finished outcomes are kept in --work: a run that was cut off goes on, and `--table` alone prints
-what is there. Two effects together are joined by "+", no effect is "none", of which more seeds are tried: what must
-hardly ever happen takes many cases to see.
+Base models and finished outcomes are kept in --work: a run that was cut off continues, and `--table` alone prints
+what is there. Two effects together are joined by "+". No effect is "none", of which more seeds are used: a rare event
+needs many cases.
 """
 
 from __future__ import annotations
@@ -30,10 +30,12 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--none-seeds", type=int, default=24, help="at least so many cases without an effect")
     parser.add_argument("--calibrator", default=CALIBRATOR, metavar="MODULE:NAME", help=f"[default: {CALIBRATOR}]")
-    parser.add_argument("--work", type=Path, default=Path("data/blind"), help="base models and outcomes are kept here")
+    parser.add_argument(
+        "--work", type=Path, default=Path("data/validation"), help="base models and outcomes are kept here"
+    )
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--write", type=Path, metavar="FILE", help="write the document (model/loop/BLIND.md) too")
-    parser.add_argument("--table", action="store_true", help="try nothing, only show what is there")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the document (model/loop/VALIDATION.md) too")
+    parser.add_argument("--table", action="store_true", help="run nothing, only show what is there")
     options = parser.parse_args()
     singles = ("none", *EFFECT_NAMES)
     known = {"all": (*singles, *PAIRS), "singles": singles, "pairs": PAIRS}
@@ -69,9 +71,9 @@ def document(table: str, options: argparse.Namespace) -> str:
     command += f" --none-seeds {options.none_seeds}" if options.none_seeds != 24 else ""
     command += f" --calibrator {options.calibrator}" if options.calibrator != CALIBRATOR else ""
     return (
-        "# Blind cases\n\n"
-        "The simulated field hides effects in runs (`model/field/validation_case.py`), and the loop is given only the "
-        "runs. Field and loop share no formula.\n\n"
+        "# Validation on unseen cases\n\n"
+        "The simulated field hides effects in runs (`model/field/validation_case.py`), and the calibration gets only "
+        "the runs. Field and calibration share no formula.\n\n"
         f"`{command}`, {dt.date.today()}, {os.cpu_count()} cores of {_processor()}, Python {platform.python_version()}."
         f"\n\n{table}\n\n{LEGEND}\n"
     )

@@ -1,4 +1,4 @@
-"""Calibrators: joulemap itself, and two to try the harness with: one finds nothing, one is told the truth."""
+"""Calibrators: joulemap itself, and two to test the harness with: one finds nothing, one is given the truth."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Oracle:
 
 
 def base_energy(model: Path, heightmap: Path, segments: Segments, robot: Path) -> FloatArray:
-    """What the base model says of segments [J], (n,)."""
+    """Prediction of the base model for segments [J], (n,)."""
     declared = Robot.from_toml(robot)
     ground = read_heightmap(heightmap)
     traction = load_predictor(model).segment_traction(ground, declared, segments.x, segments.y, segments.heading_rad)

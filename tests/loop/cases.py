@@ -1,4 +1,4 @@
-"""One blind case tried: the base model of its site, the calibrator's report, and both held against the truth."""
+"""One validation case: the base model of its site, the calibrator's report, and both compared with the truth."""
 
 from __future__ import annotations
 
@@ -36,25 +36,25 @@ SAME = {
     "temperature": {"learned:temperature"},
     "speed": {"learned:speed"},
 }
-"""Other names under which an effect counts as found: the same thing said without its formula."""
+"""Other names under which an effect counts as found: the same quantity without its formula."""
 
 LEAST_GAIN = 0.01
-"""Of relative error that knowing the truth gains on the second site; where it gains less, no share of it is stated."""
+"""Relative error that the true effect explains on the second site; if it is less, no share of it is stated."""
 
 
 class Calibrator(Protocol):
-    """What is tried: finds effects in runs, and predicts with the model that it left behind."""
+    """What is tested: it finds effects in runs, and predicts with the model that it wrote."""
 
     def calibrate(
         self, model: Path, heightmap: Path, runs: Sequence[Path], robot: Path, out: Path, *, truth: CaseTruth
     ) -> dict[str, Any]:
         """The report (its format is that of report.json). Only an oracle looks at the truth.
 
-        Beside the heightmap lies base/, the runs that the model was made from.
+        The folder of the heightmap contains base/, the runs that the model was made from.
         """
 
     def predict(self, model: Path, heightmap: Path, segments: Segments, robot: Path, out: Path) -> FloatArray:
-        """Energy of segments [J], (n,), by what `calibrate` left in `out`."""
+        """Energy of segments [J], (n,), from what `calibrate` wrote to `out`."""
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ class Fit:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one case went. Errors are mean |predicted - measured| / measured per segment.
+    """The result of one case. Errors are mean |predicted - measured| / measured per segment.
 
     new_before, new_after : the report's, on held-out runs. new_clean : the base model on the same drives without any
     effect. other_* : on the second site, with the base model, the calibrated one, the base model plus the true effect,
     and the base model on the drives without effect. floor : of a perfect model on new/. tried_s : of `calibrate` [s].
-    shadows : what the model holds beside the effects found.
+    covariates : collinear covariates that the model contains in addition to the effects found.
     """
 
     case: str
@@ -88,13 +88,13 @@ class Outcome:
     new_clean: float
     other_before: float
     other_after: float
-    other_told: float
+    other_informed: float
     other_clean: float
     floor: float
     tried_s: float
     fits: tuple[Fit, ...] = ()
     knowable: bool = True
-    shadows: tuple[str, ...] = ()
+    covariates: tuple[str, ...] = ()
 
     @property
     def first_right(self) -> bool:
@@ -111,12 +111,11 @@ class Outcome:
 
     @property
     def gain_share(self) -> float | None:
-        """Of what knowing the true effect gains on the second site; None where that is hardly anything, or not to be
-        known."""
+        """Share of the possible gain on the second site; None where that is hardly anything, or cannot be known."""
         if not self.knowable:
             return None
-        told = self.other_before - self.other_told
-        return (self.other_before - self.other_after) / told if told > LEAST_GAIN else None
+        possible = self.other_before - self.other_informed
+        return (self.other_before - self.other_after) / possible if possible > LEAST_GAIN else None
 
     def hit(self, name: str) -> bool:
         return any(_same(name, true) for true in self.true)
@@ -127,7 +126,7 @@ class Outcome:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Outcome:
         fits = tuple(Fit(**fit) for fit in values["fits"])
-        names = {key: tuple(values.get(key, ())) for key in ("true", "found", "shadows")}
+        names = {key: tuple(values.get(key, ())) for key in ("true", "found", "covariates")}
         return cls(**{**values, **names, "fits": fits})
 
 
@@ -153,7 +152,7 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
     columns: set[str] = set()
 
     def errors(place: str, runs: Path, heightmap: Path) -> tuple[float, float, float]:
-        """(base model, calibrated, base model told the truth) on all runs of a folder."""
+        """(base model, calibrated, base model plus the true effect) on all runs of a folder."""
         segments, extra = _segments_with_extra(sorted(runs.glob("*.csv")), place, heightmap, robot, truth)
         predictor, ground = load_predictor(base), read_heightmap(heightmap)
         traction = predictor.segment_traction(ground, robot, segments.x, segments.y, segments.heading_rad)
@@ -168,7 +167,7 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
         )
 
     second = home / "other_site" / "dem.tif"
-    other_before, other_after, other_told = errors("other_site", home / "other_site", second)
+    other_before, other_after, other_informed = errors("other_site", home / "other_site", second)
     new_clean = errors("new", folder / "twins" / "new", home / "dem.tif")[0]
     other_clean = errors("other_site", folder / "twins" / "other_site", second)[0]
     outcome = Outcome(
@@ -176,13 +175,13 @@ def try_case(case: str, seed: int, calibrator: Calibrator, work: Path) -> Outcom
         seed=seed,
         true=truth.names,
         found=tuple(effect["name"] for effect in report["effects"]),
-        shadows=tuple(effect["name"] for effect in report.get("collinear", [])),
+        covariates=tuple(effect["name"] for effect in report.get("collinear", [])),
         new_before=report["error"]["before"]["mean_relative"],
         new_after=report["error"]["after"]["mean_relative"],
         new_clean=new_clean,
         other_before=other_before,
         other_after=other_after,
-        other_told=other_told,
+        other_informed=other_informed,
         other_clean=other_clean,
         floor=truth.floor_known["new"],
         tried_s=tried_s,
@@ -226,11 +225,11 @@ def fits_of(report: dict[str, Any], truth: CaseTruth) -> tuple[Fit, ...]:
 
 
 _NO_ONE_FORM = {"terrain_class", "local_friction", "cross_slope", "acceleration", "speed", "temperature", "drift"}
-"""Effects whose coefficient depends on the form that is given to them: no truth to cover."""
+"""Effects whose coefficient depends on the form that is chosen: there is no true value to cover."""
 
 
 _NEEDS = {"wind": "wind_speed", "payload": "payload", "local_friction": "nothing that is logged"}
-"""What a log must hold for an effect to be known elsewhere."""
+"""The column a log must have for an effect to be known elsewhere."""
 
 
 def extra_energy(truth: RunTruth, segments: Segments) -> FloatArray:

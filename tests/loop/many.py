@@ -1,4 +1,4 @@
-"""Many blind cases, one by one or in processes of their own."""
+"""Many validation cases, one by one or in processes of their own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def find_calibrator(spec: str) -> Calibrator:
 
 
 def outcomes(todo: list[tuple[str, int]], calibrator: str, work: Path, jobs: int) -> Iterator[Outcome]:
-    """Try cases one by one, or in processes of their own, once every site that they need has its base model."""
+    """Run cases one by one, or in processes of their own, once every site that they need has its base model."""
     for site_seed in sorted({seed % SITES for _, seed in todo}):
         base_model(site_seed, work, anew=True)
     if jobs <= 1:

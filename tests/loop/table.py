@@ -1,4 +1,4 @@
-"""The table of many outcomes, in Markdown: a row for each kind of case, and what must hold of all."""
+"""The table of many outcomes in Markdown: a row for each kind of case, and the requirements."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ import numpy as np
 from tests.loop.cases import Outcome
 
 HEAD = (
-    "| hidden | cases | first right | all named | before | after | clean | floor | after / clean "
-    "| second site: before, after, told, clean | gain | coefficient | covered | wrong names | shadows | s |\n"
+    "| hidden | cases | first right | all named | before | after | without effects | floor | after / without effects "
+    "| second site: before, after, informed, without effects | gain | coefficient | covered | wrong names "
+    "| covariates | s |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
 LEGEND = (
     "*first right*: the first effect named is the hidden one (none: nothing is named). *before*, *after*: mean "
-    "relative error on held-out runs of new/ as the report states it; *clean*: of the same base model on the same "
-    "drives without any effect; *floor*: of a model that knows terrain and effects. *Second site*: the base model, the "
-    "calibrated one, the base model told what the effect truly took, and the base model without the effect; *gain*: "
-    "the share of told's gain that the calibrated one has (median; none for a place, or for a wind or load that is not "
-    "logged). *coefficient*: median of |stated - true| / |true| where a unit is shared; *covered*: true ones within "
-    "the stated 95 % interval. *shadows*: what the model holds beside the effects and calls no cause. *s*: median of "
-    "the calibration."
+    "relative error on held-out runs of new/ as the report states it; *without effects*: of the same base model on the "
+    "same drives without any hidden effect; *floor*: of a model that knows terrain and effects. *Second site*: the "
+    "base model, the calibrated one, an informed prediction (the base model plus the true energy of the effect), and "
+    "the base model without the effect; *gain*: the share of the informed prediction's gain that the calibrated model "
+    "has (median; none for a place, or for a wind or payload that is not logged). *coefficient*: median of "
+    "|stated - true| / |true| where a unit is shared; *covered*: true ones within the stated 95 % interval. "
+    "*covariates*: collinear covariates that the calibrated model contains and that are no causes. *s*: median "
+    "duration of the calibration [s]."
 )
 
 
@@ -38,19 +40,19 @@ def table_of(outcomes: Sequence[Outcome]) -> str:
 
 
 def summary_of(outcomes: Sequence[Outcome]) -> str:
-    """What must hold, and what does."""
+    """The requirements, and what was reached."""
     single = [o for o in outcomes if len(o.true) == 1]
     several = [o for o in outcomes if len(o.true) > 1]
     quiet = [o for o in outcomes if not o.true]
     hidden = single + several
     fits = [fit for o in outcomes for fit in o.fits]
     known = [o for o in hidden if o.knowable]
-    told = sum(o.other_before - o.other_told for o in known)
+    possible = sum(o.other_before - o.other_informed for o in known)
     gained = sum(o.other_before - o.other_after for o in known)
     near = sum(o.new_after <= 1.10 * o.new_clean for o in hidden)
     lines = [
-        _share("the one hidden effect is named first (95 % asked)", sum(o.first_right for o in single), len(single)),
-        _share("of two, both are named (85 % asked)", sum(o.all_right for o in several), len(several)),
+        _share("the one hidden effect is named first (95 % required)", sum(o.first_right for o in single), len(single)),
+        _share("of two, both are named (85 % required)", sum(o.all_right for o in several), len(several)),
         _share(
             "without an effect, something is reported (at most 5 %)", sum(not o.first_right for o in quiet), len(quiet)
         ),
@@ -60,9 +62,9 @@ def summary_of(outcomes: Sequence[Outcome]) -> str:
             sum(f.low <= f.true <= f.high for f in fits),
             len(fits),
         ),
-        f"- on the second site, of the error that knowing the truth saves, all cases together (80 % asked): "
-        f"{gained / told:.0%}"
-        if told > 0
+        f"- on the second site, share of the possible reduction of the error, all cases together (80 % required): "
+        f"{gained / possible:.0%}"
+        if possible > 0
         else "",
         f"- a calibration takes at most {max((o.tried_s for o in outcomes), default=0.0):.0f} s of a 6-run case",
     ]
@@ -77,10 +79,10 @@ def _row(name: str, cases: Sequence[Outcome]) -> str:
     fits = [fit for case in cases for fit in case.fits]
     shares = [case.gain_share for case in cases if case.gain_share is not None]
     wrong = Counter(name for case in cases for name in case.false_finds)
-    shadows = Counter(name + " (hidden)" * case.hit(name) for case in cases for name in case.shadows)
+    covariates = Counter(name + " (hidden)" * case.hit(name) for case in cases for name in case.covariates)
     near = _median([abs(fit.value - fit.true) / abs(fit.true) for fit in fits])
     inside = sum(fit.low <= fit.true <= fit.high for fit in fits)
-    second = [_mean(cases, each) for each in (_before, _after, _told, _clean)]
+    second = [_mean(cases, each) for each in (_before, _after, _informed, _clean)]
     cells = [
         name,
         str(len(cases)),
@@ -95,7 +97,7 @@ def _row(name: str, cases: Sequence[Outcome]) -> str:
         f"{_median(shares):.0%}" if shares else "",
         f"{near:.0%}" if fits else "",
         f"{inside}/{len(fits)}" if fits else "",
-        *(", ".join(f"{word} {count}" for word, count in names.most_common()) for names in (wrong, shadows)),
+        *(", ".join(f"{word} {count}" for word, count in names.most_common()) for names in (wrong, covariates)),
         f"{_median([case.tried_s for case in cases]):.0f}",
     ]
     return "| " + " | ".join(cells) + " |"
@@ -109,8 +111,8 @@ def _after(case: Outcome) -> float:
     return case.other_after
 
 
-def _told(case: Outcome) -> float:
-    return case.other_told
+def _informed(case: Outcome) -> float:
+    return case.other_informed
 
 
 def _clean(case: Outcome) -> float:

@@ -1,4 +1,4 @@
-"""The harness with calibrators whose answers are known: one finds nothing, one is told the truth."""
+"""The harness with calibrators whose answers are known: one finds nothing, one is given the truth."""
 
 import dataclasses
 import math
@@ -20,7 +20,7 @@ FOUND = Outcome(
     new_clean=0.1,
     other_before=0.25,
     other_after=0.13,
-    other_told=0.1,
+    other_informed=0.1,
     other_clean=0.11,
     floor=0.06,
     tried_s=4.0,
@@ -43,7 +43,7 @@ def test_an_outcome_is_judged_by_its_names():
     assert not pair.all_right
     place = dataclasses.replace(FOUND, true=("local_friction",), found=("learned:place",))
     assert place.first_right
-    assert dataclasses.replace(FOUND, other_told=0.245).gain_share is None
+    assert dataclasses.replace(FOUND, other_informed=0.245).gain_share is None
     assert dataclasses.replace(FOUND, knowable=False).gain_share is None
 
 
@@ -72,15 +72,15 @@ def test_coefficients_are_compared_where_effect_and_unit_agree():
 
 
 @pytest.mark.slow
-def test_an_oracle_gains_everything_and_a_sleeper_nothing(tmp_path):
-    told = try_case("turning", 0, Oracle(), tmp_path)
-    assert told.first_right
-    assert told.gain_share == pytest.approx(1.0)
-    assert told.new_after < 0.8 * told.new_before
-    assert all(fit.low <= fit.true <= fit.high for fit in told.fits)
-    assert math.isclose(told.other_after, told.other_told)
-    slept = try_case("turning", 0, Nothing(), tmp_path)
-    assert not slept.first_right
-    assert slept.gain_share == 0.0
-    assert slept.new_before == told.new_before
+def test_an_oracle_gains_everything_and_one_that_finds_nothing_gains_nothing(tmp_path):
+    informed = try_case("turning", 0, Oracle(), tmp_path)
+    assert informed.first_right
+    assert informed.gain_share == pytest.approx(1.0)
+    assert informed.new_after < 0.8 * informed.new_before
+    assert all(fit.low <= fit.true <= fit.high for fit in informed.fits)
+    assert math.isclose(informed.other_after, informed.other_informed)
+    nothing = try_case("turning", 0, Nothing(), tmp_path)
+    assert not nothing.first_right
+    assert nothing.gain_share == 0.0
+    assert nothing.new_before == informed.new_before
     assert not any((tmp_path / "cases").iterdir())
