@@ -81,7 +81,9 @@ def test_what_is_copied_is_there_and_enough(image: Image) -> None:
     copied = {source.removeprefix("./") for sources, _ in image.copies for source in sources}
     for source in copied:
         assert (REPOSITORY / source).exists(), source
-    assert {"pyproject.toml", "README.md", "LICENSE", "model", "planner", "service"} <= copied
+    assert {"pyproject.toml", "README.md", "LICENSE", "joulemap", "model", "planner", "service"} <= copied
+    for link in (path for path in (REPOSITORY / "joulemap").iterdir() if path.is_symlink()):
+        assert link.resolve().name in copied, f"joulemap/{link.name} links to what is not copied"
     ignored = (REPOSITORY / ".dockerignore").read_text().split()
     assert not copied & set(ignored)
     assert {".git", ".venv", "data"} <= set(ignored)
@@ -135,7 +137,8 @@ def test_the_steps_build_a_working_service(image: Image, tmp_path: Path) -> None
             place = root / "app" / target / (source if target == "./" else "")
             origin = REPOSITORY / source
             if origin.is_dir():
-                shutil.copytree(origin, place, ignore=shutil.ignore_patterns("__pycache__"))
+                ignored = shutil.ignore_patterns("__pycache__")
+                shutil.copytree(origin, place, symlinks=True, ignore=ignored)  # COPY keeps links
             else:
                 place.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(origin, place)

@@ -1,4 +1,4 @@
-"""A cost map of a calibrated model beside one of its base: the same to the bit, and the base is not asked again."""
+"""A cost map of a calibrated model reuses one of its base model: bit by bit the same, without computing it."""
 
 from pathlib import Path
 
@@ -55,15 +55,15 @@ def service(tmp_path: Path, monkeypatch):
     store.close()
 
 
-def test_a_calibrated_map_leans_on_the_stored_map_of_its_base(service) -> None:
+def test_a_calibrated_map_reuses_the_stored_map_of_its_base(service) -> None:
     store, make, asked = service
     afresh = fingerprint(store.lattice_path(make("windy")))
     assert sum(asked) > 80 * 80
     base = make("default")
-    leaning = make("windy")
+    reusing = make("windy")
     assert sum(asked) < 64  # but for the question whether the network knows its spread
-    assert fingerprint(store.lattice_path(leaning)) == afresh
-    assert store.costmap(leaning).summary["provenance"]["model"]["kind"] == "calibrated"
+    assert fingerprint(store.lattice_path(reusing)) == afresh
+    assert store.costmap(reusing).summary["provenance"]["model"]["kind"] == "calibrated"
     make("windy", mass_kg=50.0)
     assert sum(asked) > 80 * 80  # another robot
     store.delete_costmap(base)

@@ -37,7 +37,7 @@ def killed_again_and_again(folder: Path, *, times: int, seed: int) -> None:
     url = f"sqlite:///{folder / 'joulemap.db'}"
     store = Store(folder, url)
     store.open()
-    chance = random.Random(seed)
+    random_time = random.Random(seed)
     heightmap_id = store.add_heightmap(rolling(), name="rolling", stats={}).id
     expected = undisturbed(store, folder, url, heightmap_id)
     kills = 0
@@ -51,7 +51,7 @@ def killed_again_and_again(folder: Path, *, times: int, seed: int) -> None:
                     time.sleep(0.01)
                     progress = store.costmap(costmap_id).progress
                 if kills < times:
-                    time.sleep(chance.uniform(0.0, 0.5))
+                    time.sleep(random_time.uniform(0.0, 0.5))
                     process.send_signal(signal.SIGKILL)
                     process.wait()
                     kills += not done()

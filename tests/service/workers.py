@@ -88,7 +88,7 @@ def fingerprint(folder: Path) -> str:
     digest = hashlib.sha256()
     group = zarr.open_group(folder, mode="r")
     for name, array in sorted(group.arrays()):
-        digest.update(name.encode() + np.ascontiguousarray(array[:]).tobytes())
+        digest.update(name.encode() + np.ascontiguousarray(array[...]).tobytes())
     return digest.hexdigest()
 
 
