@@ -157,6 +157,8 @@ class CostMap:
             Whether the legs are improved to any angle.
         snap : bool, optional
             Whether a stop on blocked ground is moved to the nearest free place.
+        snap : bool, optional
+            Whether a stop on blocked ground is moved to the nearest free place.
         time_limit_s : float, optional
             For the search of the order [s].
         progress : callable, optional
