@@ -1,4 +1,4 @@
-"""What a run is driven in: weather, load, charge and hour, and which of it the log records."""
+"""The conditions of a run: weather, load, charge and hour, and which of them the log records."""
 
 from __future__ import annotations
 
@@ -19,9 +19,19 @@ _DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class Wind:
-    """A wind with gusts, one entry per second (k,), repeated when a run lasts longer.
+    """A wind with gusts, one entry per second, repeated when a run lasts longer.
 
-    speed_mps >= 0; from_rad : where it comes from, clockwise from north.
+    Attributes
+    ----------
+    speed_mps : ndarray of float64, (k,)
+        Speed, not negative [m/s].
+    from_rad : ndarray of float64, (k,)
+        Where the wind comes from, clockwise from north [rad].
+
+    Raises
+    ------
+    InputError
+        If the two differ in length, are empty, or a speed is negative.
     """
 
     speed_mps: FloatArray
@@ -33,17 +43,61 @@ class Wind:
 
     @classmethod
     def steady(cls, speed_mps: float, from_rad: float) -> Wind:
+        """Return a wind without gusts.
+
+        Parameters
+        ----------
+        speed_mps : float
+            Speed [m/s].
+        from_rad : float
+            Where it comes from, clockwise from north [rad].
+
+        Returns
+        -------
+        Wind
+            The wind.
+        """
         return cls(np.array([float(speed_mps)]), np.array([float(from_rad)]))
 
     @classmethod
     def gusty(cls, mean_mps: float, from_rad: float, rng: np.random.Generator, *, seconds: int = 1800) -> Wind:
-        """Gusts of a quarter of the mean over about 8 s, lulls and swells over a minute, a direction that veers."""
+        """Draw a wind with gusts, slower changes and a veering direction.
+
+        Gusts of about a quarter of the mean last about 8 s, slower changes about a minute.
+
+        Parameters
+        ----------
+        mean_mps : float
+            Mean speed [m/s].
+        from_rad : float
+            Mean direction from which it comes [rad].
+        rng : numpy.random.Generator
+            Source of the gusts.
+        seconds : int, optional
+            How long the wind lasts before it repeats [s].
+
+        Returns
+        -------
+        Wind
+            The wind.
+        """
         gusts = 0.22 * smooth_noise(rng, seconds, 4.0) + 0.15 * smooth_noise(rng, seconds, 40.0)
         veer = math.radians(12.0) * smooth_noise(rng, seconds, 15.0)
         return cls(mean_mps * np.maximum(1.0 + gusts, 0.0), from_rad + veer)
 
     def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Speed [m/s] and direction it comes from [rad] at seconds t (n,) of the run, straight between the entries."""
+        """Return the wind at times of the run, linear between the entries.
+
+        Parameters
+        ----------
+        t : ndarray of float64, (n,)
+            Time since the start of the run [s].
+
+        Returns
+        -------
+        tuple of ndarray, (n,)
+            Speed [m/s], and the direction from which it comes [rad].
+        """
         seconds = np.arange(self.speed_mps.size, dtype=np.float64)
         t = np.mod(t, self.speed_mps.size)
         return np.interp(t, seconds, self.speed_mps), np.interp(t, seconds, self.from_rad)
@@ -51,13 +105,32 @@ class Wind:
 
 @dataclass(frozen=True)
 class Halts:
-    """Where a run stands still: for so many `seconds` after each of these `stations` of its path, (k,) both."""
+    """Where a run halts, and for how long.
+
+    Attributes
+    ----------
+    stations : ndarray of int64, (k,)
+        Stations of the path after which the robot halts.
+    seconds : ndarray of float64, (k,)
+        How long it halts there [s].
+    """
 
     stations: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     seconds: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def waited_s(self, n: int) -> FloatArray:
-        """How long the run has stood before it leaves for each of n stations, (n,): a halt delays what comes after."""
+        """Return how long the robot has halted before each station; a halt delays everything after it.
+
+        Parameters
+        ----------
+        n : int
+            Number of stations.
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Time spent in halts so far [s].
+        """
         halts = np.zeros(n + 1)
         np.add.at(halts, self.stations + 1, self.seconds)
         return np.cumsum(halts)[:n]
@@ -65,12 +138,30 @@ class Halts:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Of one run. start_s : stamp of its first row, seconds of the log's clock (its days begin at multiples of 86,400).
+    """The conditions of one run.
 
-    driven_m : already driven that day. mean_c, swing_c : the day's temperature; it is coldest at 4 h and warmest at
-    16 h. payload_kg : what the log says is carried (`payload_logged`), and what truly is where an effect says so.
-    charge : of the battery at the start, 0..1. seed : of what a driver does at random under an effect. halts : while
-    the robot stands, wind and day go on.
+    Attributes
+    ----------
+    start_s : float
+        Time stamp of the first row on the log's clock, whose days begin at multiples of 86,400 [s].
+    driven_m : float
+        Distance already driven that day [m].
+    mean_c, swing_c : float
+        Mean temperature of the day and half its range [degC]; it is coldest at 4 h and warmest at 16 h.
+    wind : Wind
+        The wind.
+    wind_logged : bool
+        Whether the log records it.
+    payload_kg : float
+        Payload that the log states [kg]; it has mass only under the effect `Payload`.
+    payload_logged : bool
+        Whether the log records it.
+    charge : float
+        State of charge at the start, 0 to 1.
+    seed : int
+        Seed of what a driver does at random under an effect.
+    halts : Halts
+        Where the robot halts. Wind and day continue meanwhile.
     """
 
     start_s: float = 10.0 * 3600.0
@@ -86,12 +177,42 @@ class Conditions:
     halts: Halts = field(default_factory=Halts)
 
     def temperature_c(self, t: FloatArray) -> FloatArray:
-        """Of the air [degC] at seconds t (n,) of the run."""
+        """Return the temperature of the air.
+
+        Parameters
+        ----------
+        t : ndarray of float64, (n,)
+            Time since the start of the run [s].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Temperature [degC].
+        """
         return self.mean_c - self.swing_c * np.cos((self.start_s + t - 4.0 * 3600.0) * TAU / _DAY_S)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, *, start_s: float, driven_m: float, charge: float, day: Day) -> Conditions:
-        """Conditions of a run on that day; whatever varies here matters only where an effect makes it matter."""
+        """Draw the conditions of a run on a day; what varies here matters only where an effect depends on it.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of randomness.
+        start_s : float
+            Time stamp of the first row [s].
+        driven_m : float
+            Distance already driven that day [m].
+        charge : float
+            State of charge at the start, 0 to 1.
+        day : Day
+            Weather of the day.
+
+        Returns
+        -------
+        Conditions
+            The conditions.
+        """
         mean_mps = day.wind_mps * math.exp(0.25 * rng.standard_normal())
         wind = Wind.gusty(mean_mps, day.wind_from_rad + 0.35 * rng.standard_normal(), rng)
         return cls(
@@ -109,7 +230,19 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Day:
-    """Weather of a day in the field: mean temperature and half its range, typical wind, and whether it is logged."""
+    """Weather of a day in the field.
+
+    Attributes
+    ----------
+    mean_c, swing_c : float
+        Mean temperature and half its range [degC].
+    wind_mps : float
+        Typical speed of the wind [m/s].
+    wind_from_rad : float
+        Typical direction from which it comes [rad].
+    wind_logged : bool
+        Whether the logs of this day record it.
+    """
 
     mean_c: float
     swing_c: float
@@ -119,6 +252,18 @@ class Day:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Day:
+        """Draw the weather of a day.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of randomness.
+
+        Returns
+        -------
+        Day
+            The weather.
+        """
         return cls(
             mean_c=float(rng.uniform(-2.0, 24.0)),
             swing_c=float(rng.uniform(2.0, 7.0)),

@@ -1,4 +1,4 @@
-"""Where a driver takes the robot: lawnmowers, random waypoints and any polyline, driven a little imperfectly."""
+"""Paths that a driver takes: parallel lines, random waypoints and any polyline, driven a little imperfectly."""
 
 from __future__ import annotations
 
@@ -20,7 +20,17 @@ STEP_M = 0.025
 
 @dataclass(frozen=True)
 class Drive:
-    """The path as driven. x, y, heading_rad, speed_mps : (n,), one entry per station, about `STEP_M` apart."""
+    """The path as driven, one entry per station, `STEP_M` from one to the next.
+
+    Attributes
+    ----------
+    x, y : ndarray of float64, (n,)
+        World positions [m].
+    heading_rad : ndarray of float64, (n,)
+        Headings [rad].
+    speed_mps : ndarray of float64, (n,)
+        Speeds [m/s].
+    """
 
     x: FloatArray
     y: FloatArray
@@ -34,7 +44,7 @@ class Drive:
 
     @property
     def curvature(self) -> FloatArray:
-        """Turning per horizontal metre [rad/m], > 0 to the right. Shape (n,)."""
+        """Curvature of the path [rad/m], > 0 to the right, (n,)."""
         step = np.maximum(np.hypot(np.diff(self.x), np.diff(self.y)), 1e-9)
         turn = wrap_angle(np.diff(self.heading_rad)) / step
         return np.concatenate([turn[:1], turn])
@@ -50,12 +60,35 @@ def drive_along(
     corner_m: float = 0.5,
     speed_spread: float = 0.03,
 ) -> Drive:
-    """Follow a polyline. points : (k, 2) world x, y [m].
+    """Follow a polyline.
 
-    corner_m rounds corners (0 keeps the path exact). With a generator the driver wanders sideways (rms `wander_m`,
-    smooth over `wander_length_m`) and the speed varies by `speed_spread`; without one the drive is perfect. Turns
-    tighter than about 0.7 m of radius are driven slower, at a constant rate of turning. Raises PointError for fewer
-    than two distinct points.
+    Parameters
+    ----------
+    points : array_like, (k, 2)
+        Corners in world x, y [m].
+    speed_mps : float
+        Speed on straight lines [m/s]. Turns tighter than about 0.7 m of radius are driven slower, at a constant rate
+        of turning.
+    rng : numpy.random.Generator, optional
+        Source of the driver's errors; without it the drive is perfect.
+    wander_m : float, optional
+        Root mean square of the lateral error [m].
+    wander_length_m : float, optional
+        Distance over which that error is smooth [m].
+    corner_m : float, optional
+        How far corners are rounded [m]; 0 keeps the path exact.
+    speed_spread : float, optional
+        Relative variation of the speed.
+
+    Returns
+    -------
+    Drive
+        The path as driven.
+
+    Raises
+    ------
+    PointError
+        If there are fewer than two distinct finite points.
     """
     nodes = np.asarray(points, dtype=np.float64).reshape(-1, 2)
     legs = np.hypot(*np.diff(nodes, axis=0).T) if len(nodes) > 1 else np.empty(0)
@@ -82,9 +115,21 @@ def drive_along(
 def lawnmower(
     bounds: tuple[float, float, float, float], *, spacing_m: float, heading_rad: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Corner points of parallel lines that cover `bounds` (west, south, east, north), along `heading_rad`.
+    """Return the corners of parallel lines that cover an area, driven to and fro.
 
-    0 is the paper's north-south pattern. Lines are `spacing_m` apart and clipped to the bounds.
+    Parameters
+    ----------
+    bounds : tuple of float
+        West, south, east, north of the area [m].
+    spacing_m : float
+        Distance between two lines [m].
+    heading_rad : float, optional
+        Heading of the lines [rad]; 0 is the paper's north-south pattern.
+
+    Returns
+    -------
+    list of tuple of float
+        World x, y [m], inside the bounds.
     """
     west, south, east, north = bounds
     centre = np.array([(west + east) / 2, (south + north) / 2])
@@ -104,7 +149,24 @@ def lawnmower(
 def random_waypoints(
     bounds: tuple[float, float, float, float], count: int, rng: np.random.Generator, *, least_leg_m: float = 4.0
 ) -> list[tuple[float, float]]:
-    """`count` points uniform in `bounds`, consecutive ones at least `least_leg_m` apart (where the bounds allow)."""
+    """Draw points that are uniform in an area.
+
+    Parameters
+    ----------
+    bounds : tuple of float
+        West, south, east, north of the area [m].
+    count : int
+        Number of points.
+    rng : numpy.random.Generator
+        Source of randomness.
+    least_leg_m : float, optional
+        Least distance from one point to the next [m], as far as the bounds allow.
+
+    Returns
+    -------
+    list of tuple of float
+        World x, y [m].
+    """
     west, south, east, north = bounds
     least = min(least_leg_m, 0.4 * math.hypot(east - west, north - south))
     points = [(float(rng.uniform(west, east)), float(rng.uniform(south, north)))]
@@ -122,20 +184,37 @@ def winding(
     *,
     curvature_per_m: float = 0.25,
 ) -> list[tuple[float, float]]:
-    """Points of one bend after another, `curvature_per_m` [rad/m] rms, smooth over 2 m; turns back before the bounds."""
+    """Draw a path of one curve after another, which turns back before the bounds.
+
+    Parameters
+    ----------
+    bounds : tuple of float
+        West, south, east, north of the area [m].
+    length_m : float
+        Length of the path [m].
+    rng : numpy.random.Generator
+        Source of randomness.
+    curvature_per_m : float, optional
+        Root mean square of the curvature [rad/m], which is smooth over 2 m.
+
+    Returns
+    -------
+    list of tuple of float
+        World x, y [m], every 0.25 m.
+    """
     west, south, east, north = bounds
     x, y = float(rng.uniform(west, east)), float(rng.uniform(south, north))
     centre = (west + east) / 2, (south + north) / 2
     step = 0.25
-    bends = curvature_per_m * smooth_noise(rng, max(int(length_m / step), 2), 2.0 / step)
+    curvatures = curvature_per_m * smooth_noise(rng, max(int(length_m / step), 2), 2.0 / step)
     heading = math.atan2(centre[0] - x, centre[1] - y)
     points = [(x, y)]
-    for bend in bends:
+    for curvature in curvatures:
         ahead = x + 3.5 * math.sin(heading), y + 3.5 * math.cos(heading)
         if not (west <= ahead[0] <= east and south <= ahead[1] <= north):
             inward = float(wrap_angle(math.atan2(centre[0] - x, centre[1] - y) - heading))
-            bend = math.copysign(0.8, inward)
-        heading += bend * step
+            curvature = math.copysign(0.8, inward)
+        heading += curvature * step
         x, y = x + step * math.sin(heading), y + step * math.cos(heading)
         points.append((x, y))
     return points
@@ -179,7 +258,22 @@ def _track_heading(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def smooth_noise(rng: np.random.Generator, n: int, sigma: float) -> FloatArray:
-    """Gaussian noise of unit variance, smooth over `sigma` samples. Shape (n,)."""
+    """Draw smooth Gaussian noise of unit variance.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    n : int
+        Number of samples.
+    sigma : float
+        Standard deviation of the Gaussian that smooths white noise [samples].
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        The noise.
+    """
     pad = _pad(sigma)
     rough = rng.standard_normal(n + 2 * pad)
     return gaussian_filter1d(rough, sigma)[pad:-pad] * math.sqrt(2.0 * sigma * math.sqrt(TAU / 2.0))

@@ -1,12 +1,12 @@
-"""What every effect is made of: the ride that it may depend on, and the points at which it may have its say.
+"""What every effect consists of: the ride that it may depend on, and the quantities that it may change.
 
-Effects are what a simulated run may contain and nobody declares. Each is a value (`hidden_forces`, `hidden_losses`);
-a run without any is exactly the run that it was. An effect acts where nature would: on the ground, the robot, how it
-is driven, the forces at the wheels, the power of the drives, the power at the battery, the reading of the current
-meter. Forces are those at the wheels, so that the drivetrain's losses come on top, as they would.
+Effects are what a simulated run may contain although nobody declares it. Each is a value (`hidden_forces`,
+`hidden_losses`); a run without effects is not changed at all. An effect acts where it would in nature: on the ground,
+the robot, how it is driven, the forces at the wheels, the power of the drives, the power at the battery, the reading of
+the current meter. Forces are those at the wheels, so that the drivetrain's losses are added, as they would be.
 
-`amount` is what an effect is measured by in its natural unit, cumulated along the path: the energy that it takes is
-about a coefficient times the amount of a segment.
+`amount` measures an effect in its natural unit, cumulated along the path: the energy that it takes is about a
+coefficient times the amount of a segment.
 """
 
 from __future__ import annotations
@@ -31,8 +31,22 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ride:
-    """A drive under way: all that a force or a loss may depend on. t [s], without halts, and path_m : (n,) since the
-    start.
+    """A drive in progress: everything that a force or a loss may depend on.
+
+    Attributes
+    ----------
+    drive : Drive
+        The path.
+    motion : Motion
+        What it requires of the robot.
+    robot : FieldRobot
+        The robot as it truly is.
+    conditions : Conditions
+        The conditions of the run.
+    t : ndarray of float64, (n,)
+        Time since the start, without halts [s].
+    path_m : ndarray of float64, (n,)
+        Length of the path since the start [m].
     """
 
     drive: Drive
@@ -44,80 +58,215 @@ class Ride:
 
     @property
     def weight_n(self) -> float:
+        """True weight of the robot [N]."""
         return float(self.robot.kernel_parameters()[0])
 
     @property
     def clock_s(self) -> FloatArray:
-        """Since the start with all halts (n,): what wind and temperature go by."""
+        """Time since the start with all halts [s], (n,), as wind and temperature depend on it."""
         return self.t + self.conditions.halts.waited_s(self.t.size)
 
     @property
     def duration_s(self) -> FloatArray:
-        """Of the step that ends at each station (n,)."""
+        """Duration of the step that ends at each station [s], (n,)."""
         return np.diff(self.t, prepend=self.t[0])
 
     @property
     def turn_rate(self) -> FloatArray:
-        """[rad/s], (n,), > 0 to the right; the jitter of a driven line is evened out over half a metre."""
+        """Rate of turning [rad/s], (n,), > 0 to the right; smoothed over half a metre."""
         return gaussian_filter1d(self.drive.curvature, 0.25 / STEP_M, mode="nearest") * self.drive.speed_mps
 
     @property
     def grade_deg(self) -> FloatArray:
-        """Climb along the way over about a metre [deg], (n,)."""
+        """Slope along the path over about a metre [deg], (n,)."""
         return gaussian_filter1d(np.degrees(self.motion.pitch_rad), 0.4 / STEP_M, mode="nearest")
 
     def along_path(self, per_metre: FloatArray) -> FloatArray:
-        """Integral of a quantity over the path from the start (n,)."""
+        """Integrate a quantity over the path from the start.
+
+        Parameters
+        ----------
+        per_metre : ndarray of float64, (n,)
+            The quantity per metre.
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            The integral up to each station.
+        """
         return np.cumsum(per_metre * np.diff(self.path_m, prepend=self.path_m[0]))
 
 
 @dataclass(frozen=True)
 class Effect:
-    """No effect. name : as a calibration would call it. unit : of the coefficient that goes with `amount`."""
+    """The contract of an effect, and no effect by itself.
+
+    Attributes
+    ----------
+    name : str
+        As a calibration would call it.
+    unit : str
+        Unit of the coefficient that belongs to `amount`.
+    """
 
     name: ClassVar[str] = "none"
     unit: ClassVar[str] = ""
 
     def on_site(self, site: Site) -> Site:
+        """Return the site as this effect changes it.
+
+        Parameters
+        ----------
+        site : Site
+            The site.
+
+        Returns
+        -------
+        Site
+            The same site, or a changed one.
+        """
         return site
 
     def on_robot(self, robot: FieldRobot, conditions: Conditions) -> FieldRobot:
+        """Return the robot as this effect changes it.
+
+        Parameters
+        ----------
+        robot : FieldRobot
+            The robot.
+        conditions : Conditions
+            The conditions of the run.
+
+        Returns
+        -------
+        FieldRobot
+            The same robot, or a changed one.
+        """
         return robot
 
     def on_drive(self, drive: Drive, conditions: Conditions) -> Drive:
+        """Return the drive as this effect changes it.
+
+        Parameters
+        ----------
+        drive : Drive
+            The drive.
+        conditions : Conditions
+            The conditions of the run.
+
+        Returns
+        -------
+        Drive
+            The same drive, or a changed one.
+        """
         return drive
 
     def force_n(self, ride: Ride) -> FloatArray | float:
-        """Extra force against the motion [N], (n,)."""
+        """Return the extra force against the motion.
+
+        Parameters
+        ----------
+        ride : Ride
+            The drive in progress.
+
+        Returns
+        -------
+        ndarray of float64, (n,), or float
+            Force at the wheels [N].
+        """
         return 0.0
 
     def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:
-        """Power of both drives [W], (n,), as this effect leaves it."""
+        """Return the power of both drives as this effect changes it.
+
+        Parameters
+        ----------
+        ride : Ride
+            The drive in progress.
+        wheels_w : ndarray of float64, (n,)
+            Power of both drives without it [W].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Power of both drives [W].
+        """
         return wheels_w
 
     def power_w(self, ride: Ride, power_w: FloatArray) -> FloatArray:
-        """Power at the battery [W], (n,), as this effect leaves it."""
+        """Return the power at the battery as this effect changes it.
+
+        Parameters
+        ----------
+        ride : Ride
+            The drive in progress.
+        power_w : ndarray of float64, (n,)
+            Power at the battery without it [W].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Power at the battery [W].
+        """
         return power_w
 
     def standing_w(self, power_w: float) -> float:
-        """Power at the battery while the robot stands [W], as this effect leaves it."""
+        """Return the power at the battery during a halt as this effect changes it.
+
+        Parameters
+        ----------
+        power_w : float
+            Power without it [W].
+
+        Returns
+        -------
+        float
+            Power [W].
+        """
         return power_w
 
     def reading(self) -> float:
-        """Factor on the logged current."""
+        """Return the factor on the logged current."""
         return 1.0
 
     def amount(self, ride: Ride) -> FloatArray | None:
+        """Return what the effect is measured by, cumulated along the path.
+
+        Parameters
+        ----------
+        ride : Ride
+            The drive in progress.
+
+        Returns
+        -------
+        ndarray of float64, (n,), or None
+            None for an effect that has no such measure.
+        """
         return None
 
     def stated(self) -> float | None:
-        """The coefficient where it needs no amount, because the effect is made of it."""
+        """Return the coefficient where it is a parameter of the effect and needs no amount, else None."""
         return None
 
 
 @dataclass(frozen=True)
 class Within(Effect):
-    """Another effect's forces and losses, only while a quantity lies in a range: it acts in part of what is driven."""
+    """Another effect's forces and losses, only while a quantity lies in a range.
+
+    Attributes
+    ----------
+    effect : Effect
+        The other effect.
+    quantity : str
+        grade_deg, speed_mps or temperature_c.
+    above, below : float
+        Ends of the range, in the quantity's unit.
+
+    Raises
+    ------
+    InputError
+        If the range is empty.
+    """
 
     effect: Effect
     quantity: Literal["grade_deg", "speed_mps", "temperature_c"]
@@ -131,6 +280,18 @@ class Within(Effect):
             object.__setattr__(self, key, getattr(self.effect, key))
 
     def acting(self, ride: Ride) -> NDArray[np.bool_]:
+        """Return where the effect acts.
+
+        Parameters
+        ----------
+        ride : Ride
+            The drive in progress.
+
+        Returns
+        -------
+        ndarray of bool, (n,)
+            True where the quantity lies in the range.
+        """
         value = {
             "grade_deg": lambda: ride.grade_deg,
             "speed_mps": lambda: ride.drive.speed_mps,

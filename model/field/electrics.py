@@ -1,8 +1,8 @@
-"""From the force at the wheels to volts and amperes: drivetrain of each side, battery, motor warmth.
+"""From the force at the wheels to volts and amperes: drivetrain of each side, battery, temperature of the motors.
 
 Drivetrain: force through gears (efficiency both ways), constant friction, copper loss. Battery: open-circuit voltage
-over the state of charge, internal resistance that grows in the cold, so that the terminals obey
-V = V_oc - R I and V I = P at once (the smaller current solves the quadratic).
+over the state of charge, internal resistance that grows in the cold. The terminals obey V = V_oc - R I and V I = P at
+the same time; the smaller current that solves the quadratic is the one that flows.
 """
 
 from __future__ import annotations
@@ -23,7 +23,19 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pack:
-    """A lithium pack. capacity_ah, nominal_v : as labelled. resistance_ohm : at 25 degC. charge : 0..1 at the start."""
+    """A lithium battery pack.
+
+    Attributes
+    ----------
+    nominal_v, capacity_ah : float
+        Voltage [V] and capacity [Ah] as labelled.
+    resistance_ohm : float
+        Internal resistance at 25 degC [ohm].
+    charge : float
+        State of charge at the start, 0 to 1.
+    temperature_c : float
+        Temperature of the pack [degC].
+    """
 
     nominal_v: float
     capacity_ah: float
@@ -33,19 +45,64 @@ class Pack:
 
     @classmethod
     def of(cls, robot: FieldRobot, *, charge: float = 0.95, temperature_c: float = 18.0) -> Pack:
-        """The pack that the declared robot's voltage and energy suggest: 4 % sag at a one-hour discharge."""
+        """Return the pack that the declared robot's voltage and energy suggest, with 4 % sag at a one-hour discharge.
+
+        Parameters
+        ----------
+        robot : FieldRobot
+            The robot.
+        charge : float, optional
+            State of charge at the start, 0 to 1.
+        temperature_c : float, optional
+            Temperature of the pack [degC].
+
+        Returns
+        -------
+        Pack
+            The pack.
+        """
         nominal = robot.declared.nominal_voltage_v
         capacity = robot.declared.battery_wh / nominal
         return cls(nominal, capacity, 0.04 * nominal / capacity, charge, temperature_c)
 
 
 def open_circuit_v(pack: Pack, charge: float) -> float:
-    """Voltage without load [V] at a state of charge 0..1: 0.84 of nominal when empty, 1.15 when full, flat between."""
+    """Return the voltage without load: 0.84 of nominal when empty, 1.15 when full, flat between.
+
+    Parameters
+    ----------
+    pack : Pack
+        The battery.
+    charge : float
+        State of charge, 0 to 1.
+
+    Returns
+    -------
+    float
+        Voltage [V].
+    """
     return float(_open_circuit(pack.nominal_v, charge))
 
 
 def wheel_power_w(motion: Motion, robot: FieldRobot, speed_mps: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Electrical power of both drives [W], (n,); curvature [1/m] > 0 turning right. Never the idle power."""
+    """Return the electrical power of both drives, without the idle power.
+
+    Parameters
+    ----------
+    motion : Motion
+        Forces at the wheels of each side.
+    robot : FieldRobot
+        The robot as it truly is.
+    speed_mps : ndarray of float64, (n,)
+        Speed [m/s].
+    curvature : ndarray of float64, (n,)
+        Curvature of the path, > 0 to the right [rad/m].
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        Power [W].
+    """
     power = np.zeros_like(speed_mps)
     for force, sign in ((motion.force_left_n, 1.0), (motion.force_right_n, -1.0)):
         side_speed = speed_mps * np.maximum(1.0 + sign * 0.5 * robot.track_m * curvature, 0.0)
@@ -58,9 +115,26 @@ def wheel_power_w(motion: Motion, robot: FieldRobot, speed_mps: FloatArray, curv
 
 
 def terminals(power_w: FloatArray, duration_s: FloatArray, pack: Pack) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Voltage [V], current [A] and charge (0..1) at the terminals while `power_w` is drawn step by step. All (n,).
+    """Return what is measured at the terminals while power is drawn step by step.
 
-    Raises InputError where the battery cannot deliver the power, or runs empty.
+    Parameters
+    ----------
+    power_w : ndarray of float64, (n,)
+        Power of each step [W].
+    duration_s : ndarray of float64, (n,)
+        Duration of each step [s].
+    pack : Pack
+        The battery at the start.
+
+    Returns
+    -------
+    tuple of ndarray, (n,)
+        Voltage [V], current [A] and state of charge (0 to 1).
+
+    Raises
+    ------
+    InputError
+        If the battery cannot deliver the power, or becomes empty.
     """
     warm = pack.resistance_ohm * math.exp(0.02 * (25.0 - pack.temperature_c))
     voltage, current, charge = _terminals(
@@ -85,7 +159,24 @@ def terminals(power_w: FloatArray, duration_s: FloatArray, pack: Pack) -> tuple[
 def motor_temperature_c(
     power_w: FloatArray, duration_s: FloatArray, ambient_c: float, *, kelvin_per_w: float = 0.25
 ) -> FloatArray:
-    """Motor housing [degC], (n,): two fifths of the power become heat, time constant four minutes."""
+    """Return the temperature of the motor housing: two fifths of the power become heat, time constant four minutes.
+
+    Parameters
+    ----------
+    power_w : ndarray of float64, (n,)
+        Power of the drives in each step [W].
+    duration_s : ndarray of float64, (n,)
+        Duration of each step [s].
+    ambient_c : float
+        Temperature of the air [degC].
+    kelvin_per_w : float, optional
+        Thermal resistance from motor to air [K/W].
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        Temperature [degC].
+    """
     return _warmth(
         np.ascontiguousarray(power_w), np.ascontiguousarray(duration_s), ambient_c, 0.4 * kelvin_per_w, 240.0
     )

@@ -1,6 +1,6 @@
-"""Hidden effects drawn by a generator in a believable range, and the day that lets each be felt.
+"""Hidden effects with a random strength in a realistic range, and a day on which each can be observed.
 
-Forces are drawn as shares of the weight, so that they mean the same for every robot: a wheel on grass or dirt asks for
+Forces are drawn as shares of the weight, so that they mean the same for every robot: rolling on grass or dirt takes
 0.05 to 0.08 of it.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from joulemap.model.errors import NotFoundError
+from joulemap.model.errors import NotFoundError, nearest_name
 from joulemap.model.field.conditions import Conditions, Day
 from joulemap.model.field.effects import Effect, Within
 from joulemap.model.field.hidden_forces import (
@@ -34,7 +34,7 @@ from joulemap.model.field.robots import FieldRobot
 Draw = Callable[[np.random.Generator, FieldRobot], Effect]
 
 WORDS = ("grass", "gravel")
-"""What the operator calls the two kinds of ground of a blind case."""
+"""What the operator calls the two kinds of ground of a validation case."""
 
 
 def _turning(rng: np.random.Generator, robot: FieldRobot) -> Effect:
@@ -108,18 +108,53 @@ _DRAWS: Mapping[str, Draw] = {
 }
 
 EFFECT_NAMES = tuple(_DRAWS)
-"""What `draw_effect` knows; a list of none is a case without an effect."""
+"""The effects that `draw_effect` knows, by name."""
 
 
 def draw_effect(name: str, rng: np.random.Generator, robot: FieldRobot) -> Effect:
-    """One of `EFFECT_NAMES`, its strength drawn. Raises NotFoundError for another name."""
+    """Draw the strength of an effect.
+
+    Parameters
+    ----------
+    name : str
+        One of `EFFECT_NAMES`.
+    rng : numpy.random.Generator
+        Source of randomness.
+    robot : FieldRobot
+        The robot that is affected.
+
+    Returns
+    -------
+    Effect
+        The effect.
+
+    Raises
+    ------
+    NotFoundError
+        For another name.
+    """
     if name not in _DRAWS:
-        raise NotFoundError(f"no hidden effect {name!r}; known are {', '.join(EFFECT_NAMES)}", name=name)
+        near = nearest_name(name, EFFECT_NAMES)
+        hint = f"did you mean {near}?" if near else f"known are {', '.join(EFFECT_NAMES)}"
+        raise NotFoundError(f"there is no hidden effect {name!r}; {hint}", name=name)
     return _DRAWS[name](rng, robot)
 
 
 def day_for(effects: Sequence[Effect], rng: np.random.Generator) -> Day:
-    """A day on which these effects are felt: cold for grease, windy for drag; otherwise any day."""
+    """Draw a day on which effects can be observed: cold for stiff grease, windy for air drag, otherwise any day.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        The effects.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    Day
+        Its weather.
+    """
     day = Day.drawn(rng)
     names = {effect.name for effect in effects}
     if ColdGrease.name in names:
@@ -139,7 +174,26 @@ def conditions_for(
     *,
     payload_logged: bool,
 ) -> Conditions:
-    """The conditions of a run in which a payload is one, if it is among the effects: up to a third of the robot."""
+    """Return the conditions of a run with a payload, if that is among the effects.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        The effects.
+    conditions : Conditions
+        The conditions without a payload.
+    robot : FieldRobot
+        The robot; a payload is up to about a third of its mass.
+    rng : numpy.random.Generator
+        Source of randomness.
+    payload_logged : bool
+        Whether the log records the payload.
+
+    Returns
+    -------
+    Conditions
+        The conditions of the run.
+    """
     if not any(isinstance(effect, Payload) for effect in effects):
         return conditions
     carried = round(float(rng.choice([0.0, rng.uniform(0.1, 0.35)], p=[0.25, 0.75])) * robot.mass_kg, 1)

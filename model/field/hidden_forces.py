@@ -1,4 +1,4 @@
-"""Hidden effects that push back: scrub, air, speed, rotors, cold grease, side slip, mud, furrows, load, soft ground."""
+"""Hidden forces: tyre scrub, air, speed, rotors, cold grease, side slip, soft ground, mud, furrows, payload."""
 
 from __future__ import annotations
 
@@ -23,7 +23,15 @@ _FIRST_HOUR = 7.5  # tyres are pumped up in the morning
 
 @dataclass(frozen=True)
 class Turning(Effect):
-    """Tyres scrub sideways: a moment of `scrub` x load x half the wheelbase, full once they slide (`sliding_rad_s`)."""
+    """Tyres scrub sideways in turns.
+
+    Attributes
+    ----------
+    scrub : float
+        The moment is scrub x load x half the wheelbase.
+    sliding_rad_s : float
+        Rate of turning at which the tyres slide and the moment is full [rad/s].
+    """
 
     scrub: float
     sliding_rad_s: float = 0.05
@@ -41,7 +49,17 @@ class Turning(Effect):
 
 @dataclass(frozen=True)
 class AirDrag(Effect):
-    """Drag of the air as it meets the moving robot; drag_area_m2 : drag coefficient times area."""
+    """Drag of the air, by its speed relative to the moving robot.
+
+    Attributes
+    ----------
+    drag_area_m2 : float
+        Drag coefficient times area [m2].
+
+    Notes
+    -----
+    F = 0.5 rho c A |v| v_ahead, with rho = 1.2 kg/m3 and v the speed of the air relative to the robot.
+    """
 
     drag_area_m2: float
     name: ClassVar[str] = "wind"
@@ -64,7 +82,7 @@ class AirDrag(Effect):
 
 @dataclass(frozen=True)
 class Payload(Effect):
-    """What the conditions say is carried truly has mass, and lifts the centre of mass."""
+    """The payload that the conditions state truly has mass, and raises the centre of mass."""
 
     name: ClassVar[str] = "payload"
 
@@ -80,7 +98,15 @@ class Payload(Effect):
 
 @dataclass(frozen=True)
 class Speed(Effect):
-    """The driver keeps no steady speed (`spread`, log), and a viscous loss grows with it (s/m, times the weight)."""
+    """The driver keeps no constant speed, and a viscous loss grows with it.
+
+    Attributes
+    ----------
+    viscous_s_per_m : float
+        Viscous force over weight and speed [s/m].
+    spread : float
+        Standard deviation of the logarithm of the speed.
+    """
 
     viscous_s_per_m: float
     spread: float
@@ -101,9 +127,16 @@ class Speed(Effect):
 
 @dataclass(frozen=True)
 class Acceleration(Effect):
-    """Stop-and-go every few metres, with rotors behind the gears that must be spun up (kg, as felt at the ground).
+    """Stop-and-go every few metres, with rotors behind the gears that must be accelerated.
 
-    The gears lock themselves: what the rotors hold does not come back when they slow down.
+    The gears are self-locking: the energy of the rotors is lost when they slow down.
+
+    Attributes
+    ----------
+    rotors_kg : float
+        Inertia of the rotors, as a mass at the ground [kg].
+    every_m : float
+        Mean distance between two slow places [m].
     """
 
     rotors_kg: float
@@ -133,7 +166,21 @@ class Acceleration(Effect):
 
 @dataclass(frozen=True)
 class ColdGrease(Effect):
-    """Grease that stiffens in the cold: a drag of `share` of the weight at 0 degC, gone at `warm_c`, Arrhenius-like."""
+    """Grease that stiffens in the cold, exponentially.
+
+    Attributes
+    ----------
+    share : float
+        Drag over weight at 0 degC.
+    warm_c : float
+        Temperature at which there is no drag [degC].
+    scale_k : float
+        The drag grows by a factor e over this many kelvin.
+
+    Notes
+    -----
+    F / weight = share (exp((warm_c - T) / scale_k) - 1) / (exp(warm_c / scale_k) - 1), negative above `warm_c`.
+    """
 
     share: float
     warm_c: float = 20.0
@@ -151,7 +198,17 @@ class ColdGrease(Effect):
 
 @dataclass(frozen=True)
 class SideSlip(Effect):
-    """Wet ground that holds no tyre sideways: crabbing across a slope costs side force times slip (force / grip)."""
+    """Wet ground on which tyres slip sideways across a slope.
+
+    Attributes
+    ----------
+    grip : float
+        Side force over weight and slip.
+
+    Notes
+    -----
+    F = weight |sin(roll)| slip, with slip = |sin(roll)| / grip, at most 0.8.
+    """
 
     grip: float
     name: ClassVar[str] = "cross_slope"
@@ -167,7 +224,15 @@ class SideSlip(Effect):
 
 @dataclass(frozen=True)
 class SoftClass(Effect):
-    """Rolling loss times `factor` wherever the ground is called `word`."""
+    """A larger rolling loss on one kind of ground.
+
+    Attributes
+    ----------
+    word : str
+        What the operator calls that ground.
+    factor : float
+        Factor on the rolling loss there.
+    """
 
     word: str
     factor: float
@@ -184,7 +249,17 @@ class SoftClass(Effect):
 
 @dataclass(frozen=True)
 class WetPatch(Effect):
-    """Rolling loss times `factor` in a soft spot, fading at radius_m; east, north : its middle, 0..1 of the site."""
+    """A larger rolling loss in one soft spot.
+
+    Attributes
+    ----------
+    factor : float
+        Factor on the rolling loss in the middle.
+    radius_m : float
+        Distance from the middle at which the factor fades [m].
+    east, north : float
+        Place of the middle, 0 to 1 over the width and height of the site.
+    """
 
     factor: float
     radius_m: float
@@ -204,7 +279,15 @@ class WetPatch(Effect):
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """Mud gathers over the metres, or tyres lose air over the hours: a drag of this share of the load, growing."""
+    """Mud that gathers with the distance, or tyres that lose air over the hours: a growing drag.
+
+    Attributes
+    ----------
+    share_per_unit : float
+        Growth of the drag over the load, per kilometre or per hour.
+    over : str
+        km or h.
+    """
 
     share_per_unit: float
     over: Literal["km", "h"] = "km"
@@ -227,7 +310,15 @@ class Drift(Effect):
 
 @dataclass(frozen=True)
 class Furrows(Effect):
-    """Ground that was ploughed: driving across the furrows costs `share` of the load, along them nothing."""
+    """Ploughed ground: driving across the furrows takes energy, driving along them takes none.
+
+    Attributes
+    ----------
+    share : float
+        Drag over load when driving across.
+    along_rad : float
+        Heading of the furrows [rad].
+    """
 
     share: float
     along_rad: float

@@ -1,4 +1,4 @@
-"""Hidden effects that only the battery or the meter feels: loads, retarder, connector, hot motors, a wrong reading."""
+"""Hidden effects on the battery or the meter alone: loads, braking, connector, hot motors, a wrong reading."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HotelLoad(Effect):
-    """Something that nobody declared draws power all the time."""
+    """A consumer that nobody declared draws power all the time.
+
+    Attributes
+    ----------
+    extra_w : float
+        Its power [W].
+    """
 
     extra_w: float
     name: ClassVar[str] = "hotel_load"
@@ -34,7 +40,13 @@ class HotelLoad(Effect):
 
 @dataclass(frozen=True)
 class Braking(Effect):
-    """A retarder: going down, the controller holds the robot back with current, `share` of the power released."""
+    """Braking with current: downhill the controller slows the robot with power from the battery.
+
+    Attributes
+    ----------
+    share : float
+        That power over the power which the descent releases.
+    """
 
     share: float
     name: ClassVar[str] = "braking"
@@ -49,7 +61,13 @@ class Braking(Effect):
 
 @dataclass(frozen=True)
 class SensorGain(Effect):
-    """The current meter reads `gain` times what flows."""
+    """A current meter with a wrong scale.
+
+    Attributes
+    ----------
+    gain : float
+        Reading over true current.
+    """
 
     gain: float
     name: ClassVar[str] = "sensor_gain"
@@ -63,7 +81,15 @@ class SensorGain(Effect):
 
 @dataclass(frozen=True)
 class Connector(Effect):
-    """A corroded connector behind the meter turns current into heat."""
+    """A corroded connector behind the meter turns current into heat.
+
+    Attributes
+    ----------
+    resistance_ohm : float
+        Its resistance [ohm].
+    volts : float
+        Voltage that the current is computed with [V].
+    """
 
     resistance_ohm: float
     volts: float
@@ -82,7 +108,15 @@ class Connector(Effect):
 
 @dataclass(frozen=True)
 class HotMotors(Effect):
-    """Motors that weaken with their warmth: the drives draw `share_per_k` more per kelvin above `from_c`."""
+    """Motors that lose efficiency when they are hot.
+
+    Attributes
+    ----------
+    share_per_k : float
+        Relative increase of the drives' power per kelvin.
+    from_c : float
+        Temperature above which it increases [degC].
+    """
 
     share_per_k: float
     from_c: float
@@ -91,7 +125,7 @@ class HotMotors(Effect):
     def wheels_w(self, ride: Ride, wheels_w: FloatArray) -> FloatArray:
         air = float(ride.conditions.temperature_c(ride.clock_s).mean())
         drawn = wheels_w
-        for _ in range(4):  # more power makes more warmth
+        for _ in range(4):  # more power makes the motors hotter
             warmth = motor_temperature_c(drawn, ride.duration_s, air)
             drawn = wheels_w * (1.0 + self.share_per_k * np.maximum(warmth - self.from_c, 0.0))
         return drawn

@@ -1,4 +1,4 @@
-"""The robot's logger: what a 10 Hz log of a drive looks like, with everything real logs suffer from."""
+"""The robot's logger: a 10 Hz log of a drive, with the errors of real logs."""
 
 from __future__ import annotations
 
@@ -47,12 +47,34 @@ _DECIMALS = dict(zip(COLUMNS, (3, 3, 3, 3, 2, 3, 3, 2, 2, 2, 1, 1, 0, 1, 0, 1, 3
 
 @dataclass(frozen=True)
 class Logger:
-    """How well the robot is recorded; every rate is per row. `Logger.perfect()` records the truth.
+    """How accurately a robot is recorded. `Logger.perfect()` records the truth.
 
-    position_m : RTK noise (half of it slow, over about 2 s); height_m the same upwards. voltage_v, current_share,
-    current_a : noise of the meters. dropouts : of 0.3 to 2 s. repeats : rows written twice. spikes : wild voltage or
-    current. jumps : single wild positions. floats : spells of 2 to 8 s in which RTK is lost (0.2 to 0.8 m off).
-    standing_s : how long the robot stands before it drives.
+    Attributes
+    ----------
+    rate_hz : float
+        Rows per second [Hz].
+    jitter_s : float
+        Standard deviation of the time between rows [s].
+    position_m, height_m : float
+        Noise of the RTK position, horizontal and vertical [m]; half of its variance is slow, over about 2 s.
+    voltage_v : float
+        Noise of the voltmeter [V].
+    current_share, current_a : float
+        Noise of the current meter, relative and absolute [A].
+    angle_deg : float
+        Noise of heading, roll and pitch [deg].
+    dropouts : float
+        Gaps of 0.3 to 2 s, per row.
+    repeats : float
+        Rows written twice, per row.
+    spikes : float
+        Wrong values of voltage or current, per row.
+    jumps : float
+        Single wrong positions, per row.
+    floats : float
+        Times of 2 to 8 s in which RTK is lost and the position is 0.2 to 0.8 m off, per row.
+    standing_s : float
+        How long the robot waits before it drives [s].
     """
 
     rate_hz: float = 10.0
@@ -72,21 +94,38 @@ class Logger:
 
     @classmethod
     def perfect(cls) -> Logger:
+        """Return a logger without errors, which starts when the robot does."""
         return cls(10.0, *([0.0] * 13))
 
 
 @dataclass(frozen=True)
 class RunLog:
-    """A log as recorded. columns : name -> (n,) float64 in the units of the run format, NaN is "not recorded".
+    """A log as recorded.
 
-    terrain : (n,) what the operator calls the ground.
+    Attributes
+    ----------
+    columns : dict of str to ndarray of float64, (n,)
+        Columns by name, in the units of the run format; NaN means not recorded.
+    terrain : ndarray of str, (n,)
+        What the operator calls the ground.
     """
 
     columns: dict[str, FloatArray]
     terrain: NDArray[np.str_]
 
     def write_csv(self, path: str | Path) -> Path:
-        """Write the run format; a NaN becomes a blank."""
+        """Write the log in the run format; a NaN becomes a blank.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Path
+            The file.
+        """
         texts = []
         for name in COLUMNS:
             if name == "terrain":
@@ -113,7 +152,41 @@ def simulate_run(
     effects: Sequence[Effect] = (),
     conditions: Conditions | None = None,
 ) -> RunLog:
-    """Drive and log: the one entry point from a site, a robot and a drive to a run, with effects if there are any."""
+    """Drive over a site and log it.
+
+    Parameters
+    ----------
+    site : Site
+        The site.
+    robot : FieldRobot
+        The robot as it truly is.
+    drive : Drive
+        The path.
+    rng : numpy.random.Generator
+        Source of all noise.
+    logger : Logger, optional
+        How accurately the robot is recorded.
+    pack : Pack, optional
+        The battery at the start.
+    start_s : float, optional
+        Time stamp of the first row [s], without conditions.
+    effects : sequence of Effect, optional
+        Hidden effects.
+    conditions : Conditions, optional
+        The conditions of the run.
+
+    Returns
+    -------
+    RunLog
+        The log.
+
+    Raises
+    ------
+    InputError
+        If the battery cannot deliver what the drive needs.
+    PointError
+        If a wheel would leave the terrain.
+    """
     trace = simulate_trace(site, robot, drive, rng=rng, effects=effects, conditions=conditions)
     gain = math.prod(effect.reading() for effect in effects)
     return log_trace(
@@ -141,9 +214,38 @@ def log_trace(
     conditions: Conditions | None = None,
     current_gain: float = 1.0,
 ) -> RunLog:
-    """The log of a trace; terrain : one word, or one for each station. Conditions bring their own stamps and battery.
+    """Log a trace.
 
-    Raises InputError where the battery cannot deliver what the drive needs.
+    Parameters
+    ----------
+    trace : Trace
+        What truly happened.
+    robot : FieldRobot
+        The robot as it truly is.
+    rng : numpy.random.Generator
+        Source of all noise.
+    logger : Logger, optional
+        How accurately the robot is recorded.
+    pack : Pack, optional
+        The battery at the start; drawn or from the conditions by default.
+    terrain : str or ndarray of str, (n,), optional
+        What the operator calls the ground, one word for all stations or for each.
+    start_s : float, optional
+        Time stamp of the first row [s]; conditions state their own.
+    conditions : Conditions, optional
+        The conditions of the run.
+    current_gain : float, optional
+        Factor on the logged current.
+
+    Returns
+    -------
+    RunLog
+        The log.
+
+    Raises
+    ------
+    InputError
+        If the battery cannot deliver what the drive needs.
     """
     logger = logger or Logger()
     if conditions is not None:
@@ -160,22 +262,22 @@ def log_trace(
     standing = t < 0.0
     step = np.clip(np.searchsorted(trace.t, t), 0, trace.t.size - 1)  # the step of the path that is under way at t
 
-    def at(values: FloatArray) -> FloatArray:
+    def _at(values: FloatArray) -> FloatArray:
         return np.interp(t, trace.t, values)
 
     idle_v, idle_a, _ = terminals(np.array([trace.standing_w]), np.array([1.0]), pack)
     n = t.size
     angles = {
-        "heading": np.degrees(at(np.unwrap(trace.heading_rad))),
-        "roll": np.degrees(at(trace.roll_rad)),
-        "pitch": np.degrees(at(trace.pitch_rad)),
+        "heading": np.degrees(_at(np.unwrap(trace.heading_rad))),
+        "roll": np.degrees(_at(trace.roll_rad)),
+        "pitch": np.degrees(_at(trace.pitch_rad)),
     }
     angles = {name: values + logger.angle_deg * rng.standard_normal(n) for name, values in angles.items()}
     columns: dict[str, FloatArray] = {
         "t": t + logger.standing_s + start_s,
-        "x": at(trace.x) + _rtk(rng, n, logger.position_m, logger.rate_hz),
-        "y": at(trace.y) + _rtk(rng, n, logger.position_m, logger.rate_hz),
-        "z": at(trace.z) + _rtk(rng, n, logger.height_m, logger.rate_hz),
+        "x": _at(trace.x) + _rtk(rng, n, logger.position_m, logger.rate_hz),
+        "y": _at(trace.y) + _rtk(rng, n, logger.position_m, logger.rate_hz),
+        "z": _at(trace.z) + _rtk(rng, n, logger.height_m, logger.rate_hz),
         "voltage": np.where(standing, idle_v, volts[step]) + logger.voltage_v * rng.standard_normal(n),
         "current": np.where(standing, idle_a, amps[step]) * (1.0 + logger.current_share * rng.standard_normal(n))
         + logger.current_a * rng.standard_normal(n),
@@ -187,7 +289,7 @@ def log_trace(
         "wind_speed": np.full(n, np.nan),
         "wind_from": np.full(n, np.nan),
         "payload": np.zeros(n),
-        "motor_temperature": at(warmth) + 0.2 * (logger.angle_deg > 0) * rng.standard_normal(n),
+        "motor_temperature": _at(warmth) + 0.2 * (logger.angle_deg > 0) * rng.standard_normal(n),
         "gps_error": np.abs(0.012 + 0.002 * rng.standard_normal(n)),
     }
     columns["current"] *= current_gain
@@ -200,7 +302,7 @@ def log_trace(
 
 
 def _weather(conditions: Conditions, t: FloatArray, *, quiet: bool) -> dict[str, FloatArray]:
-    """Columns of what the run was driven in, as its instruments tell it; their noise has a generator of its own."""
+    """Columns of the conditions as the robot's instruments measure them; their noise has its own generator."""
     rng = np.random.default_rng([conditions.seed, 3])
     noise = (0.0 if quiet else 1.0) * rng.standard_normal((3, t.size))
     speed, source = conditions.wind.at(t)

@@ -1,4 +1,4 @@
-"""Drives of a given length over a site, as a day in the field has them: lines, legs from point to point, bends."""
+"""Drives of a given length over a site: parallel lines, legs from point to point, curves."""
 
 from __future__ import annotations
 
@@ -16,7 +16,26 @@ PATTERNS = ("lawnmower", "waypoints", "winding")
 
 
 def drive_of(pattern: str, site: Site, robot: FieldRobot, length_m: float, rng: np.random.Generator) -> Drive:
-    """A drive of this length, to some per cent, at the robot's declared speed; pattern : one of `PATTERNS`."""
+    """Draw a drive at the robot's declared speed.
+
+    Parameters
+    ----------
+    pattern : str
+        One of `PATTERNS`.
+    site : Site
+        The site.
+    robot : FieldRobot
+        The robot.
+    length_m : float
+        Length of the drive, within a few per cent [m].
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    Drive
+        The path as driven.
+    """
     west, south, east, north = site.drivable
     inside = (west + 1.0, south + 1.0, east - 1.0, north - 1.0)
     if pattern == "lawnmower":

@@ -3,8 +3,8 @@
 Everything here follows from mechanics, station by station (2.5 cm) along the driven path:
 
 - *Pose.* A wheel of radius R rests on the terrain: its centre is the highest circle that touches the ground anywhere
-  on its contact arc. Four equal springs under a rigid chassis give mean height, pitch and roll; what a plane cannot
-  follow (the twist) shifts load between the diagonals.
+  on its contact arc. Four equal springs under a rigid chassis determine mean height, pitch and roll. What a plane
+  cannot follow (the twist) moves load between the diagonals.
 - *Load of a wheel* from the components of gravity in the body's frame, the height of the centre of mass, and twist.
 - *Force to move:* rise of the centre of mass, rolling loss of each wheel (grows a little faster than its load), energy
   lost when a wheel climbs relative to the chassis and drops again, side slip on a cross slope, scrubbing of the
@@ -35,11 +35,20 @@ _EPS = 1e-12
 
 @dataclass(frozen=True)
 class Motion:
-    """What driving a path asks of the robot; every array has one entry per station.
+    """What driving a path requires of the robot; every array has one entry per station.
 
-    z : height of the body above the datum, at wheel-contact level [m]. pitch_rad > 0 nose up; roll_rad > 0 right side
-    down. force_left_n, force_right_n : what each side's wheels must push with [N]. loads_n : (n, 4) front left, front
-    right, rear left, rear right.
+    Attributes
+    ----------
+    z : ndarray of float64, (n,)
+        Height of the body above the datum, at the level of the wheels' contact [m].
+    pitch_rad : ndarray of float64, (n,)
+        Pitch, > 0 nose up [rad].
+    roll_rad : ndarray of float64, (n,)
+        Roll, > 0 right side down [rad].
+    force_left_n, force_right_n : ndarray of float64, (n,)
+        Force of the wheels of each side [N].
+    loads_n : ndarray of float64, (n, 4)
+        Load of the wheels: front left, front right, rear left, rear right [N].
     """
 
     z: FloatArray
@@ -61,7 +70,35 @@ def move(
     heading_rad: FloatArray,
     speed_mps: FloatArray,
 ) -> Motion:
-    """Drive over stations (n,) of a path. Raises PointError where a wheel would leave the terrain."""
+    """Drive over the stations of a path, quasi-statically.
+
+    Parameters
+    ----------
+    terrain : Heightmap
+        The true terrain.
+    mu_factor : Heightmap
+        Factor on the ground's rolling loss from place to place.
+    ground : Ground
+        The ground.
+    robot : FieldRobot
+        The robot as it truly is.
+    x, y : ndarray of float64, (n,)
+        World positions [m].
+    heading_rad : ndarray of float64, (n,)
+        Headings [rad].
+    speed_mps : ndarray of float64, (n,)
+        Speeds [m/s].
+
+    Returns
+    -------
+    Motion
+        Pose, forces and loads.
+
+    Raises
+    ------
+    PointError
+        If a wheel would leave the terrain.
+    """
     z, pitch, roll, left, right, loads = _move(
         terrain.heights,
         *_grid(terrain.frame),

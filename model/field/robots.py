@@ -18,12 +18,41 @@ FloatArray = NDArray[np.float64]
 class FieldRobot:
     """The robot as it truly is: what the owner declares, and what nobody measured.
 
-    declared : what the owner's file says. mass_kg : true mass. wheelbase_m, track_m : between wheel centres.
-    wheel_width_m : of the contact. com_height_m : above the ground. twist_n_per_m : load moved to a wheel per metre of
-    twist. friction_factor : true rolling loss of this robot's tyres over the ground's own. gear_efficiency : 0..1.
-    drag_n : constant friction of the drivetrain [N at the ground, both sides together]. copper_w_per_n2 : copper loss
-    per squared force of a side [W/N2]. idle_w : electronics. lateral_grip : side force of the tyres per radian of slip
-    and newton of load. lag_m : distance over which wheels, chassis and speed controller even the force out.
+    Attributes
+    ----------
+    declared : Robot
+        What the owner's file says.
+    mass_kg : float
+        True mass [kg].
+    wheelbase_m, track_m : float
+        Distance between wheel centres, along and across [m].
+    wheel_width_m : float
+        Width of the contact of a wheel [m].
+    com_height_m : float
+        Height of the centre of mass above the ground [m].
+    twist_n_per_m : float
+        Load moved to a wheel per metre of twist [N/m].
+    friction_factor : float
+        True rolling loss of this robot's tyres over the ground's own.
+    gear_efficiency : float
+        Efficiency of the gears, 0 to 1.
+    drag_n : float
+        Constant friction of the drivetrain, both sides together, at the ground [N].
+    copper_w_per_n2 : float
+        Copper loss per squared force of a side [W/N2].
+    idle_w : float
+        Power of the electronics [W].
+    lateral_grip : float
+        Side force of the tyres per radian of slip and newton of load.
+    lag_m : float
+        Distance over which wheels, chassis and speed controller smooth the force [m].
+    regeneration : float
+        Share of the power pushed back that returns to the battery, 0 to 1.
+
+    Raises
+    ------
+    RobotError
+        If a value is not positive, or an efficiency is above 1.
     """
 
     declared: Robot
@@ -54,7 +83,18 @@ class FieldRobot:
 
     @classmethod
     def nominal(cls, declared: Robot) -> FieldRobot:
-        """The middle of what `drawn` draws: no surprise in the hidden parameters."""
+        """Return the robot whose hidden parameters are the usual ones.
+
+        Parameters
+        ----------
+        declared : Robot
+            What the owner's file says.
+
+        Returns
+        -------
+        FieldRobot
+            The middle of what `drawn` draws.
+        """
         weight = declared.weight_n
         return cls(
             declared=declared,
@@ -72,32 +112,56 @@ class FieldRobot:
 
     @classmethod
     def drawn(cls, declared: Robot, rng: np.random.Generator) -> FieldRobot:
-        """A robot whose hidden parameters are drawn around `nominal`."""
+        """Draw a robot whose hidden parameters lie around those of `nominal`.
+
+        Parameters
+        ----------
+        declared : Robot
+            What the owner's file says.
+        rng : numpy.random.Generator
+            Source of randomness.
+
+        Returns
+        -------
+        FieldRobot
+            The robot.
+        """
         base = cls.nominal(declared)
 
-        def spread(value: float, share: float) -> float:
+        def _spread(value: float, share: float) -> float:
             return float(value * math.exp(share * rng.standard_normal()))
 
         return replace(
             base,
-            mass_kg=spread(base.mass_kg, 0.02),
-            wheelbase_m=spread(base.wheelbase_m, 0.06),
-            track_m=spread(base.track_m, 0.04),
-            wheel_width_m=spread(base.wheel_width_m, 0.2),
-            com_height_m=spread(base.com_height_m, 0.15),
-            twist_n_per_m=spread(base.twist_n_per_m, 0.4),
-            friction_factor=spread(1.0, 0.10),
+            mass_kg=_spread(base.mass_kg, 0.02),
+            wheelbase_m=_spread(base.wheelbase_m, 0.06),
+            track_m=_spread(base.track_m, 0.04),
+            wheel_width_m=_spread(base.wheel_width_m, 0.2),
+            com_height_m=_spread(base.com_height_m, 0.15),
+            twist_n_per_m=_spread(base.twist_n_per_m, 0.4),
+            friction_factor=_spread(1.0, 0.10),
             gear_efficiency=float(np.clip(base.gear_efficiency + 0.05 * rng.standard_normal(), 0.6, 0.95)),
-            drag_n=spread(base.drag_n, 0.3),
-            copper_w_per_n2=spread(base.copper_w_per_n2, 0.3),
-            idle_w=spread(base.idle_w, 0.04),
-            lateral_grip=spread(base.lateral_grip, 0.25),
-            lag_m=spread(base.lag_m, 0.2),
+            drag_n=_spread(base.drag_n, 0.3),
+            copper_w_per_n2=_spread(base.copper_w_per_n2, 0.3),
+            idle_w=_spread(base.idle_w, 0.04),
+            lateral_grip=_spread(base.lateral_grip, 0.25),
+            lag_m=_spread(base.lag_m, 0.2),
         )
 
     @classmethod
     def random(cls, rng: np.random.Generator) -> FieldRobot:
-        """Another robot altogether, about 12 to 130 kg, for pre-training; its hidden parameters are drawn too."""
+        """Draw any robot of 12 to 130 kg, hidden parameters included, for pre-training.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of randomness.
+
+        Returns
+        -------
+        FieldRobot
+            The robot.
+        """
         mass = float(np.clip(35.0 * math.exp(0.6 * rng.standard_normal()), 12.0, 130.0))
         size = (mass / 35.0) ** (1.0 / 3.0)
         length = 0.60 * size * math.exp(0.15 * rng.standard_normal())
@@ -115,7 +179,7 @@ class FieldRobot:
         return cls.drawn(declared, rng)
 
     def kernel_parameters(self) -> FloatArray:
-        """The numbers the compiled kernels read, in their order. Shape (15,)."""
+        """Return the numbers that the compiled kernels read, in their order, (15,)."""
         return np.array(
             [
                 self.mass_kg * GRAVITY_MPS2,
@@ -141,13 +205,31 @@ class FieldRobot:
 class Ground:
     """What the ground is made of.
 
-    mu : rolling loss over load, at a quarter of the robot's weight per wheel. load_exponent : how much faster than the
-    load the loss grows. bump_loss : share of the lifted energy that a wheel loses when it climbs relative to the
-    chassis and drops. bump_speed_mps : speed at which that loss has doubled. scrub : side friction of the tyres when
-    turning. tpi_share : rolling loss added in hollows (softer, wetter), per 0.1 m of depth below the 3 m around.
-    patchiness : spread of mu from place to place (about 6 m) that no height explains. spread : multiplicative spread
-    of the power at the wheels, correlated over spread_length_m, that nothing explains. tussock_m : rms of the relief
-    finer than a survey sees.
+    Attributes
+    ----------
+    name : str
+        What the operator calls it.
+    mu : float
+        Rolling loss over load, at a quarter of the robot's weight per wheel.
+    load_exponent : float
+        How much faster than the load the loss grows.
+    bump_loss : float
+        Share of the lifted energy that a wheel loses when it climbs relative to the chassis and drops again.
+    bump_speed_mps : float
+        Speed at which that loss has doubled [m/s].
+    scrub : float
+        Side friction of the tyres in turns.
+    tpi_share : float
+        Rolling loss added where the ground is lower than around it (softer and wetter), per 0.1 m of negative
+        topographic position index.
+    patchiness : float
+        Spread of mu from place to place, over about 6 m, that does not follow from any height.
+    spread : float
+        Multiplicative spread of the power at the wheels that does not follow from anything known.
+    spread_length_m : float
+        Correlation length of that spread [m].
+    tussock_m : float
+        Root mean square of the relief that is finer than a survey measures [m].
     """
 
     name: str = "grass"
@@ -163,5 +245,5 @@ class Ground:
     tussock_m: float = 0.006
 
     def kernel_parameters(self) -> FloatArray:
-        """The numbers the compiled kernels read, in their order. Shape (6,)."""
+        """Return the numbers that the compiled kernels read, in their order, (6,)."""
         return np.array([self.mu, self.load_exponent, self.bump_loss, self.bump_speed_mps, self.scrub, 0.4])

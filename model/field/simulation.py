@@ -1,4 +1,4 @@
-"""A drive over a site, simulated: power along the path, the 1 m segments it truly cost, and the log of it."""
+"""Simulate a drive over a site: the power along the path, and the true energy of its segments of 1 m."""
 
 from __future__ import annotations
 
@@ -26,11 +26,32 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trace:
-    """What truly happened, (n,) per station.
+    """What truly happened, one entry per station.
 
-    t : from 0 [s]. z : ground under the body [m]. pitch_rad > 0 nose up, roll_rad > 0 right side down. power_w : at the
-    battery; explained_w : the same without the spread that no height explains; wheels_w : both drives' part of power_w.
-    standing_w : what is drawn while the robot stands.
+    Attributes
+    ----------
+    t : ndarray of float64, (n,)
+        Time since the start [s].
+    x, y : ndarray of float64, (n,)
+        World positions [m].
+    z : ndarray of float64, (n,)
+        Height of the ground under the body [m].
+    heading_rad : ndarray of float64, (n,)
+        Headings [rad].
+    speed_mps : ndarray of float64, (n,)
+        Speeds [m/s].
+    pitch_rad : ndarray of float64, (n,)
+        Pitch, > 0 nose up [rad].
+    roll_rad : ndarray of float64, (n,)
+        Roll, > 0 right side down [rad].
+    power_w : ndarray of float64, (n,)
+        Power at the battery [W].
+    explained_w : ndarray of float64, (n,)
+        The same without the spread that does not follow from any height [W].
+    wheels_w : ndarray of float64, (n,)
+        The part of `power_w` that both drives take [W].
+    standing_w : float
+        Power during a halt [W].
     """
 
     t: FloatArray
@@ -47,17 +68,42 @@ class Trace:
     standing_w: float
 
     def energy_j(self, power_w: FloatArray | None = None) -> FloatArray:
-        """Energy since the start [J], (n,): the power of a station holds over the step that ends there."""
+        """Return the energy since the start; the power of a station holds over the step that ends there.
+
+        Parameters
+        ----------
+        power_w : ndarray of float64, (n,), optional
+            Another power than that at the battery [W].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Energy [J].
+        """
         power = self.power_w if power_w is None else power_w
         return np.cumsum(power * np.diff(self.t, prepend=self.t[0]))
 
 
 @dataclass(frozen=True)
 class TrueSegments:
-    """Consecutive 1 m segments of a trace, (n,) each, without any error of measurement.
+    """Consecutive segments of 1 m of a trace, without any error of measurement.
 
-    x, y : centre. heading_rad : of p -> q. energy_j : drawn from the battery; explained_j : without the spread that no
-    height explains. driven_m : horizontal path length; heading_change_rad : net, > 0 to the right.
+    Attributes
+    ----------
+    x, y : ndarray of float64, (n,)
+        World position of the centre [m].
+    heading_rad : ndarray of float64, (n,)
+        Heading from p to q [rad].
+    energy_j : ndarray of float64, (n,)
+        Energy drawn from the battery [J].
+    explained_j : ndarray of float64, (n,)
+        The same without the spread that does not follow from any height [J].
+    duration_s : ndarray of float64, (n,)
+        Duration [s].
+    driven_m : ndarray of float64, (n,)
+        Horizontal length of the path [m].
+    heading_change_rad : ndarray of float64, (n,)
+        Net turn, > 0 to the right [rad].
     """
 
     x: FloatArray
@@ -87,9 +133,32 @@ def simulate_trace(
     effects: Sequence[Effect] = (),
     conditions: Conditions | None = None,
 ) -> Trace:
-    """Drive over the true terrain of `site`, with hidden effects if there are any.
+    """Drive over the true terrain of a site, with hidden effects if there are any.
 
-    Raises PointError where a wheel would leave the terrain.
+    Parameters
+    ----------
+    site : Site
+        The site.
+    robot : FieldRobot
+        The robot as it truly is.
+    drive : Drive
+        The path.
+    rng : numpy.random.Generator
+        Source of the spread of the power.
+    effects : sequence of Effect, optional
+        Hidden effects.
+    conditions : Conditions, optional
+        The conditions of the run.
+
+    Returns
+    -------
+    Trace
+        What truly happened, without halts.
+
+    Raises
+    ------
+    PointError
+        If a wheel would leave the terrain.
     """
     ride, wheels = take_ride(site, robot, drive, effects=effects, conditions=conditions)
     _, explained = take_ride(
@@ -121,7 +190,28 @@ def take_ride(
     effects: Sequence[Effect] = (),
     conditions: Conditions | None = None,
 ) -> tuple[Ride, FloatArray]:
-    """How the drive goes, and the power of both drives [W], (n,), before the losses that an effect adds to it."""
+    """Drive, and return the power of both drives before the losses that an effect adds to it.
+
+    Parameters
+    ----------
+    site : Site
+        The site.
+    robot : FieldRobot
+        The robot as it truly is.
+    drive : Drive
+        The path.
+    effects : sequence of Effect, optional
+        Hidden effects.
+    conditions : Conditions, optional
+        The conditions of the run.
+
+    Returns
+    -------
+    ride : Ride
+        The drive in progress.
+    wheels_w : ndarray of float64, (n,)
+        Power of both drives [W].
+    """
     conditions = conditions or Conditions()
     for effect in effects:
         site = effect.on_site(site)
@@ -149,12 +239,44 @@ def take_ride(
 def simulate_segments(
     site: Site, robot: FieldRobot, drive: Drive, *, rng: np.random.Generator, max_driven_m: float = 1.05
 ) -> TrueSegments:
-    """`true_segments` of `simulate_trace`: many exact segments quickly, without a logger."""
+    """Simulate a drive and return its true segments: many exact ones quickly, without a logger.
+
+    Parameters
+    ----------
+    site : Site
+        The site.
+    robot : FieldRobot
+        The robot as it truly is.
+    drive : Drive
+        The path.
+    rng : numpy.random.Generator
+        Source of the spread of the power.
+    max_driven_m : float, optional
+        Segments driven longer than this (turns) are left out [m].
+
+    Returns
+    -------
+    TrueSegments
+        The segments.
+    """
     return true_segments(simulate_trace(site, robot, drive, rng=rng), max_driven_m=max_driven_m)
 
 
 def with_halts(trace: Trace, halts: Halts) -> Trace:
-    """The same drive with its halts. Each of them adds a station."""
+    """Return the same drive with halts, each of which adds a station.
+
+    Parameters
+    ----------
+    trace : Trace
+        The drive without halts.
+    halts : Halts
+        Where the robot halts, and for how long.
+
+    Returns
+    -------
+    Trace
+        The drive with halts.
+    """
     after, waited = halts.stations, halts.waited_s(trace.t.size + 1)
     columns = {}
     for item in fields(Trace):
@@ -175,16 +297,48 @@ def with_halts(trace: Trace, halts: Halts) -> Trace:
 
 
 def segment_gains(trace: Trace, *cumulated: FloatArray, length_m: float = 1.0) -> list[FloatArray]:
-    """What quantities cumulated along the path, (n,) each, gain over consecutive segments."""
+    """Return how much cumulated quantities grow over consecutive segments.
+
+    Parameters
+    ----------
+    trace : Trace
+        The drive, of n stations.
+    *cumulated : ndarray of float64, (n,)
+        Quantities cumulated along the path.
+    length_m : float, optional
+        Length of a segment [m].
+
+    Returns
+    -------
+    list of ndarray
+        For each quantity its growth per segment.
+    """
     at = _cut(trace.x, trace.y, length_m)  # fractional station of every end
     station = np.arange(trace.x.size, dtype=np.float64)
     return [np.diff(np.interp(at, station, values)) for values in cumulated]
 
 
 def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 1.05) -> TrueSegments:
-    """Consecutive segments whose ends lie `length_m` apart in a straight horizontal line.
+    """Cut a trace into consecutive segments whose ends have a given horizontal distance.
 
-    Segments driven longer than `max_driven_m` (turns) are left out.
+    Parameters
+    ----------
+    trace : Trace
+        The drive.
+    length_m : float, optional
+        Straight distance between the ends of a segment [m].
+    max_driven_m : float, optional
+        Segments driven longer than this (turns) are left out, for length_m = 1 [m].
+
+    Returns
+    -------
+    TrueSegments
+        The segments.
+
+    Raises
+    ------
+    InputError
+        If `length_m` is not positive.
     """
     if length_m <= 0:
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=length_m)
@@ -208,7 +362,7 @@ def true_segments(trace: Trace, *, length_m: float = 1.0, max_driven_m: float = 
 
 
 def _battery_w(ride: Ride, wheels_w: FloatArray, effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:
-    """Power at the battery and of the drives [W], (n,) each, after every effect has had its say."""
+    """Power at the battery and of the drives [W], (n,) each, after all effects."""
     for effect in effects:
         wheels_w = effect.wheels_w(ride, wheels_w)
     power = ride.robot.idle_w + wheels_w
@@ -237,7 +391,7 @@ def _walk(shock: FloatArray, decay: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def _cut(x: FloatArray, y: FloatArray, length: float) -> FloatArray:
-    """Fractional stations of consecutive points `length` apart in a straight line, from station 0."""
+    """Fractional stations of consecutive points at a straight distance of `length`, from station 0."""
     out = np.empty(x.size)
     out[0] = 0.0
     count = 1

@@ -1,4 +1,4 @@
-"""Named and random sites: the true terrain, what a survey gives of it, and the ground it is made of."""
+"""Named and random sites: the true terrain, the survey of it, and the ground it is made of."""
 
 from __future__ import annotations
 
@@ -40,9 +40,24 @@ GROUNDS: Mapping[str, Ground] = {
 class Site:
     """A place to drive.
 
-    terrain : the truth, 5 cm. survey : the heightmap that is given to a model. mu_factor : what multiplies the ground's
-    rolling loss from place to place; mu_factor_explained : its part that follows from the terrain (hollows). words :
-    what an operator calls the ground, where `word_map` is below and above one half; without a map, the ground's name.
+    Attributes
+    ----------
+    name : str
+        Name of the site.
+    terrain : Heightmap
+        The true terrain, on cells of 5 cm.
+    survey : Heightmap
+        The heightmap that a model is given.
+    ground : Ground
+        What it is made of.
+    mu_factor : Heightmap
+        Factor on the ground's rolling loss from place to place.
+    mu_factor_explained : Heightmap
+        The part of that factor which follows from the terrain, by its topographic position index.
+    words : tuple of str
+        What the operator calls the ground where `word_map` is below and above one half.
+    word_map : Heightmap or None
+        Without it the whole site is called by the ground's name.
     """
 
     name: str
@@ -56,25 +71,60 @@ class Site:
 
     @property
     def drivable(self) -> tuple[float, float, float, float]:
-        """(west, south, east, north) [m] in which waypoints may lie."""
+        """West, south, east and north of the area in which waypoints may lie [m]."""
         west, south, east, north = self.terrain.frame.bounds
         return west + _MARGIN_M, south + _MARGIN_M, east - _MARGIN_M, north - _MARGIN_M
 
     def words_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.str_]:
-        """What an operator calls the ground at world points [m], in their shape."""
+        """Return what the operator calls the ground.
+
+        Parameters
+        ----------
+        x, y : array_like
+            World points [m], of any shape.
+
+        Returns
+        -------
+        ndarray of str
+            Words in the shape of the points.
+        """
         if self.word_map is None:
             return np.full(np.broadcast(x, y).shape, self.ground.name)
         return np.where(self.word_map.sample(x, y) < 0.5, *self.words)
 
     def with_words(self, words: tuple[str, str], rng: np.random.Generator) -> Site:
-        """This site with two kinds of ground by name, in stretches of about 10 m; the ground itself stays as it is."""
+        """Return this site with two names for the ground, in areas of about 10 m; the ground itself is unchanged.
+
+        Parameters
+        ----------
+        words : tuple of str
+            The two names.
+        rng : numpy.random.Generator
+            Source of the areas.
+
+        Returns
+        -------
+        Site
+            The site.
+        """
         frame = self.mu_factor.frame
         noise = gaussian_filter(rng.standard_normal(frame.shape), 5.0 / _SOIL_M, mode="nearest")
         share = np.asarray(noise > np.quantile(noise, rng.uniform(0.35, 0.65)), dtype=np.float32)
         return replace(self, words=words, word_map=Heightmap(share, frame))
 
     def with_rolling_loss(self, factor: NDArray[np.float64]) -> Site:
-        """This site with its rolling loss multiplied by a factor for each cell of `mu_factor`."""
+        """Return this site with another rolling loss.
+
+        Parameters
+        ----------
+        factor : ndarray of float64
+            Factor for each cell of `mu_factor`.
+
+        Returns
+        -------
+        Site
+            The site.
+        """
         times = np.asarray(factor, dtype=np.float32)
         return replace(
             self,
@@ -87,9 +137,17 @@ class Site:
 class Relief:
     """Shape of a terrain.
 
-    hills : the large shape. rough_m : rms height [m] of waves of 0.1 to 1.2 m. tussocks_per_m2, tussock_m : number and
-    mean height of humps about 0.15 m in radius. unevenness : spread (log) of roughness and tussocks from place to
-    place, over 5 to 25 m; real ground is never equally rough everywhere.
+    Attributes
+    ----------
+    hills : TerrainRecipe
+        The large shape.
+    rough_m : float
+        Root mean square height of waves of 0.1 to 1.2 m [m].
+    tussocks_per_m2, tussock_m : float
+        Number per square metre and mean height [m] of bumps of about 0.15 m radius.
+    unevenness : float
+        Standard deviation of the logarithm of roughness and tussocks from place to place, over 5 to 25 m; real ground
+        is never equally rough everywhere.
     """
 
     hills: TerrainRecipe = _PARK
@@ -113,11 +171,29 @@ _PLASTIC = 1.324717957244746  # the plastic ratio, x**3 = x + 1
 
 
 def named_site(name: str, *, seed: int = 0, width_m: float = 60.0, height_m: float = 40.0) -> Site:
-    """grass_a, grass_b or dirt. Each (name, seed) is always the same site; grass_b is another meadow, softer or firmer
-    than grass_a as the seed has it. Raises NotFoundError for another name.
+    """Return a named site; the same name and seed always give the same site.
+
+    Parameters
+    ----------
+    name : str
+        grass_a, grass_b or dirt. grass_b is another meadow than grass_a, softer or firmer depending on the seed.
+    seed : int, optional
+        Seed of everything random.
+    width_m, height_m : float, optional
+        Size of the site, east and north [m].
+
+    Returns
+    -------
+    Site
+        The site.
+
+    Raises
+    ------
+    NotFoundError
+        For another name.
     """
     if name not in _NAMED:
-        raise NotFoundError(f"no simulated site {name!r}; known are {', '.join(_NAMED)}", name=name)
+        raise NotFoundError(f"there is no simulated site {name!r}; known are {', '.join(_NAMED)}", name=name)
     relief, kind = _NAMED[name]
     ground = _another_meadow(GROUNDS[kind], seed) if name == "grass_b" else GROUNDS[kind]
     rng = np.random.default_rng([seed, *name.encode()])
@@ -132,7 +208,24 @@ def random_site(
     size_m: float = 30.0,
     survey_m: float | None = None,
 ) -> Site:
-    """A site for pre-training: ground, relief, roughness and survey (0.05 to 1 m) are drawn."""
+    """Draw a site for pre-training: ground, relief, roughness and survey.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+    max_slope_deg : float, optional
+        Steepest slope that a site may have [deg].
+    size_m : float, optional
+        Side of the site [m].
+    survey_m : float, optional
+        Side of a cell of the survey [m]; drawn from 0.05 to 1 m by default.
+
+    Returns
+    -------
+    Site
+        The site.
+    """
     slope = max_slope_deg * float(rng.uniform(0.1, 1.0))
     rough = math.exp(0.6 * rng.standard_normal())
     tilt = slope * float(rng.uniform(0.0, 0.6))
@@ -172,7 +265,18 @@ def random_site(
 
 
 def random_ground(rng: np.random.Generator) -> Ground:
-    """A ground drawn around those of GROUNDS."""
+    """Draw a ground around those of `GROUNDS`.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    Ground
+        The ground.
+    """
     base = list(GROUNDS.values())[int(rng.integers(len(GROUNDS)))]
     return replace(
         base,
@@ -196,9 +300,34 @@ def make_site(
     noise_m: float = 0.004,
     smoothing_m: float = 0.06,
 ) -> Site:
-    """Build the terrain, the maps of rolling loss, and a survey of `survey_m` cells with this noise and blur.
+    """Build the terrain, the maps of rolling loss, and the survey.
 
-    Raises HeightmapError for a survey finer than the terrain.
+    Parameters
+    ----------
+    name : str
+        Name of the site.
+    relief : Relief
+        Shape of the terrain.
+    ground : Ground
+        What it is made of.
+    frame : GridFrame
+        Where the true terrain lies.
+    rng : numpy.random.Generator
+        Source of randomness.
+    survey_m : float
+        Side of a cell of the survey [m].
+    noise_m, smoothing_m : float, optional
+        Noise and blur of the survey [m].
+
+    Returns
+    -------
+    Site
+        The site.
+
+    Raises
+    ------
+    HeightmapError
+        If the survey is finer than the terrain.
     """
     seen = Heightmap(_relief(relief, frame, rng), frame, f"simulated {name}")
     survey = degrade(seen, resolution_m=survey_m, noise_m=noise_m, smoothing_m=smoothing_m, rng=rng)
@@ -209,7 +338,7 @@ def make_site(
 
 
 def _another_meadow(ground: Ground, seed: int) -> Ground:
-    """The same kind of ground elsewhere: softer or firmer, which nobody sees from above.
+    """The same kind of ground elsewhere: softer or firmer, which is invisible from above.
 
     Over seeds the two spreads are log-normal, and quasi-random (Roberts' R2 sequence, 2018), so that any handful of
     seeds in a row has softer and firmer meadows in balance.
@@ -240,7 +369,7 @@ def _relief(relief: Relief, frame: GridFrame, rng: np.random.Generator) -> NDArr
 def _soil(
     heights: NDArray[np.float32], ground: Ground, frame: GridFrame, rng: np.random.Generator
 ) -> tuple[Heightmap, Heightmap]:
-    """Maps of rolling loss: (explained by hollows, with the patches that nothing explains)."""
+    """Maps of rolling loss: (by the topographic position index, also with the patches that follow from nothing)."""
     coarse = frame.respaced(_SOIL_M)
     x, y = coarse.centres()
     row, col = frame.rowcol(*np.meshgrid(x, y))

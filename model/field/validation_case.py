@@ -1,8 +1,9 @@
-"""Blind cases: folders of measured runs with something at work that nobody declared, and the truth kept apart.
+"""Validation cases: folders of simulated runs with hidden effects, whose truth is returned and not written.
 
-A case's folder holds dem.tif, robot.toml, base/ (runs without any effect), new/ (another day at the same site, with
-the effects) and other_site/ (another heightmap, the same effects). `site_seed` alone decides sites, robot and base/, so
-that many cases can share one base model; `seed` decides the effects' strength and the runs of the other two.
+The folder of a case holds dem.tif, robot.toml, base/ (baseline runs, without effects), new/ (another day at the same
+site, with the effects) and other_site/ (another heightmap, the same effects). `site_seed` alone decides sites, robot
+and base/, so that many cases can share one baseline model. `seed` decides the strength of the effects and the runs of
+the other two folders.
 """
 
 from __future__ import annotations
@@ -40,10 +41,18 @@ _DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class RunTruth:
-    """What truly happened in a run, per station (n,): stamps on the log's clock [s], and energies since its start [J].
+    """What truly happened in a run, one entry per station.
 
-    drawn_j : as a perfect meter of this robot would have read it. known_j : what knowing the terrain and the effects
-    says of it; without_j : what knowing the terrain alone says.
+    Attributes
+    ----------
+    t : ndarray of float64, (n,)
+        Time on the log's clock [s].
+    drawn_j : ndarray of float64, (n,)
+        Energy since the start, as a perfect meter of this robot would read it [J].
+    known_j : ndarray of float64, (n,)
+        The prediction that knows the terrain and the effects [J].
+    without_j : ndarray of float64, (n,)
+        The prediction that knows the terrain alone [J].
     """
 
     t: FloatArray
@@ -54,7 +63,17 @@ class RunTruth:
 
 @dataclass(frozen=True)
 class Coefficient:
-    """Of an effect, as the battery feels it: least squares of what it cost the segments of new/ on its amount."""
+    """The true coefficient of an effect at the battery.
+
+    Attributes
+    ----------
+    effect : str
+        Name of the effect.
+    value : float
+        Least squares of the energy that the effect took in the segments of new/, on its amount.
+    unit : str
+        Its unit.
+    """
 
     effect: str
     value: float
@@ -63,7 +82,21 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class CaseTruth:
-    """What a case hides. floor_known, floor_without : folder -> mean relative error of a perfect model per segment."""
+    """What a case hides.
+
+    Attributes
+    ----------
+    seed, site_seed : int
+        The seeds of the case.
+    effects : tuple of Effect
+        The hidden effects.
+    coefficients : tuple of Coefficient
+        Their true coefficients.
+    runs : dict of str to RunTruth
+        The truth by the run's path in the folder.
+    floor_known, floor_without : dict of str to float
+        By folder: mean relative error per segment of a perfect model that knows the effects, and of one that does not.
+    """
 
     seed: int
     site_seed: int
@@ -75,6 +108,7 @@ class CaseTruth:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the hidden effects."""
         return tuple(effect.name for effect in self.effects)
 
 
@@ -97,10 +131,33 @@ def make_validation_case(
     site_seed: int = 0,
     without_effects: str | Path | None = None,
 ) -> CaseTruth:
-    """Write a case's folder and return its truth. effects : names of `hidden_draws`, or effects as they are.
+    """Write the folder of a case and return its truth; the same arguments give the same files.
 
-    without_effects : folder for new/ and other_site/ as the same drives would have been without effects. Same arguments, same
-    files. Raises NotFoundError for an unknown effect and InputError for a folder that holds runs already.
+    Parameters
+    ----------
+    seed : int
+        Seed of the effects' strength and of the runs that have them.
+    effects : sequence of str or Effect
+        Names of `hidden_draws`, or effects as they are.
+    out : str or Path
+        The folder.
+    site_seed : int, optional
+        Seed of sites, robot and baseline runs.
+    without_effects : str or Path, optional
+        Another folder: the runs of new/ and other_site/ are also written there as they would have been without the
+        effects.
+
+    Returns
+    -------
+    CaseTruth
+        What the case hides.
+
+    Raises
+    ------
+    NotFoundError
+        If an effect is unknown.
+    InputError
+        If the folder holds runs already.
     """
     out = Path(out)
     if any(out.glob("*/*.csv")):
@@ -134,7 +191,20 @@ def make_validation_case(
 
 
 def write_baseline(site_seed: int, out: str | Path) -> Path:
-    """Write dem.tif, robot.toml and base/ of a site: a day without effects, about 4,400 m."""
+    """Write dem.tif, robot.toml and base/ of a site: a day without effects, about 4,400 m.
+
+    Parameters
+    ----------
+    site_seed : int
+        Seed of sites, robot and baseline runs.
+    out : str or Path
+        The folder.
+
+    Returns
+    -------
+    Path
+        The folder.
+    """
     home, _, robot = place(site_seed)
     rng = np.random.default_rng([site_seed, 3])
     out = Path(out)
@@ -162,7 +232,18 @@ def write_baseline(site_seed: int, out: str | Path) -> Path:
 
 @lru_cache(maxsize=2)
 def place(site_seed: int) -> tuple[Site, Site, FieldRobot]:
-    """Two sites of one ground, 60 x 40 m with slopes up to 5 to 12 degrees, and the robot that drives there."""
+    """Return two sites of one ground, 60 x 40 m with slopes up to 5 to 12 degrees, and the robot that drives there.
+
+    Parameters
+    ----------
+    site_seed : int
+        Seed of both.
+
+    Returns
+    -------
+    tuple
+        The home site, the other site, and the robot.
+    """
     rng = np.random.default_rng([site_seed, 1])
     robot = FieldRobot.random(rng)
     declared = replace(

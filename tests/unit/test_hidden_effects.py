@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import InputError, NotFoundError
-from joulemap.model.field.validation_case import make_validation_case
 from joulemap.model.field.conditions import Conditions, Day, Halts, Wind
 from joulemap.model.field.drives import drive_along, winding
 from joulemap.model.field.effects import Effect, Within
@@ -30,6 +29,7 @@ from joulemap.model.field.logger import Logger, log_trace, simulate_run
 from joulemap.model.field.robots import FieldRobot, Ground
 from joulemap.model.field.simulation import simulate_trace, with_halts
 from joulemap.model.field.sites import Site
+from joulemap.model.field.validation_case import make_validation_case
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
