@@ -40,7 +40,7 @@ class Command(TyperCommand):
         list of str
             What is left over.
         """
-        options = [option for option in self.params if option.param_type_name == "option"]
+        options: list[Any] = [option for option in self.params if option.param_type_name == "option"]
         names = {name for option in options for name in option.opts}
         known = {old: new for old, new in RENAMED.items() if new in names and old not in names}
         for old in sorted({word.partition("=")[0] for word in args} & known.keys()):
@@ -81,7 +81,7 @@ def one_value_each(args: Iterable[str], *, lists: set[str], singles: set[str], o
     list of str
         `--runs a b` is now `--runs a --runs b`.
     """
-    words, out = list(args), []
+    words, out = list(args), list[str]()
     option, wants_value = "", False
     for k, word in enumerate(words):
         if word == "--" and not wants_value:

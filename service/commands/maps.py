@@ -66,8 +66,7 @@ def costmap(
         typer.Option(
             min=1,
             metavar="N",
-            help="Most values (rows x columns x headings) that the cost map may have; 8 bytes each, at most. A larger "
-            "one than the default does not fit into the memory of a planner.",
+            help="Most values (rows x columns x headings) of the cost map, up to 8 bytes each on disk.",
         ),
     ] = MOST_VALUES,
     geotiff: Annotated[

@@ -293,6 +293,7 @@ def test_simulated_runs_are_judged_and_learned_from(tmp_path: Path) -> None:
     code, words, errors = joulemap("evaluate", "--model", model, *measured, "--json", "-")
     assert code == 0, errors
     error = json.loads(words)["route_relative_errors"][trained["held_out_runs"][0]]
+    assert "warning: " in errors  # it was trained on these runs
     assert error == pytest.approx(trained["held_out"]["route_relative_error"], abs=0.05)  # turns are judged here too
 
 
