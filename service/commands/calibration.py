@@ -198,9 +198,9 @@ def _next_steps(
     if document["effects"]:
         steps.append(NextStep("Get the drive that would make the answer more certain", shlex.join(words)))
     elif names := likeliest(document):
-        key, label, _ = names[0]
-        purpose = f"Get a drive that would show whether there is an effect of {label}"
-        steps.append(NextStep(purpose, shlex.join([*words, "--effect", key])))
+        effect = names[0][0]
+        purpose = f"Get a drive that would show whether there is an effect of {effect}"
+        steps.append(NextStep(purpose, shlex.join([*words, "--effect", effect])))
     return steps
 
 

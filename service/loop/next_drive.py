@@ -115,7 +115,8 @@ def next_drive(
     name = next((key for key in best if name in (key, effect_name(key))), name)
     if name not in best:
         raise InputError(
-            f"these runs have no candidate effect {name!r}; the candidate effects are {', '.join(sorted(best))}",
+            f"these runs have no candidate effect {name!r}; the candidate effects are "
+            f"{', '.join(sorted(map(effect_name, best)))}",
             name=name,
         )
     rivals = found.trace.confounded.get(name, [])

@@ -284,14 +284,11 @@ def _next_drive(document: Mapping[str, Any]) -> str:
         )
     if document["effects"]:
         return f"<p>{escape(drive_words(drive))}</p>"
-    drives = "".join(
-        f"<li>{escape(name)} (<code>--effect {escape(key)}</code>): {escape(reveals)}</li>"
-        for key, name, reveals in likeliest(document)
-    )
+    drives = "".join(f"<li>{escape(name)}: {escape(reveals)}</li>" for name, reveals in likeliest(document))
     return (
         "<p>To find out whether the model lacks something, drive what separates the candidate effects with the largest "
         f"gain on held-out runs:</p><ul>{drives}</ul><p><code>joulemap suggest-drive</code> with <code>--effect</code> "
-        "finds a route on this map.</p>"
+        "and such a name finds a route on this map.</p>"
         if drives
         else "<p>No candidate effect improves the prediction of held-out runs. Drive what these runs do not contain: "
         "curves, slopes, other speeds, other ground.</p>"
@@ -302,7 +299,6 @@ def _candidates(document: Mapping[str, Any]) -> str:
     rows = [
         [
             escape(c["label"]),
-            f"<code>{escape(c['name'])}</code>",
             _number(c["p_value"]),
             percent(c["held_out_gain"]),
             escape(c.get("why_not", "found")),
@@ -310,15 +306,14 @@ def _candidates(document: Mapping[str, Any]) -> str:
         for c in document["candidates"]
     ]
     rows += [
-        [escape(effect_name(name)), f"<code>{escape(name)}</code>", "", "", f"not tried: {escape(why)}"]
-        for name, why in document["refused"].items()
+        [escape(effect_name(name)), "", "", f"not tried: {escape(why)}"] for name, why in document["refused"].items()
     ]
     note = (
         '<p class="note">p and gain are of the candidate effect alone, before any was found. p allows for everything '
         "that was tried. Gain: by which share the squared error on held-out runs falls. The last column says what the "
         "candidate explains beside all effects found.</p>"
     )
-    return note + _table(["candidate effect", "key", "p alone", "gain alone", "beside the effects found"], rows)
+    return note + _table(["candidate effect", "p alone", "gain alone", "beside the effects found"], rows)
 
 
 def _number(value: float | None) -> str:

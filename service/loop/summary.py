@@ -270,7 +270,7 @@ def drive_words(drive: Mapping[str, Any]) -> str:
     )
 
 
-def likeliest(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def likeliest(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return what could be driven to find an effect where none was found.
 
     Parameters
@@ -281,10 +281,10 @@ def likeliest(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     Returns
     -------
     list of tuple of str
-        (key, name, drive that shows it) of the candidates with the largest gain on held-out runs.
+        (name, drive that shows it) of the candidates with the largest gain on held-out runs.
     """
     ranked = sorted(document["candidates"], key=lambda c: -(c["held_out_gain"] or 0.0))
-    return [(c["name"], c["label"], c["reveals"]) for c in ranked if (c["held_out_gain"] or 0.0) > 0.0][:_SUGGESTED]
+    return [(c["label"], c["reveals"]) for c in ranked if (c["held_out_gain"] or 0.0) > 0.0][:_SUGGESTED]
 
 
 def _or(names: Sequence[str]) -> str:

@@ -1,6 +1,7 @@
 """`joulemap calibrate` on the simulated field: files, report, a model that plans, and errors in words."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
 from joulemap.service.loop.summary import coefficient_words
 from tests.reference.drives import wheel_logs
+from tests.reference.words import PRIVATE, shown
 
 runner = CliRunner()
 
@@ -47,12 +49,20 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
         "http://creativecommons.org", ""
     )
     assert '<meta name="viewport"' in page
+    assert [match[0] for match in PRIVATE.finditer(shown(page))] == []
+    assert [match[0] for match in PRIVATE.finditer(done.output)] == []
     for heading in ("Change of the cost map", "What to drive next", "All candidate effects", "read from the logs"):
         assert f"{heading}</h2>" in page
     assert ("points" in report["next_drive"]) == bool(report["effects"] or report["confounded"])
-    assert "drive next" in done.output
+    said = done.output
+    assert said.startswith("Found: " if report["effects"] else "No missing effect was found")
+    assert said.index("These runs show") < said.index("mean relative error") < said.index("joulemap suggest-drive")
+    assert "drive next" in said
     if report["model"]["after"] is None:
         return
+    step = next(line.strip() for line in said.splitlines() if line.strip().startswith("joulemap costmap"))
+    made = runner.invoke(app, [*shlex.split(step)[1:], "--spacing", "4", "--headings", "8"])  # as it says
+    assert made.exit_code == 0, made.output
     done = runner.invoke(
         app,
         [
@@ -186,6 +196,16 @@ def test_test_runs_are_judged_by_and_nothing_else(field, tmp_path):
     )
     assert done.exit_code == 0, done.output
     assert json.loads(told.read_text())["mean_relative_error"] == pytest.approx(error["after"]["mean_relative"], 0.15)
+
+
+def test_former_names_of_options_are_accepted_with_a_note(field, tmp_path):
+    former = calibrate(field, tmp_path, "--keep-aside", str(field), "--base-runs", str(field / "run_01.csv"))
+    assert "--keep-aside is now called --test-runs" in former.output
+    assert "--base-runs is now called --baseline-runs" in former.output
+    assert "there is no run to read" in former.output  # all of them are test runs
+    help_text = runner.invoke(app, ["calibrate", "--help"]).output
+    assert "--test-runs" in help_text
+    assert not {"--keep-aside", "--base-runs"} & set(help_text.split())
 
 
 def hostile(source, target, number):
