@@ -139,7 +139,7 @@ class CostmapOut(JobOut):
     frame: FrameOut | None
     energy_per_m: SpreadOut | None = Field(description="null before it is done, and where everything is blocked")
     blocked: BlockedOut | None
-    warnings: list[str] = Field(description="in what the map or the robot lies outside the model's training data")
+    warnings: list[str] = Field(description="how the map or the robot differs from what the model was trained on")
     provenance: dict[str, Any] | None = Field(
         description="model (name, kind, version, and what it was made from), heightmap, settings and versions it was "
         "made with; the link `provenance` says everything about the model"

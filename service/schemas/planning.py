@@ -38,9 +38,9 @@ class PathRequest(Request):
     goal: Point = Field(examples=[[80.0, 15.0]])
     planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
     neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the grid planners")
-    refine: bool = Field(default=True, description="improve the grid path to any angle")
-    time_limit_s: float = Field(default=5.0, ge=0.05, le=60.0, description="for the sampling planners [s]")
-    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="for the sampling planners")
+    refine: bool = Field(default=True, description="shorten the grid path where it need not follow the grid")
+    time_limit_s: float = Field(default=5.0, ge=0.05, le=60.0, description="how long the sampling planners search [s]")
+    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="seed of the sampling planners")
     alternatives: int = Field(default=0, ge=0, le=10, description="most other good paths to look for")
     snap: bool = Field(
         default=False,
@@ -65,7 +65,7 @@ class PieceOut(ResponseModel):
 class VerdictOut(ResponseModel):
     """Whether the battery lasts."""
 
-    feasible: bool = Field(description="whether the battery lasts, the reserve kept")
+    feasible: bool = Field(description="whether the battery lasts without using the reserve")
     message: str = Field(description="the verdict in words")
     energy_j: float = Field(description="energy of the task [J]")
     available_j: float = Field(

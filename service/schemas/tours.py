@@ -25,7 +25,7 @@ class TourRequest(Request):
         examples=[[[12.5, 40.5], [80.0, 15.0], [60.0, 50.0]]],
     )
     neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the search")
-    refine: bool = Field(default=True, description="improve the legs to any angle")
+    refine: bool = Field(default=True, description="shorten the legs where they need not follow the grid")
     snap: bool = Field(
         default=False, description="move stops on blocked ground to the nearest free place; warnings say where that is"
     )
