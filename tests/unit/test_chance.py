@@ -1,4 +1,4 @@
-"""p-values between runs: those of known tests where there is one, and no more finds among chance than stated."""
+"""p-values between runs: those of known tests where there is one, and no more false discoveries than stated."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ def levels_with(rng, slope, *, runs=6, usual=0.02):
 @pytest.mark.parametrize("slope", [0.0, 0.01, 0.03])
 def test_one_straight_line_has_the_p_of_a_regression(slope):
     warm, levels = levels_with(np.random.default_rng(3), slope)
-    told = between_runs(levels, {0: warm[:, None]}, usual=0.02, freedom=0)[0]
-    assert told == pytest.approx(linregress(warm, levels).pvalue, abs=_ERROR)
+    p_value = between_runs(levels, {0: warm[:, None]}, usual=0.02, freedom=0)[0]
+    assert p_value == pytest.approx(linregress(warm, levels).pvalue, abs=_ERROR)
 
 
 def test_a_level_that_is_known_well_makes_it_a_test_with_known_variance():
@@ -26,9 +26,9 @@ def test_a_level_that_is_known_well_makes_it_a_test_with_known_variance():
     warm, levels = levels_with(np.random.default_rng(4), 0.02)
     fitted = linregress(warm, levels)
     z = fitted.slope * np.sqrt(((warm - warm.mean()) ** 2).sum()) / 0.02
-    told = between_runs(levels, {0: warm[:, None]}, usual=0.02, freedom=1000)[0]
-    assert told == pytest.approx(2.0 * norm.sf(abs(z)), abs=_ERROR)
-    assert told < fitted.pvalue
+    p_value = between_runs(levels, {0: warm[:, None]}, usual=0.02, freedom=1000)[0]
+    assert p_value == pytest.approx(2.0 * norm.sf(abs(z)), abs=_ERROR)
+    assert p_value < fitted.pvalue
 
 
 def test_near_copies_cost_nothing_and_other_columns_do():
@@ -47,8 +47,8 @@ def test_chance_is_told_from_an_effect_as_often_as_stated():
     finds = 0
     for day in range(400):
         tried = {k: rng.standard_normal((6, 1 + k % 2)) for k in range(6)}
-        told = between_runs(0.02 * rng.standard_normal(6), tried, usual=0.02, freedom=5, seed=day)
-        finds += min(told.values()) <= 0.05
+        p_values = between_runs(0.02 * rng.standard_normal(6), tried, usual=0.02, freedom=5, seed=day)
+        finds += min(p_values.values()) <= 0.05
     assert 8 <= finds <= 33  # binomial: 20 +- 3 standard deviations
 
 

@@ -40,7 +40,7 @@ def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():
 
 
 def test_of_a_field_its_strongest_place_is_told():
-    """Of one bell curve of 4 m, half is at sqrt(2 ln 2) x 4 m = 4.7 m; told in quarters of its width."""
+    """Of one bell curve of 4 m, half is at sqrt(2 ln 2) x 4 m = 4.7 m, in steps of a quarter of its width."""
     settings = {"centres": [[0.0, 0.0], [100.0, 0.0]], "width_m": 4.0, "of_all": False}
     field = Term("local_friction", "place", ("", ""), settings, {}, (0.01, -0.08))
     assert where_words(field) == "a field over the map, strongest at x 100.0, y 0.0: -0.08, half of it 5 m away"

@@ -52,7 +52,7 @@ def test_a_stand_counts_beside_segments_of_its_run_only():
         amps = np.where(np.arange(x.size) < 100, 0.5, 2.0)
         runs.append(cut_segments(run_along(x, y, name=name, amps=amps, temperature=np.full(x.size, 12.0))))
     segments = concatenate(runs)
-    assert {stand[0] for stand in segments.stationary} == {0, 1}
+    assert {interval[0] for interval in segments.stationary} == {0, 1}
     ground = Heightmap(np.zeros((120, 120), np.float32), GridFrame(50.0, 130.0, 1.0, 120, 120))
     for some, runs_left in ((segments, {0, 1}), (segments.take(segments.run == 0), {0})):
         drive, measured = describe_segments(some, ground, Robot(), np.full(len(some), 30.0))
@@ -207,4 +207,4 @@ def test_a_run_that_draws_nothing_was_not_driven():
     assert found.left_out["undriven"] == len(parts[2])
     assert set(found.run) == {0, 1, 3}
     assert found.runs == ("a", "b", "c", "d")
-    assert len(driven_only(concatenate(parts[1:3]))) == len(parts[1]) + len(parts[2])  # two runs tell nothing
+    assert len(driven_only(concatenate(parts[1:3]))) == len(parts[1]) + len(parts[2])  # two runs are too few

@@ -47,8 +47,8 @@ def test_an_effect_is_named_first(name):
             assert found.effects[0].low[0] < true < found.effects[0].high[0]
 
 
-def test_cost_of_hollows_backwards_driving_and_a_heater_have_names():
-    """Each at work alone: wet hollows, a gear that drags backwards, and a heater of 1.5 W per degree below 25."""
+def test_cost_of_low_ground_backwards_driving_and_a_heater_have_names():
+    """Each alone: wet low ground, a gear that drags backwards, and a heater of 1.5 W per degree below 25."""
     rng = np.random.default_rng(17)
     drive = made_up(rng)
     back = smooth_noise(rng, len(drive)) > 0.8
@@ -218,11 +218,11 @@ def test_an_interaction_is_found_with_the_effects_that_it_joins():
 def test_progress_moves_with_every_round_and_ends_at_one():
     rng = np.random.default_rng(12)
     drive, loam = on_two_grounds(rng)
-    told = []
-    found_in(drive, noisy(rng, drive, (30.0 + 50.0 * loam) * drive.turned_abs_rad), progress=told.append)
-    assert len(told) > 3
-    assert told == sorted(told)
-    assert (told[0] > 0.0, told[-1]) == (True, 1.0)
+    shares = []
+    found_in(drive, noisy(rng, drive, (30.0 + 50.0 * loam) * drive.turned_abs_rad), progress=shares.append)
+    assert len(shares) > 3
+    assert shares == sorted(shares)
+    assert (shares[0] > 0.0, shares[-1]) == (True, 1.0)
 
 
 def test_an_interaction_alone_brings_no_ground_along():
@@ -347,7 +347,7 @@ def test_what_base_runs_show_as_well_is_no_news():
     names = tuple(f"run{k}" for k in range(6))
     base = residuals_of(before, noisy(rng, before, patch(before)), names, charge=False)
     same = noisy(rng, after, patch(after))
-    assert found_in(after, same).effects  # without base runs it is news
+    assert found_in(after, same).effects  # without baseline runs it is new
     assert not found_in(after, same, base=base).effects
     more = found_in(after, noisy(rng, after, 2.5 * patch(after)), base=base).effects
     assert more[0].term.name in ("local_friction", "learned:place")
@@ -364,7 +364,7 @@ def test_cost_that_rises_through_the_day_is_a_drift_and_no_warmth():
 
 
 def test_a_small_effect_that_may_be_nil_is_none():
-    """Of one effect found, with its interval as it is and moved to hold zero; a large one stands all the same."""
+    """Of one effect found, with its interval as it is and moved to hold zero; a large one is kept all the same."""
     for strength, small in ((6.0, True), (80.0, False)):
         rng = np.random.default_rng(14)
         drive = made_up(rng)
@@ -374,12 +374,12 @@ def test_a_small_effect_that_may_be_nil_is_none():
         assert low.size <= 2
         assert (found.effects[0].share < 0.2) is small
 
-        def news(low, high, trace=found.trace, term=term):
+        def dropped(low, high, trace=found.trace, term=term):
             fit = Fit((term,), (np.zeros(low.size),), (low,), (high,), np.zeros(0))
             return calibration._idle(trace, calibration._Fitted(fit, [], [], trace.evidence.residuals), SharedErrors())
 
-        assert news(low, high) is None
-        assert news(-np.abs(high), np.abs(high)) is (found.trace.found[0] if small else None)
+        assert dropped(low, high) is None
+        assert dropped(-np.abs(high), np.abs(high)) is (found.trace.found[0] if small else None)
 
 
 @pytest.mark.parametrize("seed", range(4))

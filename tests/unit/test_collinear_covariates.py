@@ -1,4 +1,4 @@
-"""Causes are told from their shadows: what mends the form of a cause stays in the model and is no second name."""
+"""Causes are distinguished from collinear covariates, which correct the form of a cause and stay in the model."""
 
 from dataclasses import replace
 
@@ -11,15 +11,15 @@ from tests.reference.drives import ROBOT, found_in, made_up, noisy, smooth_noise
 BEFORE = {"name": "made up", "version": "1"}
 
 
-def told(found):
-    """(names of the causes, names of the shadows) in the report."""
+def reported(found):
+    """(names of the causes, names of the covariates, document) of the report."""
     document = report_document(found, before=BEFORE, after="2")
     assert [e.term.name for e in found.effects if e.shadow] == [s["name"] for s in document["collinear"]]
     return [e["name"] for e in document["effects"]], [s["name"] for s in document["collinear"]], document
 
 
 def leaning(rng):
-    """A drive whose wheels lean more than the map knows, with the roll logged; and the squared tangent they feel."""
+    """A drive whose wheels roll more than the map says, with the roll logged; and the squared tangent they feel."""
     drive = made_up(rng)
     felt = drive.cross + 0.012 * smooth_noise(rng, len(drive))
     squared = drive.cross**2
@@ -33,9 +33,9 @@ def test_a_measured_tilt_is_the_shadow_of_the_slope_across():
     rng = np.random.default_rng(3)
     drive, squared = leaning(rng)
     found = found_in(drive, noisy(rng, drive, 25.0 * ROBOT.weight_n * squared))
-    causes, shadows, document = told(found)
+    causes, covariates, document = reported(found)
     assert causes == ["cross_slope"]
-    assert shadows == ["learned:roll"]
+    assert covariates == ["learned:roll"]
     assert collinear_words(document).startswith("Roll (fitted curve) is in the calibrated model too: collinear")
     (row,) = [c for c in document["candidates"] if c["name"] == "learned:roll"]
     assert not row["taken"]
@@ -55,9 +55,9 @@ def test_a_measured_tilt_alone_is_no_shadow():
     drive, squared = leaning(rng)
     level = np.zeros(len(drive))
     drive = replace(drive, cross=level, cross_abs=level, cross_sq=level)  # a map that knows nothing of it
-    causes, shadows, document = told(found_in(drive, noisy(rng, drive, 25.0 * ROBOT.weight_n * squared)))
+    causes, covariates, document = reported(found_in(drive, noisy(rng, drive, 25.0 * ROBOT.weight_n * squared)))
     assert "learned:roll" in causes
-    assert shadows == []
+    assert covariates == []
     assert collinear_words(document) == ""
 
 
@@ -66,6 +66,6 @@ def test_a_true_second_effect_is_a_cause_whatever_its_form():
     rng = np.random.default_rng(5)
     drive = made_up(rng)
     bumps = 20.0 * np.tanh((drive.roughness_m / 0.01 - 1.0) / 0.3)
-    causes, shadows, _ = told(found_in(drive, noisy(rng, drive, 60.0 * drive.turned_abs_rad + bumps)))
+    causes, covariates, _ = reported(found_in(drive, noisy(rng, drive, 60.0 * drive.turned_abs_rad + bumps)))
     assert set(causes) == {"turning", "learned:roughness"}
-    assert shadows == []
+    assert covariates == []
