@@ -130,7 +130,7 @@ class Robot:
             near = nearest_name(name, known)
             hint = f"did you mean {near}?" if near else f"known are {', '.join(known)}"
             if isinstance(values[name], Mapping):
-                hint = f"the values stand at the top level of the file, so leave out the line [{name}]"
+                hint = f"the values belong at the top level of the file, so leave out the line [{name}]"
             raise RobotError(f"robot.{name}: unknown; {hint}", key=name, keys=unknown)
         return cls(**values)
 

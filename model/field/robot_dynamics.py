@@ -140,7 +140,7 @@ def _wheel(
     radius: float,
     width: float,
 ) -> float:
-    """Height of the lowest point of a wheel that stands on the terrain: max over the arc of ground + circle, minus R.
+    """Height of the lowest point of a wheel that rests on the terrain: max over the arc of ground + circle, minus R.
 
     Across its width the tyre bears on the mean of three lines (edges a quarter each, middle a half).
     """

@@ -248,7 +248,7 @@ def place(site_seed: int) -> tuple[Site, Site, FieldRobot]:
     robot = FieldRobot.random(rng)
     declared = replace(
         robot.declared,
-        name=f"blind-{site_seed}",
+        name=f"simulated-{site_seed}",
         mass_kg=round(robot.declared.mass_kg, 1),
         width_m=round(robot.declared.width_m, 2),
         length_m=round(robot.declared.length_m, 2),

@@ -309,7 +309,7 @@ def test_a_validation_case_has_the_layout_and_columns_of_the_format(case):
     runs = [f"base/run_{k:02d}.csv" for k in range(1, 7)] + [f"new/run_{k:02d}.csv" for k in range(1, 7)]
     others = ["other_site/run_01.csv", "other_site/run_02.csv"]
     assert names == sorted([*runs, *others, "dem.tif", "other_site/dem.tif", "robot.toml"])
-    assert Robot.from_toml(folder / "case" / "robot.toml").name == "blind-0"
+    assert Robot.from_toml(folder / "case" / "robot.toml").name == "simulated-0"
     header = (folder / "case" / "new" / "run_01.csv").read_text().splitlines()[0]
     assert header == (
         "t,x,y,z,voltage,current,speed,heading,roll,pitch,temperature,wind_speed,wind_from,payload,terrain,"
@@ -325,15 +325,15 @@ def test_the_truth_of_a_validation_case_is_what_its_log_shows(case):
     case = folder / "case" / "new" / "run_02.csv"
     run = read_run(case)
     segments = cut_segments(run)
-    told = truth.runs["new/run_02.csv"]
-    drawn = np.interp(segments.t0 + segments.duration_s, told.t, told.drawn_j) - np.interp(
-        segments.t0, told.t, told.drawn_j
+    truth_of_run = truth.runs["new/run_02.csv"]
+    drawn = np.interp(segments.t0 + segments.duration_s, truth_of_run.t, truth_of_run.drawn_j) - np.interp(
+        segments.t0, truth_of_run.t, truth_of_run.drawn_j
     )
     assert np.median(np.abs(drawn - segments.energy_j) / segments.energy_j) < 0.02
     assert drawn.sum() == pytest.approx(segments.energy_j.sum(), rel=0.01)
     # what the twin's log shows less is the effects' energy, and 9 W of it is the load
     twin = cut_segments(read_run(folder / "twins" / "new" / "run_02.csv"))
-    per_metre = extra_energy(told, segments).mean()
+    per_metre = extra_energy(truth_of_run, segments).mean()
     assert segments.energy_j.mean() - twin.energy_j.mean() == pytest.approx(per_metre, rel=0.1)
     assert per_metre > 9.0 * segments.duration_s.mean()
     load = next(c for c in truth.coefficients if c.effect == "hotel_load")
