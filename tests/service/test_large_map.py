@@ -1,4 +1,4 @@
-"""A large map through the command line, alone in its process: its peak memory, printed beside its time (`-s` shows it)."""
+"""A large map through the command line, alone in its process: its peak memory and time (`-s` shows them)."""
 
 from __future__ import annotations
 
