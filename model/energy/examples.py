@@ -12,13 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
 from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.physics import tan_grade
+from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.robot_features import FEATURES, robot_features
 from joulemap.model.errors import InputError
 from joulemap.model.robot import GRAVITY_MPS2, Robot
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
+
+MAX_TURN_RAD = 0.25
+"""Segments that turn by more are no examples: turning has a price of its own (`turn_j_per_rad`)."""
 
 
 @dataclass(frozen=True, eq=False)

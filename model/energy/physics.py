@@ -1,4 +1,4 @@
-"""Published closed forms of what driving a metre costs, and the predictor that needs nothing else."""
+"""Published closed forms of the energy of driving a metre, and the predictor that needs nothing else."""
 
 from __future__ import annotations
 
@@ -6,32 +6,43 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.energy.grade import SEGMENT_M, tan_grade, tan_grade_lattice
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
-from joulemap.model.frames import GridFrame, heading_vector, wrap_angle
+from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.rows import columns_between, sample_row
-from joulemap.model.threads import pieces, share_out
 
 FloatArray = NDArray[np.float64]
 
-SEGMENT_M = 1.0
-"""Horizontal length of a segment [m]: the paper's d. Source: Wei & Isler 2022, section V-D."""
-
-_ROWS_AT_ONCE = 32
-
 
 def eq5_traction_per_m(weight_n: ArrayLike, rolling_resistance: ArrayLike, tan_grade: ArrayLike) -> FloatArray:
-    """Traction demand per horizontal metre [J/m]: m g (mu + tan theta). Any shapes that broadcast.
+    """Return the traction demand per horizontal metre. Shapes broadcast.
 
-    weight_n : m g [N]. rolling_resistance : mu, dimensionless. tan_grade : tan of the pitch along the motion, > 0
-    uphill. Negative where the ground pushes the robot. Valid at constant speed on ground that wheels do not sink into
-    or bounce over.
-    Source: Wei & Isler 2022, eq. 5, E = m g (mu cos theta + sin theta) d with d = 1 / cos theta along the surface.
+    Parameters
+    ----------
+    weight_n : array_like
+        m g [N].
+    rolling_resistance : array_like
+        mu, dimensionless.
+    tan_grade : array_like
+        Tangent of the pitch along the motion, positive uphill.
+
+    Returns
+    -------
+    ndarray of float64
+        Traction demand [J/m]; negative where the ground pushes the robot.
+
+    Notes
+    -----
+    m g (mu + tan theta): eq. 5, E = m g (mu cos theta + sin theta) d, with d = 1 / cos theta along the surface. Valid
+    at constant speed on ground into which wheels do not sink and over which they do not bounce.
+
+    References
+    ----------
+    Wei & Isler 2022, eq. 5.
     """
     grade = np.asarray(tan_grade, dtype=np.float64)
     return np.asarray(weight_n, dtype=np.float64) * (np.asarray(rolling_resistance, dtype=np.float64) + grade)
@@ -40,9 +51,31 @@ def eq5_traction_per_m(weight_n: ArrayLike, rolling_resistance: ArrayLike, tan_g
 def eq5_energy_j(
     weight_n: ArrayLike, rolling_resistance: ArrayLike, pitch_rad: ArrayLike, driven_m: ArrayLike
 ) -> FloatArray:
-    """Energy of `driven_m` along the surface [J], as the paper prints it: (mu m g cos theta + m g sin theta) d.
+    """Return the energy of driving along the surface, as the paper prints it. Shapes broadcast.
 
-    pitch_rad : theta, > 0 uphill. Negative where the ground pushes. Source: Wei & Isler 2022, eq. 5.
+    Parameters
+    ----------
+    weight_n : array_like
+        m g [N].
+    rolling_resistance : array_like
+        mu, dimensionless.
+    pitch_rad : array_like
+        theta [rad], positive uphill.
+    driven_m : array_like
+        Distance d along the surface [m].
+
+    Returns
+    -------
+    ndarray of float64
+        Energy [J]; negative where the ground pushes the robot.
+
+    Notes
+    -----
+    (mu m g cos theta + m g sin theta) d.
+
+    References
+    ----------
+    Wei & Isler 2022, eq. 5.
     """
     pitch = np.asarray(pitch_rad, dtype=np.float64)
     mu = np.asarray(rolling_resistance, dtype=np.float64)
@@ -50,12 +83,35 @@ def eq5_energy_j(
 
 
 def fit_rolling_resistance(traction_per_m: ArrayLike, tan_grade: ArrayLike, *, weight_n: float) -> float:
-    """The one mu that fits measured segments best in the sense of least squares: the paper's global friction.
+    """Fit one mu to measured segments by least squares: the paper's global friction.
 
-    traction_per_m, tan_grade : (n,) energy per horizontal metre without the hotel load [J/m], and the grade. With
-    t = m g (mu + tan theta) the least squares solution is mean(t) / (m g) - mean(tan theta). NaN entries are left out.
-    Raises InputError without a finite pair. Valid where nothing is clipped (no braking).
-    Source: Wei & Isler 2022, section V-D ("a least-square method can be used to fit a value for mu").
+    Parameters
+    ----------
+    traction_per_m : array_like, (n,)
+        Energy per horizontal metre without the hotel load [J/m]; NaN entries are left out.
+    tan_grade : array_like, (n,)
+        Grade; NaN entries are left out.
+    weight_n : float
+        m g [N].
+
+    Returns
+    -------
+    float
+        mu, dimensionless.
+
+    Raises
+    ------
+    InputError
+        If there is no finite pair, or the weight is not positive.
+
+    Notes
+    -----
+    With t = m g (mu + tan theta) the solution is mean(t) / (m g) - mean(tan theta). Valid where nothing is clipped (no
+    braking).
+
+    References
+    ----------
+    Wei & Isler 2022, section V-D ("a least-square method can be used to fit a value for mu").
     """
     traction = np.asarray(traction_per_m, dtype=np.float64).ravel()
     grade = np.asarray(tan_grade, dtype=np.float64).ravel()
@@ -72,10 +128,30 @@ def fit_rolling_resistance(traction_per_m: ArrayLike, tan_grade: ArrayLike, *, w
 def local_rolling_resistance(
     traction_per_m: ArrayLike, tan_grade: ArrayLike, *, weight_n: float, segments: int = 5
 ) -> FloatArray:
-    """mu for every segment of one run, fitted to the block of `segments` before its own; NaN in the first block.
+    """Fit mu for every block of a run to the block before it: the paper's second baseline.
 
-    Five metres of driving give mu for the next five, the paper's second baseline. Inputs (n,) in driving order, as
-    `fit_rolling_resistance`. Source: Wei & Isler 2022, section V-D, Fig. 8 right.
+    Parameters
+    ----------
+    traction_per_m, tan_grade : array_like, (n,)
+        As `fit_rolling_resistance`, in driving order.
+    weight_n : float
+        m g [N].
+    segments : int, optional
+        Length of a block: five metres of driving give mu for the next five.
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        mu of every segment; NaN in the first block.
+
+    Raises
+    ------
+    InputError
+        If a block has no segment.
+
+    References
+    ----------
+    Wei & Isler 2022, section V-D, Fig. 8 right.
     """
     traction = np.asarray(traction_per_m, dtype=np.float64).ravel()
     grade = np.asarray(tan_grade, dtype=np.float64).ravel()
@@ -89,75 +165,22 @@ def local_rolling_resistance(
     return out
 
 
-def tan_grade(heightmap: Heightmap, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike) -> FloatArray:
-    """tan of the pitch of 1 m segments centred at (x, y) along a heading, > 0 uphill. Shapes broadcast; NaN unknown.
-
-    Heights are sampled bilinearly half a metre behind and ahead, so that the answer is exact on planes.
-    """
-    dx, dy = heading_vector(heading_rad)
-    half = 0.5 * SEGMENT_M
-    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    ahead = heightmap.sample(x + half * dx, y + half * dy)
-    behind = heightmap.sample(x - half * dx, y - half * dy)
-    return np.asarray((ahead - behind) / SEGMENT_M)
-
-
-def tan_grade_lattice(heightmap: Heightmap, frame: GridFrame, headings_rad: FloatArray) -> NDArray[np.float32]:
-    """`tan_grade` at the cell centres of `frame`. Returns (rows, cols, headings) float32, NaN where unknown."""
-    headings = np.ascontiguousarray(headings_rad, dtype=np.float64)
-    own, sign = antipodes(headings)
-    x, y = frame.centres()
-    row, _ = heightmap.frame.rowcol(0.0, y)
-    _, col = heightmap.frame.rowcol(x, 0.0)
-    dx, dy = heading_vector(headings)
-    half_pixels = 0.5 * SEGMENT_M / heightmap.resolution_m
-    out = np.empty((frame.rows, frame.cols, headings.size), dtype=np.float32)
-    down, right = -dy * half_pixels, dx * half_pixels
-    share_out(
-        lambda rows: _grades(heightmap.heights, row[rows], col, down, right, own, sign, SEGMENT_M, out[rows]),
-        pieces(frame.rows, _ROWS_AT_ONCE),
-    )
-    return out
-
-
-def antipodes(headings: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    """For each heading the earlier one that looks the opposite way (sign -1), else itself (+1)."""
-    own = np.arange(headings.size)
-    sign = np.ones(headings.size)
-    for k in range(1, headings.size):
-        opposite = np.flatnonzero(np.abs(wrap_angle(headings[:k] - headings[k] - math.pi)) < 1e-12)
-        if opposite.size and sign[opposite[0]] > 0:
-            own[k], sign[k] = opposite[0], -1.0
-    return own, sign
-
-
-@njit(cache=True, nogil=True)
-def _grades(heights, row, col, drow, dcol, own, sign, length_m, out):
-    ahead = [columns_between(col + right, heights.shape[1]) for right in dcol]
-    behind = [columns_between(col - right, heights.shape[1]) for right in dcol]
-    line, high, low = np.empty(heights.shape[1]), np.empty(col.size), np.empty(col.size)
-    grades = np.empty((drow.size, col.size), dtype=np.float32)
-    for i in range(row.size):
-        for k in range(drow.size):
-            if sign[k] < 0.0:
-                grades[k] = -grades[own[k]]
-            else:
-                sample_row(heights, row[i] + drow[k], ahead[k], line, high)
-                sample_row(heights, row[i] - drow[k], behind[k], line, low)
-                grades[k] = (high - low) / length_m
-        for j in range(col.size):
-            for k in range(drow.size):
-                out[i, j, k] = grades[k, j]
-
-
 class PhysicsPredictor:
-    """The paper's eq. 5 with the robot's declared rolling resistance: no weights, exact on planes, knows no bumps."""
+    """The paper's eq. 5 with the declared rolling resistance: untrained, exact on planes, blind to bumps.
+
+    Attributes
+    ----------
+    name : str
+        "physics".
+    spread : Spread
+        Assumed, because eq. 5 says nothing of its errors.
+    """
 
     name = "physics"
     spread = Spread()
 
     def provenance(self) -> dict[str, Any]:
-        """What the predictor is, JSON-able."""
+        """Return what the predictor is, JSON-able."""
         return {
             "name": self.name,
             "kind": "physics",
@@ -166,7 +189,20 @@ class PhysicsPredictor:
         }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Where eq. 5 stops being what it says: cells longer than the segment hide the pitch it needs."""
+        """Warn where eq. 5 is not valid: cells longer than the segment hide the pitch that it needs.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            Not used.
+
+        Returns
+        -------
+        list of str
+            One sentence, or none.
+        """
         if heightmap.resolution_m > SEGMENT_M:
             return [
                 f"the heightmap's cells are {heightmap.resolution_m:g} m, longer than the {SEGMENT_M:g} m segment "
@@ -177,7 +213,24 @@ class PhysicsPredictor:
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> NDArray[np.float32]:
-        """m g (mu + tan theta) [J/m] at the cell centres of `frame`: (rows, cols, headings) float32, NaN unknown."""
+        """Return m g (mu + tan theta) at the cell centres of a lattice.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        frame : GridFrame
+            Cells of the lattice.
+        headings_rad : ndarray of float64, (K,)
+            Headings [rad].
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols, K)
+            Traction demand [J/m]; NaN where the map is unknown.
+        """
         traction = tan_grade_lattice(heightmap, frame, headings_rad)
         traction += np.float32(robot.rolling_resistance)
         traction *= np.float32(robot.weight_n)
@@ -186,18 +239,61 @@ class PhysicsPredictor:
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], None]:
-        """`traction_per_m`, and no word of how far off it may be: eq. 5 has none."""
+        """Return `traction_per_m` without an uncertainty.
+
+        Parameters
+        ----------
+        heightmap, robot, frame, headings_rad : Heightmap, Robot, GridFrame, ndarray
+            As `traction_per_m`.
+
+        Returns
+        -------
+        traction : ndarray of float32, (rows, cols, K)
+            Traction demand [J/m].
+        std : None
+            Eq. 5 has no uncertainty.
+        """
         return self.traction_per_m(heightmap, robot, frame, headings_rad), None
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> FloatArray:
-        """The same for 1 m segments centred at (x, y). (n,) float64 [J/m]."""
+        """Return m g (mu + tan theta) of 1 m segments.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        x, y : array_like, (n,)
+            Centres of the segments [m].
+        heading_rad : array_like, (n,)
+            Headings [rad].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Traction demand [J/m]; NaN where the map is unknown.
+        """
         grade = np.atleast_1d(tan_grade(heightmap, x, y, heading_rad))
         return eq5_traction_per_m(robot.weight_n, robot.rolling_resistance, grade)
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, None]:
-        """`segment_traction`, and no word of how far off it may be."""
+        """Return `segment_traction` without an uncertainty.
+
+        Parameters
+        ----------
+        heightmap, robot, x, y, heading_rad : Heightmap, Robot, array_like
+            As `segment_traction`.
+
+        Returns
+        -------
+        traction : ndarray of float64, (n,)
+            Traction demand [J/m].
+        std : None
+            Eq. 5 has no uncertainty.
+        """
         return self.segment_traction(heightmap, robot, x, y, heading_rad), None

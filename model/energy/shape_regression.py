@@ -1,4 +1,4 @@
-"""A ridge regression on plain shape features of the ground along a segment: the baseline a network has to beat."""
+"""A ridge regression on plain shape features of the ground along a segment: a baseline for the networks."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.energy.grade import SEGMENT_M, tan_grade
 from joulemap.model.energy.metrics import mean_relative_error
-from joulemap.model.energy.physics import SEGMENT_M, tan_grade
 from joulemap.model.errors import InputError
 from joulemap.model.frames import heading_vector
 from joulemap.model.robot import Robot
@@ -22,7 +22,7 @@ FEATURES = (
     "cross_grade",
     "cross_steepness",
     "roughness",
-    "track_bend",
+    "track_second_difference",
     "track_roughness",
     "track_climb",
     "curvature",
@@ -31,7 +31,7 @@ FEATURES = (
 )
 
 _STEP_M = 0.1
-_REACH_M = 0.7  # along the segment from its centre: wheels stand before and behind the body
+_REACH_M = 0.7  # along the segment from its centre: wheels are before and behind the body
 _TRACK_SHARE = 0.4  # of the robot's width from the centre line to the middle of a track
 _PENALTIES = tuple(float(p) for p in 10.0 ** np.arange(-5.0, 1.01, 0.5))
 _FOLDS = 5  # of a single run
@@ -40,14 +40,32 @@ _FOLDS = 5  # of a single run
 def shape_features(
     heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
 ) -> FloatArray:
-    """What a person would measure of the ground under a segment centred at (x, y), in the order of `FEATURES`.
+    """Return plain features of the ground under 1 m segments.
 
-    Returns (n, 11), NaN throughout where a height is unknown. grade : rise over the metre, > 0 uphill; steepness : its
-    size. cross_grade : of the fitted plane, > 0 with the right side higher; cross_steepness : its size. roughness :
-    rms about that plane [m]. Of both wheel tracks: track_bend, rms of second differences [m]; track_roughness, mean
-    departure of a step from the mean step [m]; track_climb, sum of all rises [m]. curvature, cross_curvature :
-    second-order coefficient along the centre line and across [1/m]. twist : spread of the height of left over right
-    track [m].
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        Its width places the wheel tracks.
+    x, y : array_like, (n,)
+        Centres of the segments [m].
+    heading_rad : array_like, (n,)
+        Headings [rad].
+
+    Returns
+    -------
+    ndarray of float64, (n, 11)
+        In the order of `FEATURES`; NaN throughout where a height is unknown.
+
+    Notes
+    -----
+    grade : rise over the metre, positive uphill; steepness : its size. cross_grade : of the fitted plane, positive with
+    the right side higher; cross_steepness : its size. roughness : root mean square about that plane [m]. Of both wheel
+    tracks: track_second_difference, root mean square of second differences [m]; track_roughness, mean deviation of a
+    step from the mean step [m]; track_climb, sum of all rises [m]. curvature, cross_curvature : second-order
+    coefficient along the centre line and across [1/m]. twist : standard deviation of the height of the left over the
+    right track [m].
     """
     xs, ys, heading = (np.asarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
     side = _TRACK_SHARE * robot.width_m
@@ -97,9 +115,16 @@ def _second_order(at: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class RidgeBaseline:
-    """Energy of a 1 m segment [J] as a ridge regression on `shape_features`, their squares and products.
+    """Energy of a 1 m segment as a ridge regression on `shape_features`, their squares and products.
 
-    penalty : chosen by leaving out whole runs. mean, scale : of the features (11,). coefficients : (1 + 11 + 66,).
+    Attributes
+    ----------
+    penalty : float
+        Chosen by leaving out whole runs.
+    mean, scale : ndarray of float64, (11,)
+        Of the features.
+    coefficients : ndarray of float64, (1 + 11 + 66,)
+        Of the constant, the features and their products [J].
     """
 
     penalty: float
@@ -119,10 +144,35 @@ class RidgeBaseline:
         *,
         run: ArrayLike = 0,
     ) -> RidgeBaseline:
-        """From measured segments, (n,) each; those on unknown ground are left out.
+        """Fit the regression to measured segments; those on unknown ground are left out.
 
-        The penalty is the one with the least mean relative error where every run in turn is left out; a single run is
-        divided into five stretches. Raises InputError for fewer than ten known segments.
+        The penalty is the one with the least mean relative error when every run in turn is left out. A single run is
+        divided into five parts.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drove on it.
+        x, y : array_like, (n,)
+            Centres of the segments [m].
+        heading_rad : array_like, (n,)
+            Headings [rad].
+        energy_j : array_like, (n,)
+            Measured energies [J].
+        run : array_like, (n,), optional
+            The run of each segment.
+
+        Returns
+        -------
+        RidgeBaseline
+            The fitted regression.
+
+        Raises
+        ------
+        InputError
+            If there are fewer than ten known segments.
         """
         features = shape_features(heightmap, robot, x, y, heading_rad)
         energy = np.asarray(energy_j, dtype=np.float64).ravel()
@@ -144,7 +194,24 @@ class RidgeBaseline:
     def predict_j(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> FloatArray:
-        """Energy [J] of 1 m segments centred at (x, y), (n,); NaN where the map is unknown."""
+        """Predict the energy of 1 m segments.
+
+        Parameters
+        ----------
+        heightmap : Heightmap
+            The ground.
+        robot : Robot
+            What drives on it.
+        x, y : array_like, (n,)
+            Centres of the segments [m].
+        heading_rad : array_like, (n,)
+            Headings [rad].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Energy [J]; NaN where the map is unknown.
+        """
         features = shape_features(heightmap, robot, x, y, heading_rad)
         return np.asarray(_design((features - self.mean) / self.scale) @ self.coefficients)
 
@@ -156,8 +223,8 @@ def _design(features: FloatArray) -> FloatArray:
 
 
 def _ridge(design: FloatArray, energy: FloatArray, penalty: float) -> FloatArray:
-    """Coefficients of least *relative* squares, the energy being the mean of what was measured and what a first fit
-    expects: relative to the measured energy alone it would pay to predict too little.
+    """Coefficients of least *relative* squares, relative to the mean of the measured energy and that of a first fit:
+    relative to the measured energy alone, predictions that are too small would fit better.
     """
     weight = np.full(energy.size, 1.0 / energy.mean() ** 2)
     least = 0.2 * energy.mean()

@@ -1,4 +1,4 @@
-"""How far off a prediction may be: a segment's standard deviation, intervals that hold, and the spread of a route."""
+"""The uncertainty of predictions: standard deviations of segments, calibrated intervals, and the spread of a route."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 LEVELS = (0.5, 0.8, 0.9)
 """Shares of segments that the intervals are made for."""
 USUAL_SPREAD = 0.1
-"""Share of the energy that a network without an opinion is taken to err by."""
+"""Assumed standard deviation over the energy where a network gives none."""
 LEAST_SHARE = 0.2
 """Errors are relative to the energy, but at least to this share of that of level ground."""
 FEWEST = 20
@@ -29,13 +29,22 @@ _NORMAL_99 = 0.9248
 
 @dataclass(frozen=True)
 class Spread:
-    """What held-out runs say of a model's errors.
+    """The errors of a model on held-out runs.
 
-    factor : the standard deviation of a segment over what the network itself believes. quantiles : half widths of the
-    intervals in standard deviations, by level of `LEVELS`; wider than a normal distribution's where the tails are.
-    run_share : standard deviation of the factor that a whole run is off by (weather, load, mud: what does not average
-    out along a route). correlation_m : driven metres over which neighbouring errors, apart from that factor, go
-    together. segments : how many they were found on, 0 where they were assumed.
+    Attributes
+    ----------
+    factor : float
+        The standard deviation of a segment over the network's own estimate of it.
+    quantiles : tuple of float
+        Half widths of the intervals in standard deviations, by level of `LEVELS`; wider than those of a normal
+        distribution where the errors have heavier tails.
+    run_share : float
+        Standard deviation of the relative error of a whole run (weather, load, mud), which does not average out along a
+        route.
+    correlation_m : float
+        Driven distance over which the remaining errors of neighbouring segments are correlated [m].
+    segments : int
+        Number of held-out segments; 0 where the values are assumed.
     """
 
     factor: float = 1.0
@@ -52,18 +61,55 @@ class Spread:
             raise InputError(f"a spread needs {len(LEVELS)} quantiles, got {len(self.quantiles)}")
 
     def as_dict(self) -> dict[str, Any]:
+        """Return the numbers, JSON-able."""
         return asdict(self) | {"quantiles": list(self.quantiles)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Spread:
-        """Raises ModelError for values that are no spread."""
+        """Make a spread of what `as_dict` wrote.
+
+        Parameters
+        ----------
+        values : mapping
+            The numbers by name.
+
+        Returns
+        -------
+        Spread
+            The spread.
+
+        Raises
+        ------
+        ModelError
+            If the values are no spread.
+        """
         try:
             return cls(**{**values, "quantiles": tuple(float(q) for q in values["quantiles"])})
         except (TypeError, KeyError, ValueError) as error:
-            raise ModelError(f"the model does not say how far off it may be: {error!r}") from error
+            raise ModelError(f"the model has no valid spread of its errors: {error!r}") from error
 
     def interval(self, energy_j: ArrayLike, std_j: ArrayLike, level: float) -> tuple[FloatArray, FloatArray]:
-        """(low, high) [J] that hold a share `level` of new segments. Raises InputError for a level without quantile."""
+        """Return intervals that hold a given share of new segments.
+
+        Parameters
+        ----------
+        energy_j : array_like, (n,)
+            Predicted energies [J].
+        std_j : array_like, (n,)
+            Their standard deviations [J].
+        level : float
+            The share, one of `LEVELS`.
+
+        Returns
+        -------
+        low, high : ndarray of float64, (n,)
+            Ends of the intervals [J].
+
+        Raises
+        ------
+        InputError
+            If there is no quantile for the level.
+        """
         if level not in LEVELS:
             raise InputError(f"there are intervals for {LEVELS}, not for {level}", level=level)
         half = self.quantiles[LEVELS.index(level)] * np.asarray(std_j, dtype=np.float64)
@@ -71,9 +117,24 @@ class Spread:
         return energy - half, energy + half
 
     def route_std(self, energy_j: ArrayLike, std_j: ArrayLike) -> FloatArray:
-        """Standard deviation [J] of the energy up to the end of each of a route's 1 m segments, (n,): the run's own
-        factor, and the rest, of which neighbours go together as in a first-order autoregression whose correlations add
-        up to `correlation_m`.
+        """Return the standard deviation of the energy up to the end of each segment of a route.
+
+        Parameters
+        ----------
+        energy_j : array_like, (n,)
+            Predicted energies of the 1 m segments, in driving order [J].
+        std_j : array_like, (n,)
+            Their standard deviations [J].
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Standard deviation of the cumulative energy [J].
+
+        Notes
+        -----
+        Two independent parts: the relative error of the whole run, and the remaining errors, correlated between
+        neighbours as in a first-order autoregression whose correlations sum to `correlation_m`.
         """
         energy, std = np.asarray(energy_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
         neighbour = (self.correlation_m - 1.0) / (self.correlation_m + 1.0)
@@ -83,25 +144,69 @@ class Spread:
 
 
 def segment_std(price_j: ArrayLike, relative: ArrayLike, level_j: ArrayLike, *, factor: float) -> FloatArray:
-    """Standard deviation [J] of 1 m segments: relative to their price, but at least to a share of `level_j`, the energy
-    of level ground (a braking segment costs nothing and is still uncertain).
+    """Return the standard deviation of 1 m segments.
+
+    It is relative to the price, but at least to a share of the energy of level ground: a braking segment costs nothing
+    and is still uncertain.
+
+    Parameters
+    ----------
+    price_j : array_like, (n,)
+        Predicted energies [J].
+    relative : array_like, (n,)
+        Standard deviations over the energy.
+    level_j : array_like, (n,)
+        Energy of level ground [J].
+    factor : float
+        `Spread.factor`.
+
+    Returns
+    -------
+    ndarray, (n,)
+        Standard deviations [J].
     """
     return np.asarray(factor * np.asarray(relative) * np.maximum(price_j, LEAST_SHARE * np.asarray(level_j)))
 
 
 def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, run: ArrayLike) -> Spread:
-    """The spread that held-out segments show. (n,) each: measured, predicted, what the network believes, and the run;
-    segments of a run in driving order. Raises InputError for fewer than 20 segments.
+    """Fit a spread to held-out segments.
 
+    Parameters
+    ----------
+    energy_j : array_like, (n,)
+        Measured energies [J].
+    predicted_j : array_like, (n,)
+        Predicted energies [J].
+    std_j : array_like, (n,)
+        The network's own standard deviations [J].
+    run : array_like, (n,)
+        The run of each segment; segments of a run are in driving order.
+
+    Returns
+    -------
+    Spread
+        With the number of segments.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 20 segments.
+
+    Notes
+    -----
     The factor makes the mean square of the standardised errors, without their largest hundredth, that of a normal
-    distribution cut at the same place; the quantiles are those of the standardised errors (split conformal
-    prediction, Lei et al. 2018, with the finite-sample correction). The usual run_share counts as one run more: a
-    single run, well predicted by chance, says little of the next.
+    distribution truncated at the same place. The quantiles are those of the standardised errors, with the finite-sample
+    correction. The usual `run_share` counts as one run more: one run that happens to be well predicted says little of
+    the next.
+
+    References
+    ----------
+    Lei et al. 2018, "Distribution-free predictive inference for regression" (split conformal prediction).
     """
     energy, predicted = np.asarray(energy_j, dtype=np.float64), np.asarray(predicted_j, dtype=np.float64)
     std, runs = np.asarray(std_j, dtype=np.float64), np.asarray(run)
     if energy.size < FEWEST:
-        raise InputError(f"{energy.size} held-out segments are too few to tell a spread, {FEWEST} are needed")
+        raise InputError(f"{energy.size} held-out segments are too few for a spread, {FEWEST} are needed")
     error = (energy - predicted) / std
     size = np.sort(np.abs(error))
     kept = size[: max(1, math.ceil(0.99 * size.size))]

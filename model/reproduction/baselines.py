@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.friction_map import FrictionMap
+from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.physics import (
     eq5_traction_per_m,
     fit_rolling_resistance,
     local_rolling_resistance,
-    tan_grade,
 )
 from joulemap.model.energy.shape_regression import RidgeBaseline
 from joulemap.model.reproduction.measured import Measured

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import periodogram
 
-from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
 from joulemap.model.field.drives import drive_along, lawnmower, random_waypoints
 from joulemap.model.field.logger import Logger, log_trace
 from joulemap.model.field.robot_dynamics import FieldRobot
@@ -27,7 +27,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.surface_fit import fit_surface
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.model.training.pretraining import MAX_TURN_RAD, level_ground, rolling_resistance_on
+from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
 
 FloatArray = NDArray[np.float64]
 

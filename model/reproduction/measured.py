@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.energy.examples import MAX_TURN_RAD
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
-from joulemap.model.training.pretraining import MAX_TURN_RAD
 
 FloatArray = NDArray[np.float64]
 

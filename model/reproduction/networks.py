@@ -13,7 +13,7 @@ from joulemap.model.energy.architectures.compact.architecture import Compact
 from joulemap.model.energy.architectures.contract import Network
 from joulemap.model.energy.architectures.resnet18 import ResNet18, ResNetEnergy
 from joulemap.model.energy.artifact import CONFIG_FILE, Artifact, read_artifact, save_artifact
-from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
 from joulemap.model.energy.predictor import SHIPPED_WEIGHTS, Predictor, load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.field.drives import drive_along, random_waypoints
@@ -26,7 +26,6 @@ from joulemap.model.reproduction.profiles import STRATEGIES, Profile
 from joulemap.model.robot import Robot
 from joulemap.model.training.measured_runs import CHECKPOINT, train_on_runs
 from joulemap.model.training.optimisation import TrainingOptions, train_network
-from joulemap.model.training.pretraining import MAX_TURN_RAD
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.architectures import find_architecture
 from joulemap.model.energy.artifact import Artifact, load_artifact, predictor_of, read_artifact, save_artifact
-from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import InputError, ModelError
@@ -27,11 +27,10 @@ from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
 from joulemap.model.training.optimisation import TrainingOptions, train_network
-from joulemap.model.training.pretraining import MAX_TURN_RAD
 from joulemap.model.training.run_record import runs_record
 
 TAUGHT = -1
-"""The run of examples that were never driven."""
+"""The run number of examples that a teacher answered and nobody drove."""
 
 _AT_ONCE = 512
 
@@ -45,8 +44,32 @@ def ask_teacher(
     rng: np.random.Generator,
     progress: Callable[[float], None] | None = None,
 ) -> Examples:
-    """`count` random places and headings with the energy that the teacher gives them, run `TAUGHT`; fewer where the
-    map is unknown. Raises InputError where it knows none of them.
+    """Ask the teacher for the energy at random places and headings.
+
+    Parameters
+    ----------
+    teacher : Predictor
+        The model whose answers are learned.
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        What drives on it.
+    count : int
+        Number of places.
+    rng : numpy.random.Generator
+        Chooses them.
+    progress : callable, optional
+        Gets the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    Examples
+        Of the run `TAUGHT`; fewer than `count` where the map is unknown.
+
+    Raises
+    ------
+    InputError
+        If the teacher knows none of the places.
     """
     parts = []
     for start in range(0, count, _AT_ONCE):
@@ -62,8 +85,25 @@ def ask_teacher(
 
 
 def difference(one: Predictor, other: Predictor, heightmap: Heightmap, robot: Robot, *, count: int, seed: int) -> float:
-    """Mean absolute difference of two models' energies over the mean energy of the other, at random places and
-    headings that both know. NaN where there is none.
+    """Compare the energies of two models at random places and headings that both know.
+
+    Parameters
+    ----------
+    one, other : Predictor
+        The models.
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        What drives on it.
+    count : int
+        Number of places.
+    seed : int
+        Of their choice.
+
+    Returns
+    -------
+    float
+        Mean absolute difference over the mean energy of the other; NaN where no place is known to both.
     """
     places = random_places(heightmap, count, np.random.default_rng(seed))
     ours, theirs = (robot.price_per_m(model.segment_traction(heightmap, robot, *places)) for model in (one, other))
@@ -74,7 +114,24 @@ def difference(one: Predictor, other: Predictor, heightmap: Heightmap, robot: Ro
 
 
 def random_places(heightmap: Heightmap, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], ...]:
-    """x, y [m] anywhere on the map and any heading [rad], (count,) each."""
+    """Choose places anywhere on a map.
+
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The map.
+    count : int
+        Number of places.
+    rng : numpy.random.Generator
+        Chooses them.
+
+    Returns
+    -------
+    x, y : ndarray of float64, (count,)
+        Places [m].
+    heading_rad : ndarray of float64, (count,)
+        Headings [rad].
+    """
     west, south, east, north = heightmap.frame.bounds
     return rng.uniform(west, east, count), rng.uniform(south, north, count), rng.uniform(0.0, 2.0 * np.pi, count)
 
@@ -83,15 +140,30 @@ TEACHER, STUDENT = "resnet18", "compact"
 """Architectures of the two."""
 DISTILLING = TrainingOptions(epochs=30, batch=128, learning_rate=1e-3, keep_last=True)
 ANSWERS = 20_000
-_JUDGED = 2_000  # places at which student and teacher are compared, none of them taught
+_JUDGED = 2_000  # places at which student and teacher are compared; the student has learned none of them
 _ASKING = 0.5  # share of the time
 
 
 @dataclass(frozen=True)
 class DistilledModel:
-    """What a distillation left. answers, segments : taught, and measured, that the student learned from. difference :
-    mean absolute difference from the teacher at places that nobody drove, over the energy. teacher_held_out,
-    student_held_out : errors on `held_out_runs`; neither was fitted to them, but they told the teacher when to stop.
+    """The result of a distillation.
+
+    Attributes
+    ----------
+    version : str
+        Of the student.
+    teacher : str
+        Folder of the teacher.
+    answers : int
+        Number of the teacher's answers that the student learned from.
+    segments : int
+        Number of measured segments that it learned from.
+    held_out_runs : list of str
+        Runs that neither network was fitted to. They decided when the teacher's training stopped.
+    difference : float
+        Mean absolute difference from the teacher at random places, over the energy.
+    teacher_held_out, student_held_out : dict
+        Errors on `held_out_runs`, as `evaluation.errors`.
     """
 
     version: str
@@ -118,12 +190,48 @@ def distil_on_runs(
     charge: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> DistilledModel:
-    """Teach a compact network what a ResNet18 (`teacher`, a model's folder) says at `answers` random places, fit it to
-    the measured segments at the same time, and write the model's folder `out`.
+    """Train a compact network on a ResNet18's answers and on measured segments, and write its model's folder.
 
-    The runs that the teacher held out are held out of the student too. start_from : the folder of the compact model
-    that the student starts from. Raises ModelError where either is no such model, InputError where none of the runs is
-    one that the teacher had not seen, RunsError.
+    The runs that the teacher held out are held out of the student too.
+
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        As its file declares it.
+    files : sequence of Path
+        The logs of the teacher's runs.
+    teacher : Path
+        Folder of a model of the architecture `TEACHER`.
+    start_from : Path
+        Folder of the compact model that the student starts from.
+    out : Path
+        Folder to write.
+    answers : int, optional
+        Number of random places at which the teacher is asked.
+    epochs : int, optional
+        Passes over the data.
+    seed : int, optional
+        Of places and training.
+    charge : bool, optional
+        Count charge times the nominal voltage instead of energy.
+    progress : callable, optional
+        Gets the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    DistilledModel
+        The student and its errors.
+
+    Raises
+    ------
+    ModelError
+        If teacher or start is of another architecture.
+    InputError
+        If the teacher has seen all of the runs.
+    RunsError
+        If a log cannot be read, or does not fit the map and the robot.
     """
     report = progress or (lambda _: None)
     knows, learned = load_artifact(teacher), read_artifact(teacher)
@@ -157,8 +265,8 @@ def distil_on_runs(
     )
     student = Artifact(result.net, parent.domain.joined(examples.domain()), turn_j_per_rad=learned.turn_j_per_rad)
     answers_of = predictor_of(student, {}, name=out.name)
-    apart = segments.take(np.flatnonzero(np.isin(segments.run, held)))
-    said = predict_segments(answers_of, heightmap, robot, apart)
+    judged = segments.take(np.flatnonzero(np.isin(segments.run, held)))
+    said = predict_segments(answers_of, heightmap, robot, judged)
     found = DistilledModel(
         "",
         str(teacher),
@@ -166,8 +274,8 @@ def distil_on_runs(
         int((~np.isin(segments.run, held)).sum()),
         [segments.runs[k] for k in held],
         difference(answers_of, knows, heightmap, robot, count=_JUDGED, seed=seed + 1),
-        _errors(predict_segments(knows, heightmap, robot, apart), apart),
-        _errors(said, apart),
+        _errors(predict_segments(knows, heightmap, robot, judged), judged),
+        _errors(said, judged),
     )
     training = {
         "data": "measured runs and a teacher's answers",
@@ -183,7 +291,7 @@ def distil_on_runs(
     }
     known = np.isfinite(said.energy_j)
     if known.sum() >= FEWEST and said.std_j is not None:
-        spread = fit_spread(apart.energy_j[known], said.energy_j[known], said.std_j[known], apart.run[known])
+        spread = fit_spread(judged.energy_j[known], said.energy_j[known], said.std_j[known], judged.run[known])
         student = replace(student, spread=spread)
     return replace(found, version=save_artifact(out, replace(student, training=training)))
 

@@ -1,4 +1,4 @@
-"""From measured runs to a model: what `train` calls."""
+"""From measured runs to a trained model: the work of `joulemap train --runs`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_archi
 from joulemap.model.energy.architectures.contract import Architecture, Network, check_start
 from joulemap.model.energy.artifact import Artifact, predictor_of, read_artifact, save_artifact
 from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.examples import Examples, cut_examples
+from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, cut_examples
 from joulemap.model.energy.examples import concatenate as concatenated
 from joulemap.model.energy.uncertainty import FEWEST, LEAST_SHARE, Spread, fit_spread
 from joulemap.model.errors import InputError
@@ -29,21 +29,38 @@ from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
 from joulemap.model.training.optimisation import TrainingOptions, averaged, train_network
-from joulemap.model.training.pretraining import MAX_TURN_RAD
 from joulemap.model.training.run_record import runs_record
 
 CHECKPOINT = "training.pt"
 FOLDS = 5
 """Parts into which the runs are divided for cross-fitting, whole runs at a time."""
-_STRETCHES = 4  # of a single run, each then held out whole
+_STRETCHES = 4  # parts of a single run, each then held out whole
 
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """What a training left. segments : learned from and held out; held_out : errors on `held_out_runs`, each predicted
-    by a network that had not seen it. stopped_by_held_out : whether the same runs said when to stop, which flatters
-    the errors. turn_j_per_rad : what turning took beyond straight driving [J/rad]. keeps_runs : whether its folder
-    keeps its runs, for calibrations to hold later ones against.
+    """The result of a training.
+
+    Attributes
+    ----------
+    version : str
+        Of the model.
+    segments : int
+        Straight segments on known ground, held-out ones included.
+    runs : list of str
+        All runs.
+    held_out_runs : list of str
+        Runs that `held_out` is about, each predicted by a network that had not seen it.
+    held_out : dict
+        Errors on them, as `evaluation.errors`.
+    epochs : int
+        Passes over the data.
+    turn_j_per_rad : float
+        Energy of turning beyond straight driving [J/rad].
+    stopped_by_held_out : bool
+        Whether the held-out runs also decided when the training stopped, which makes the errors a little too small.
+    keeps_runs : bool
+        Whether the model's folder keeps its runs as the baseline of later calibrations.
     """
 
     version: str
@@ -73,19 +90,58 @@ def train_on_runs(
     resume: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> TrainedModel:
-    """Train on measured runs over a heightmap and write the model's folder `out`.
+    """Train on measured runs over a heightmap and write the model's folder.
 
-    A compact network that starts from another (`start_from`, a model's folder) is cross-fitted: the runs are dealt
-    whole into `FOLDS` parts, one network is fine-tuned without each, and the model is the mean of their weights. So
-    every run is predicted by a network that has not seen it: that gives the held-out errors and the model's spread,
-    and no run is lost to the model. Otherwise a share of the runs is held out whole, and training stops when those no
-    longer improve. Networks learn from straight segments; what turning takes beyond them is fitted to the held-out
-    ones.
+    A network whose architecture says so is cross-fitted when it starts from another one: the runs are divided whole
+    into `FOLDS` parts, one network is fine-tuned without each part, and the model is the mean of their weights. Every
+    run is then predicted by a network that has not seen it, which gives held-out errors and the model's spread without
+    losing a run for training. Otherwise a share of the runs is held out whole, and training stops when the error on
+    them no longer improves. Networks learn from straight segments. The energy of turning beyond them is fitted to the
+    held-out segments.
 
-    backbone : a ResNet18 file with torchvision's names (resnet18 only); patch_size : rows and columns of a resnet18
-    patch (256 in the paper) [those of the network it starts from, else 64]; epochs : at most [12 for compact, 60 for
-    resnet18]; charge : as `read_segments`; resume : go on where a training of the same data and settings was cut off
-    (its state is kept in `out` until it ends). Raises InputError, ModelError, RunsError.
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        As its file declares it.
+    files : sequence of Path
+        The logs.
+    out : Path
+        Folder to write.
+    architecture : str, optional
+        One of `ARCHITECTURES`.
+    start_from : Path, optional
+        Folder of a model to fine-tune.
+    backbone : Path, optional
+        File of a backbone's weights: for resnet18 with torchvision's names.
+    patch_size : int, optional
+        Rows and columns of an input, where the architecture leaves the choice. Those of the model to start from, else
+        the architecture's usual size (resnet18: 64; 256 in the paper).
+    epochs : int, optional
+        Passes over the data, at most. The architecture's usual number by default.
+    seed : int, optional
+        The same seed and data give the same weights.
+    charge : bool, optional
+        Count charge times the nominal voltage instead of energy.
+    resume : bool, optional
+        Go on where a training of the same data and settings was cut off. Its state is kept in `out` until it ends.
+    progress : callable, optional
+        Gets the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    TrainedModel
+        The model and its held-out errors.
+
+    Raises
+    ------
+    InputError
+        If settings contradict each other, or no segment is left.
+    ModelError
+        If the architecture is unknown, or the model to start from is of another one.
+    RunsError
+        If a log cannot be read, or does not fit the map and the robot.
     """
     kind = find_architecture(architecture)
     if backbone is not None and start_from is not None:
@@ -112,16 +168,16 @@ def train_on_runs(
         net, passes = work.cross_fit(replace(options, keep_last=True), seed, progress)
     else:
         net, passes = work.fit(options, seed, progress)
-    apart, said = work.held_out()
-    turned = np.abs(apart.heading_change_rad) - work.domain.turned_rad
-    turn = _turning(apart, said.energy_j, turned)
+    judged, said = work.held_out()
+    turned = np.abs(judged.heading_change_rad) - work.domain.turned_rad
+    turn = _turning(judged, said.energy_j, turned)
     predicted = said.energy_j + turn * turned
     known = np.isfinite(predicted)
-    held_out = errors(predicted[known], apart.energy_j[known], apart.run[known])
+    held_out = errors(predicted[known], judged.energy_j[known], judged.run[known])
     spread = Spread()
     if known.sum() >= FEWEST and said.std_j is not None:
-        spread = fit_spread(apart.energy_j[known], predicted[known], said.std_j[known], apart.run[known])
-    names = [segments.runs[int(k)] for k in np.unique(apart.run)]
+        spread = fit_spread(judged.energy_j[known], predicted[known], said.std_j[known], judged.run[known])
+    names = [segments.runs[int(k)] for k in np.unique(judged.run)]
     training = {
         "data": "measured runs",
         "data_hash": work.examples.data_hash,
@@ -140,7 +196,7 @@ def train_on_runs(
     (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
     keeps_runs = False
     if all(run.voltage_v is not None for run in runs) and not charge:
-        keeps_runs = keep_base_runs(out, heightmap, robot, apart, said.traction_per_m)
+        keeps_runs = keep_base_runs(out, heightmap, robot, judged, said.traction_per_m)
     work.forget()
     return TrainedModel(
         version, work.known, list(segments.runs), names, held_out, passes, turn, not crossed, keeps_runs
@@ -186,7 +242,7 @@ class _Training:
             )
             for turned in turns
         ]
-        self.known = len(seen[0])  # a turned square has corners elsewhere: at the map's edge it may be unknown
+        self.known = len(seen[0])  # the corners of a turned square may be off the map
         if self.known == 0:
             raise InputError(
                 f"none of the {len(segments)} segments goes straight over ground that the heightmap knows",
@@ -198,13 +254,13 @@ class _Training:
         if learned is not None:
             self.domain = learned.joined(self.domain)
         self.domain = replace(self.domain, turned_rad=round(float(np.abs(s.heading_change_rad).mean()), 5))
-        self._said: list[tuple[NDArray[np.int64], Prediction]] = []  # of segments by networks that had not seen them
+        self._said: list[tuple[NDArray[np.int64], Prediction]] = []  # by networks that had not seen the segments
 
     def artifact(self, net: Network) -> Artifact:
         return Artifact(net, self.domain, self.patch_size)
 
     def fit(self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None) -> tuple[Network, int]:
-        """(one network, stopped by held-out parts, which it is then judged on; epochs)."""
+        """One network, stopped by held-out parts, on which it is then judged; and its epochs."""
         result = train_network(
             self.examples,
             architecture=self.kind.name,
@@ -220,7 +276,7 @@ class _Training:
     def cross_fit(
         self, options: TrainingOptions, seed: int, progress: Callable[[float], None] | None
     ) -> tuple[Network, int]:
-        """(the mean of a network without each fold of the parts, each judged on its fold; epochs)."""
+        """The mean of the networks without one fold of the parts, each judged on its fold; and their epochs."""
         parts = np.random.default_rng(seed).permutation(np.unique(self.examples.run))
         folds = [fold.tolist() for fold in np.array_split(parts, min(FOLDS, parts.size))]
         nets = []
@@ -246,7 +302,7 @@ class _Training:
         self._said.append((mine, said))
 
     def held_out(self) -> tuple[Segments, Prediction]:
-        """All segments that were held out, turns too, in driving order; what networks that had not seen them say."""
+        """All held-out segments with turns, in driving order, and what networks that had not seen them predict."""
         mine = np.concatenate([segments for segments, _ in self._said])
         order = np.argsort(mine)
         return self.segments.take(mine[order]), joined([said for _, said in self._said]).take(order)
@@ -273,9 +329,10 @@ def _parts(segments: Segments) -> NDArray[np.int64]:
 
 
 def _turning(segments: Segments, predicted_j: NDArray[np.float64], turned: NDArray[np.float64]) -> float:
-    """Energy of turning [J/rad] beyond what straight driving explains, at least 0: the least-squares slope of what is
-    left, over the square of the prediction. turned : (n,) by how much more than straight segments do. The idle power of
-    the time that turns take longer is in it.
+    """Energy of turning [J/rad] beyond straight driving, at least 0: the weighted least-squares slope of the residual.
+
+    turned : (n,) turn of each segment beyond the mean turn of straight ones [rad]. Weights are one over the square of
+    the prediction. The idle power of the additional time that turns take is included.
     """
     rest = segments.energy_j - predicted_j
     use = np.isfinite(rest) & (np.abs(segments.heading_change_rad) >= MAX_TURN_RAD)

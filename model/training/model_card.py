@@ -15,7 +15,26 @@ _METHODS = {
 
 
 def model_card(version: str, parameters: int, training: Mapping[str, Any], domain: Domain, spread: Spread) -> str:
-    """Markdown. training : as in the model's config.json, with `coverage` and `made`."""
+    """Write the model card.
+
+    Parameters
+    ----------
+    version : str
+        Of the model.
+    parameters : int
+        Number of weights.
+    training : mapping
+        As in the model's config.json, with `coverage` and `made`.
+    domain : Domain
+        Ranges of what it was trained on.
+    spread : Spread
+        Its errors on held-out sites.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
     options = training["options"]
     rows = [("this network", training["held_out"])]
     rows += [(_METHODS[name], found) for name, found in training["baselines"].items()]
@@ -29,56 +48,59 @@ def model_card(version: str, parameters: int, training: Mapping[str, Any], domai
     covered = ", ".join(f"{share:.0%} (of {level} %)" for level, share in training["coverage"].items())
     return f"""# Model card: the network that joulemap ships
 
-Compact dense network (`model/energy/compact.py`), {parameters:,} parameters. Version `{version}`, {training["made"]}.
+Compact network (`model/energy/architectures/compact`), {parameters:,} parameters.
+Version `{version}`, {training["made"]}.
 
 ## What it answers
-Traction demand per metre and heading of a wheeled, skid-steer ground robot, from a heightmap and the robot's file, and
-how far off that may be. Climbing and rolling are equation 5 of Wei & Isler 2022 with gains that depend on the robot;
-the network adds what the ground costs beyond that: what the wheel tracks meet, and the two metres around a place.
-`rolling_resistance` in the robot file means equation 5's mu *at the battery*: what the robot draws for motion on level,
-even ground of this kind, over its weight. Turning is not in it (`turn_j_per_rad` prices that).
+The traction demand per metre and heading of a wheeled, skid-steer ground robot, and its uncertainty, from a heightmap
+and the robot's file. Climbing and rolling are equation 5 of Wei & Isler 2022 with gains that depend on the robot. The
+network adds what the ground costs beyond that, from the heights under the wheel tracks and in the 2 m square around a
+place. `rolling_resistance` in the robot file means equation 5's mu *at the battery*: the energy of motion on level,
+even ground of this kind, per metre and newton of weight. Turning is not included; it has a price of its own
+(`turn_j_per_rad`).
 
 ## Data
 No measured run. {training["segments"]:,} segments of 1 m, driven by {training["robots"]:,} simulated robots over
 {training["sites"]:,} simulated sites (30 x 30 m, slopes to {domain.max_slope_deg:.0f} degrees; a fifth of them smooth),
 surveyed at 0.05 to 1 m per pixel with blur and noise. The simulation (`model/field`) shares no formula with the
-network. What no file tells (true mass, drivetrain, bump loss, wheelbase ...) is drawn per robot and ground; the
+network. What no file says (true mass, drivetrain, bump loss, wheelbase ...) is drawn for every robot and ground. The
 declared rolling resistance is right to about 8 %. Segments that turn by more than 0.25 rad are left out. Data hash
 `{training["data_hash"]}`, seed {training["seed"]}.
 
 Made by `{training["command"]}`: {training["epochs"]} epochs, batch {options["batch"]}, AdamW at
-{options["learning_rate"]} falling as a cosine, augmented by quarter turns and mirror images; best weights by sites that
-were not trained on.
+{options["learning_rate"]} falling as a cosine, augmented by quarter turns and mirror images; the weights are those with
+the least error on sites that were not trained on.
 
 ## Held-out error
-On {training["held_out"]["segments"]:,} segments of {training["held_out_sites"]} further sites and their robots, none of
-which training or stopping saw (robots without regeneration, so that the paper's relative error |e_hat - e| / e is
+On {training["held_out"]["segments"]:,} segments of {training["held_out_sites"]} further sites and their robots, which
+neither training nor stopping used (robots without regeneration, so that the paper's relative error |e_hat - e| / e is
 defined everywhere):
 
 | model | mean error | median | whole runs | rmse [J] | bias [J] |
 |---|---|---|---|---|---|
 {table}
 
-The resistance fitted to a run serves its sum, but not its segments: least squares follow the dear ones, and on slopes
-braking and drivetrain losses bend the line.
+The resistance fitted to a run fits the run's sum, but not its segments: least squares follow the expensive segments,
+and on slopes braking and drivetrain losses make the relation non-linear.
 
 The intervals held {covered} of the same segments
 (their widths were found on them: factor {spread.factor:.2f}, quantiles {_quantiles(spread)}).
-A whole run is off by a factor of its own, of {100 * spread.run_share:.0f} % (standard deviation): what nobody told the
-network of robot and ground. Neighbouring errors go together over {spread.correlation_m:.1f} m.
+Each whole run has a relative error of its own, of {100 * spread.run_share:.0f} % (standard deviation),
+from properties of robot and ground that the network does not know. Errors of neighbouring segments are correlated over
+{spread.correlation_m:.1f} m.
 
 ## Learned ranges
-Outside of them the answer comes with a warning; the robot's values are clamped to the range inside the network.
+Outside of them the answer comes with a warning, and the network clamps the robot's values to the range.
 
 | | range |
 |---|---|
 {learned}
 
 ## Limits
-- It has seen no real ground. On yours, train on some runs of your robot (`joulemap train` starts from it).
-- It is not exactly equivariant: a turned or mirrored map changes a price by a few percent.
+- It has seen no real ground. For yours, train on some runs of your robot (`joulemap train` starts from this network).
+- It is not exactly equivariant: turning or mirroring the map changes a price by a few percent.
 - A place whose surrounding 2 m square touches an unknown height has no answer.
-- At 1 m per pixel it knows how rough such ground usually is, not how rough this one is.
+- At 1 m per pixel it knows how rough such ground usually is, but not how rough this ground is.
 """
 
 

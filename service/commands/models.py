@@ -127,7 +127,7 @@ def simulate(
     from joulemap.model.field.robot_dynamics import FieldRobot
     from joulemap.model.field.sites import named_site, random_site
     from joulemap.model.terrain.writers import write_geotiff
-    from joulemap.model.training.pretraining import level_ground, rolling_resistance_on
+    from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
 
     output = Output(json_file)
     rng = np.random.default_rng([seed, 1])

@@ -9,7 +9,7 @@ import pytest
 
 from joulemap.model.energy.artifact import read_artifact
 from joulemap.model.energy.domain import Domain
-from joulemap.model.energy.physics import tan_grade
+from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import InputError, ModelError, RunsError
 from joulemap.model.frames import GridFrame

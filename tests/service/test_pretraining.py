@@ -16,13 +16,8 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors
 from joulemap.model.training.optimisation import TrainingOptions
-from joulemap.model.training.pretraining import (
-    MU_RANGE,
-    ROBOTS_PER_SITE,
-    baselines,
-    make_pretraining_set,
-    train_default,
-)
+from joulemap.model.training.pretraining import baselines, train_default
+from joulemap.model.training.simulated_set import MU_RANGE, ROBOTS_PER_SITE, make_pretraining_set
 
 WEIGHTS = resources.files("joulemap.model") / "weights"
 SMALL = Robot(mass_kg=20.0, width_m=0.4, length_m=0.45, wheel_radius_m=0.1, speed_mps=0.8, rolling_resistance=0.06)

@@ -14,7 +14,7 @@ from joulemap.model.field.robots import FieldRobot
 from joulemap.model.field.simulation import simulate_segments, simulate_trace
 from joulemap.model.field.sites import named_site
 from joulemap.model.robot import Robot
-from joulemap.model.training.pretraining import make_pretraining_set
+from joulemap.model.training.simulated_set import make_pretraining_set
 
 
 def digest(*arrays) -> str:

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.physics import (
     PhysicsPredictor,
     eq5_energy_j,
     eq5_traction_per_m,
     fit_rolling_resistance,
     local_rolling_resistance,
-    tan_grade,
 )
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame, heading_bins

@@ -29,7 +29,7 @@ def test_a_plane_has_grades_and_nothing_else() -> None:
     assert found["cross_grade"] == pytest.approx(0.05, abs=1e-4)
     assert found["track_climb"] == pytest.approx(0.14, abs=1e-4)  # all rises over 1.4 m
     assert of(0.05 * EAST + 0.1 * NORTH, 180.0)["grade"] == pytest.approx(-0.1, abs=1e-4)
-    for name in ("roughness", "track_bend", "track_roughness", "curvature", "cross_curvature", "twist"):
+    for name in ("roughness", "track_second_difference", "track_roughness", "curvature", "cross_curvature", "twist"):
         assert found[name] == pytest.approx(0.0, abs=2e-5), name
 
 
@@ -37,7 +37,9 @@ def test_a_trough_across_is_curved_along() -> None:
     found = of(0.2 * (NORTH - 6.05) ** 2, 0.0)
     assert found["curvature"] == pytest.approx(0.2, rel=1e-3)
     assert found["cross_curvature"] == pytest.approx(0.0, abs=1e-4)
-    assert found["track_bend"] == pytest.approx(2 * 0.2 * 0.1**2, rel=1e-2)  # h'' of a parabola, times the step squared
+    assert found["track_second_difference"] == pytest.approx(
+        2 * 0.2 * 0.1**2, rel=1e-2
+    )  # h'' of a parabola, times the step squared
     turned = of(0.2 * (NORTH - 6.05) ** 2, 90.0)
     assert turned["cross_curvature"] == pytest.approx(0.2, rel=0.05)  # at a few places only: bilinear chords
     assert turned["curvature"] == pytest.approx(0.0, abs=1e-4)

@@ -9,7 +9,7 @@ import torch
 from joulemap.model.energy.architectures.contract import Network
 from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
 from joulemap.model.energy.examples import cut_examples
-from joulemap.model.energy.physics import tan_grade
+from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.tensors import ExampleTensors, predicted
 from joulemap.model.energy.uncertainty import Spread, fit_spread
 from joulemap.model.errors import InputError, ModelError

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from joulemap.model.energy.architectures.contract import Architecture, Network, TrainingDefaults
 from joulemap.model.energy.examples import Examples, FloatArray
-from joulemap.model.energy.physics import SEGMENT_M
+from joulemap.model.energy.grade import SEGMENT_M
 from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import heading_vector

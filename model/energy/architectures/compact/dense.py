@@ -21,7 +21,7 @@ from joulemap.model.energy.architectures.compact.net import (
 from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
 from joulemap.model.energy.domain import Domain, Learned
-from joulemap.model.energy.physics import tan_grade, tan_grade_lattice
+from joulemap.model.energy.grade import tan_grade, tan_grade_lattice
 from joulemap.model.energy.robot_features import robot_features
 from joulemap.model.energy.uncertainty import Spread, segment_std
 from joulemap.model.frames import GridFrame
@@ -36,7 +36,7 @@ _JOINED_TILE = 24, 64  # cells of one pass: its layers stay near the cache
 _SQUARES_TILE = 6, 64
 _SQUARES_SPAN_M = 128.0  # at most, for the sake of memory
 _BATCH = 2048  # squares of one pass
-_PASSES = 8  # a spacing of 1/k m up to this k is answered by k x k passes over cells 1 m apart
+_PASSES = 8  # a spacing of 1/k m up to this k is answered by k x k passes over cells at a spacing of 1 m
 
 
 class CompactPredictor(Learned):

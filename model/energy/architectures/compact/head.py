@@ -23,7 +23,7 @@ from joulemap.model.energy.architectures.compact.tracks import (
     describe,
     track_stencil,
 )
-from joulemap.model.energy.physics import antipodes
+from joulemap.model.energy.grade import antipodes
 from joulemap.model.energy.uncertainty import LEAST_SHARE
 
 _MIDDLE = (SQUARE - 1) // 2
