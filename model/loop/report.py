@@ -228,7 +228,7 @@ def where_words(term: Term) -> str:
     if term.formula == "turning" and term.settings.get("limit_radps"):
         gentle = term.coefficients[0] / term.settings.get("share", 1.0)
         slow = (
-            f"{gentle:.4g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, nothing more above that rate"
+            f"{gentle:.3g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, nothing more above that rate"
         )
         return f"everywhere; {slow} (the coefficient is the mean over all turns)"
     if not term.where and term.settings.get("over") == "elevation":

@@ -1,1 +1,1 @@
-"""Measured runs held against a model: residuals, the calibration that comes of them, and its report."""
+"""Calibration of a model with measured runs: the calibrated model, the report, and what to drive next."""

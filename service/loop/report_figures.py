@@ -205,8 +205,9 @@ def change_figure(routes: Comparison) -> str:
     west, south, east, north = routes.frame.bounds
     before, after = routes.price_per_m
     change = after - before
-    changed = routes.map_as_dict()
-    colours, low, high = change_scale(*changed["change_per_m"].values(), changed["mean_price_per_m"]["after"])
+    document = routes.map_as_dict()
+    span = document["change_per_m"]
+    colours, low, high = change_scale(span["low"], span["high"], document["mean_price_per_m"]["after"])
 
     def _draw(ax: Axes) -> None:
         shown = ax.imshow(change, extent=(0, east - west, 0, north - south), cmap=colours, vmin=low, vmax=high)

@@ -40,15 +40,15 @@ _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1d2424; background: #fbfaf7; max-width: 62rem; margin: 2rem auto;
   padding: 0 1rem }
 h1 { font-size: 1.6rem } h2 { font-size: 1.15rem; margin-top: 2.2rem } li { margin: .3rem 0 }
-table { border-collapse: collapse; width: 100% } div.table { overflow-x: auto }
+table { border-collapse: collapse; width: 100%; min-width: 36rem } div.table { overflow-x: auto }
 th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #ddd8cc; vertical-align: top;
   font-variant-numeric: tabular-nums }
-th { font-weight: 600 } td:first-child { min-width: 7rem } td.number { white-space: nowrap }
+th { font-weight: 600 } td.number { white-space: nowrap }
 svg, img { width: 100%; height: auto; margin-top: .6rem } div.full { max-width: 46rem }
 div.figures { display: grid; gap: 1rem; grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)) }
 div.small { grid-template-columns: repeat(auto-fill, minmax(min(14rem, 100%), 1fr)) }
 p.note { color: #5a6464 } p.warning { color: #b9532f }
-code.command { display: block; overflow-x: auto; white-space: pre; background: #efece3; border-radius: 6px;
+code.command { display: block; white-space: pre-wrap; overflow-wrap: anywhere; background: #efece3; border-radius: 6px;
   padding: .5rem .7rem; font-size: .9rem }
 """
 _AGAINST = (
