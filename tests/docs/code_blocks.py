@@ -139,8 +139,8 @@ class Machine:
         self.shell.stdin.flush()
         printed = ""
         for line in self._lines():
-            if line.strip() == done:
-                return printed
+            if line.endswith(f"{done}\n"):
+                return printed + line.removesuffix(f"{done}\n")
             printed += line
         raise AssertionError(f"{name} failed:\n{text}\n--- it printed:\n{printed}")
 

@@ -22,6 +22,9 @@ SLOW = [page for page in RUNNABLE if any(b.mark == "slow" for b in BLOCKS[page])
 NOT_RUN = 20
 """As many blocks as may be left out, at most: each needs what a test has not (Docker, a cluster, the installation)."""
 
+PRINTED = {"docs/tutorial.md": "Found: turning\n"}
+"""What a page says that its blocks print."""
+
 
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
@@ -65,10 +68,10 @@ def _run(page: str, folder: Path, request: pytest.FixtureRequest, *, slow: bool)
     matplotlib.use("Agg")
     asks = any("localhost:8000" in b.text for b in BLOCKS[page] if b.mark == "")
     with Machine(folder, service=request.getfixturevalue("service") if asks else "") as machine:
-        for block in BLOCKS[page]:
-            if block.mark != "not run" and (slow or block.mark != "slow"):
-                machine.run(block)
+        run = [block for block in BLOCKS[page] if block.mark != "not run" and (slow or block.mark != "slow")]
+        printed = "".join(machine.run(block) for block in run)
     plt.close("all")
+    assert PRINTED.get(page, "") in printed
 
 
 @pytest.mark.parametrize("page", RUNNABLE)
@@ -130,4 +133,5 @@ def test_a_block_that_fails_is_noticed(tmp_path: Path) -> None:
     with Machine(tmp_path) as machine:
         machine.run(Block("page", 1, "bash", "", "HERE=there\n", "", ""))
         machine.run(Block("page", 2, "toml", "a.toml", "x = 1\n", "", ""))
+        assert machine.run(Block("page", 2, "bash", "", "printf 'no end of line'\n", "", "")) == "no end of line"
         assert machine.run(Block("page", 3, "bash", "", "echo $HERE; cat a.toml\n", "", "")) == "there\nx = 1\n"
