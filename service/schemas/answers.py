@@ -162,12 +162,15 @@ def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> Calibra
         links["heightmap"] = f"/v1/heightmaps/{row.heightmap_id}"
     if row.status == DONE:
         links["page"] = f"{base}/report.html"
+    baseline, test = asked["base_runs"], named_test_runs(asked)
     return CalibrationOut(
         **_job(row),
         heightmap_id=row.heightmap_id,
         runs=asked["runs"],
-        baseline_runs=asked["base_runs"],
-        test_runs=named_test_runs(asked),
+        baseline_runs=baseline,
+        test_runs=test,
+        base_runs=baseline,
+        aside_runs=test,
         robot=RobotOut(**asked["robot"]),
         model=asked["model"],
         calibrated_model=summary.get("model"),

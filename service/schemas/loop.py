@@ -118,6 +118,8 @@ class CalibrationOut(JobOut):
     runs: list[str] = Field(description="ids of the runs to learn from")
     baseline_runs: list[str] = Field(description="ids of the earlier runs that they were compared with")
     test_runs: list[str] = Field(description="ids of the runs that the model was only tested with")
+    base_runs: list[str] = Field(deprecated=True, description="same as baseline_runs; removed in version 0.3")
+    aside_runs: list[str] = Field(deprecated=True, description="same as test_runs; removed in version 0.3")
     robot: RobotOut
     model: str = Field(description="the model that was calibrated", examples=["physics"])
     calibrated_model: str | None = Field(

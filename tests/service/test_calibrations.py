@@ -98,6 +98,7 @@ def calibration(service: TestClient, ground_id: str, runs_id: str) -> dict[str, 
     answer = service.post("/v1/calibrations", json=asked | {"test_runs": [kept]}, headers={"Prefer": "wait=200"})
     assert answer.status_code == 201, answer.text
     assert (answer.json()["runs"], answer.json()["test_runs"]) == ([runs_id], [kept])
+    assert answer.json()["aside_runs"] == [kept]  # the former name, until version 0.3
     assert answer.headers["location"] == f"/v1/calibrations/{answer.json()['id']}"
     return answer.json()
 
