@@ -89,6 +89,15 @@ def test_the_table_of_the_robot_file_has_every_key_and_its_default() -> None:
         assert said[field.name] == value if isinstance(value, str) else float(said[field.name]) == value, field.name
 
 
+def test_the_table_of_exit_codes_is_that_of_the_program() -> None:
+    from joulemap.service.problems import INTERNAL_EXIT_CODE, TABLE
+
+    page = (ROOT / "docs/reference/index.md").read_text(encoding="utf-8")
+    said = {int(row[0]): row[1] for row in re.findall(r"^\| (\d+) \|.*\| (\d*) \|$", page, re.MULTILINE)}
+    assert {row.exit_code: str(row.status) for row in TABLE.values()}.items() <= said.items()
+    assert said[INTERNAL_EXIT_CODE] == "500"
+
+
 def test_the_citation_is_of_this_version() -> None:
     from importlib.metadata import version
 
