@@ -1,4 +1,4 @@
-"""What needs no network: friction fitted in three ways, and a regression on shape. Each is fitted once, then asked."""
+"""The methods without a network: friction fitted in four ways, and a regression on shape features."""
 
 from __future__ import annotations
 
@@ -19,30 +19,69 @@ from joulemap.model.reproduction.measured import Measured
 from joulemap.model.robot import Robot
 
 FloatArray = NDArray[np.float64]
-Said = Callable[[Measured], FloatArray]
+Prediction = Callable[[Measured], FloatArray]
 """Energy [J] of every segment of a drive, (n,); NaN on unknown ground."""
 
 _FAR_M = {"grass_b": 2e3, "dirt": 4e3, "elsewhere": 1e9}  # added to x: sites may share coordinates, not their ground
 
 
-def global_friction(learned: Measured, robot: Robot) -> Said:
-    """Equation 5 with the one mu that fits best."""
+def global_friction(learned: Measured, robot: Robot) -> Prediction:
+    """Fit equation 5 with one mu.
+
+    Parameters
+    ----------
+    learned : Measured
+        What to fit to; its straight segments are used.
+    robot : Robot
+        As its file declares it.
+
+    Returns
+    -------
+    callable
+        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    """
     here = learned.straight
     traction = (learned.segments.energy_j - robot.hotel_per_m)[here]
     mu = fit_rolling_resistance(traction, _grade(learned)[here], weight_n=robot.weight_n)
     return lambda test: robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
 
 
-def friction_and_weight(learned: Measured, robot: Robot) -> Said:
-    """The same with the weight fitted too, for a robot whose mass or drivetrain is not known: E = a + b tan theta."""
+def friction_and_weight(learned: Measured, robot: Robot) -> Prediction:
+    """Fit equation 5 with the weight too, for a robot of unknown mass or drivetrain: E = a + b tan theta.
+
+    Parameters
+    ----------
+    learned : Measured
+        What to fit to; its straight segments are used.
+    robot : Robot
+        As its file declares it.
+
+    Returns
+    -------
+    callable
+        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    """
     grade = _grade(learned)
     known = learned.straight & np.isfinite(grade)
     slope, level = np.polyfit(grade[known], learned.segments.energy_j[known], 1)
     return lambda test: np.maximum(level + slope * _grade(test), robot.hotel_per_m)
 
 
-def friction_map(learned: Measured, robot: Robot) -> Said:
-    """Equation 5 with a mu that depends on the place."""
+def friction_map(learned: Measured, robot: Robot) -> Prediction:
+    """Fit equation 5 with a mu that depends on the place.
+
+    Parameters
+    ----------
+    learned : Measured
+        What to fit to; its straight segments are used.
+    robot : Robot
+        As its file declares it.
+
+    Returns
+    -------
+    callable
+        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    """
     s = learned.segments.take(learned.straight)
     process = FrictionMap.fit(
         s.x + _FAR_M.get(learned.site, 0.0),
@@ -52,15 +91,28 @@ def friction_map(learned: Measured, robot: Robot) -> Said:
         weight_n=robot.weight_n,
     )
 
-    def said(test: Measured) -> FloatArray:
+    def _predict(test: Measured) -> FloatArray:
         mu = process.rolling_resistance(test.segments.x + _FAR_M.get(test.site, 0.0), test.segments.y)
         return robot.price_per_m(eq5_traction_per_m(robot.weight_n, mu, _grade(test)))
 
-    return said
+    return _predict
 
 
-def shape_ridge(learned: Measured, robot: Robot) -> Said:
-    """The regression on shape features."""
+def shape_ridge(learned: Measured, robot: Robot) -> Prediction:
+    """Fit the regression on shape features.
+
+    Parameters
+    ----------
+    learned : Measured
+        What to fit to; its straight segments are used.
+    robot : Robot
+        As its file declares it.
+
+    Returns
+    -------
+    callable
+        Predicts the energy [J] of every segment of a drive, (n,); NaN on unknown ground.
+    """
     s = learned.segments.take(learned.straight)
     model = RidgeBaseline.fit(learned.heightmap, robot, s.x, s.y, s.heading_rad, s.energy_j, run=s.run)
     return lambda test: model.predict_j(
@@ -69,7 +121,20 @@ def shape_ridge(learned: Measured, robot: Robot) -> Said:
 
 
 def local_friction(test: Measured, robot: Robot) -> FloatArray:
-    """Five metres of driving for the next five, run by run; NaN in the first five of a run."""
+    """Predict each five metres with the friction of the five metres before, run by run.
+
+    Parameters
+    ----------
+    test : Measured
+        The drive to predict.
+    robot : Robot
+        As its file declares it.
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        Energy [J]; NaN in the first five metres of a run.
+    """
     mu = np.full(len(test.segments), np.nan)
     grade = _grade(test)
     for run in np.unique(test.segments.run):

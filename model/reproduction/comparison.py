@@ -1,4 +1,4 @@
-"""The baselines, and any model, on a user's own measured runs."""
+"""The baselines and any models on a user's own measured runs: the work of `joulemap baselines`."""
 
 from __future__ import annotations
 
@@ -32,10 +32,34 @@ def compare(
     tested_heightmap: Heightmap | None = None,
     models: Sequence[Predictor] = (),
 ) -> dict[str, dict[str, Any]]:
-    """Every baseline fitted to the runs `learned`, and every model as it is, judged on the runs `tested`.
+    """Fit every baseline to some runs, and judge the baselines and models by other runs.
 
-    tested_heightmap : where the tested runs were driven elsewhere. By method: the numbers of `judged`, JSON-able.
-    Raises RunsError, InputError.
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The ground.
+    robot : Robot
+        As its file declares it.
+    learned : sequence of Path
+        Logs that the baselines are fitted to.
+    tested : sequence of Path
+        Logs to judge by.
+    tested_heightmap : Heightmap, optional
+        The ground of the tested runs, where they were driven on other ground.
+    models : sequence of Predictor, optional
+        Models to judge beside the baselines.
+
+    Returns
+    -------
+    dict
+        The numbers of `judged` by method, JSON-able.
+
+    Raises
+    ------
+    RunsError
+        If a log cannot be read.
+    InputError
+        If there are too few segments.
     """
     mine = _measured(heightmap, robot, learned, "")
     elsewhere = tested_heightmap is not None

@@ -1,4 +1,4 @@
-"""The paper's section V, experiment by experiment: what every method says of the same measured segments."""
+"""The paper's section V, experiment by experiment: every method predicts the same measured segments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from joulemap.model.runs.segments import concatenate
 FloatArray = NDArray[np.float64]
 
 ROWS = ("V-A", "V-B", "V-C", "V-D", "V-E", "V-E shifted", "V-E rest", "V-E other")
-"""Test sets. V-D is the rest of site A again, for friction fitted to five metres and used on the next five."""
+"""Test sets. V-D is the test set of V-A, for friction that is fitted to five metres and used on the next five."""
 
 _DRIVE_OF = {"V-B": "a_waypoints", "V-C": "b_waypoints", "V-E": "dirt_lawnmower", "V-E other": "dirt_waypoints"}
 _BASELINES = (("physics", global_friction), ("gp", friction_map), ("ridge", shape_ridge))
@@ -32,7 +32,19 @@ _PAPER_SHARE = 3  # a third of a site is trained on
 
 @dataclass(frozen=True)
 class Setting:
-    """Where a reproduction is kept and how much of it is run. weights : an ImageNet file for the paper's network."""
+    """Where a reproduction is kept, and how much of it is run.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the reproduction.
+    profile : Profile
+        Its extent.
+    heightmap_from : str
+        One of `HEIGHTMAPS`.
+    weights : Path, optional
+        An ImageNet file for the paper's network.
+    """
 
     folder: Path
     profile: Profile
@@ -40,9 +52,35 @@ class Setting:
     weights: Path | None = None
 
     def field(self, seed: int) -> Path:
+        """Return the folder of a seed's heightmaps and logs.
+
+        Parameters
+        ----------
+        seed : int
+            Of the field.
+
+        Returns
+        -------
+        Path
+            The folder.
+        """
         return self.folder / "field" / str(seed)
 
     def model(self, name: str, seed: int) -> Path:
+        """Return the folder of a trained network.
+
+        Parameters
+        ----------
+        name : str
+            Of the network.
+        seed : int
+            Of the field.
+
+        Returns
+        -------
+        Path
+            The folder.
+        """
         return self.folder / "models" / f"{name}_{seed}"
 
     @property
@@ -52,26 +90,66 @@ class Setting:
 
 
 class Scores:
-    """What methods said, judged: `methods` is JSON-able, `arrays` keeps every prediction by "method/row"."""
+    """Errors and predictions of methods.
+
+    Attributes
+    ----------
+    methods : dict
+        The numbers of `judged` by method and test set, JSON-able.
+    arrays : dict of str to ndarray of float64
+        Every prediction [J] by "method/row".
+    """
 
     def __init__(self) -> None:
         self.methods: dict[str, dict[str, Any]] = {}
         self.arrays: dict[str, FloatArray] = {}
 
     def add(self, method: str, row: str, predicted: FloatArray, measured: Measured) -> None:
-        """Judge one method's energies of every segment of a test set."""
+        """Judge the predictions of a method on a test set.
+
+        Parameters
+        ----------
+        method : str
+            Its name.
+        row : str
+            The test set, one of `ROWS`.
+        predicted : ndarray of float64, (n,)
+            Energy of every segment [J].
+        measured : Measured
+            The test set's segments.
+        """
         self.methods.setdefault(method, {})[row] = judged(predicted, measured)
         self.arrays[f"{method}/{row}"] = predicted
 
     def add_shifted(self, method: str, predicted: FloatArray, measured: Measured) -> None:
-        """V-E's mean shift: e_hat - mean(e_hat) + mean(e)."""
+        """Judge predictions after the mean shift of section V-E, e_hat - mean(e_hat) + mean(e).
+
+        Parameters
+        ----------
+        method : str
+            Its name.
+        predicted : ndarray of float64, (n,)
+            Energy of every segment [J].
+        measured : Measured
+            The test set's segments.
+        """
         known = np.isfinite(predicted) & measured.straight
         off = float(np.mean(measured.segments.energy_j[known] - predicted[known]))
         self.add(method, "V-E shifted", predicted + off, measured)
 
 
 class Field:
-    """The measured drives of one seed, split as in the paper."""
+    """The measured drives of one seed, divided into training and test sets as in the paper.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+    heightmap_from : str, optional
+        One of `HEIGHTMAPS`; the setting's by default.
+    """
 
     def __init__(self, setting: Setting, seed: int, *, heightmap_from: str | None = None) -> None:
         self.folder = setting.field(seed)
@@ -81,7 +159,18 @@ class Field:
         self._kept: dict[str, Measured] = {}
 
     def drive(self, name: str) -> Measured:
-        """All of a drive. Drives of one site share their heightmap."""
+        """Return a whole drive. Drives on one site share their heightmap.
+
+        Parameters
+        ----------
+        name : str
+            One of `SITE_OF`.
+
+        Returns
+        -------
+        Measured
+            The drive.
+        """
         if name not in self._kept:
             site = name.split("_")[0]
             known = next((m.heightmap for key, m in self._kept.items() if key.split("_")[0] == site), None)
@@ -89,11 +178,33 @@ class Field:
         return self._kept[name]
 
     def west(self, drive: str) -> Measured:
-        """The west third: what is trained on."""
+        """Return the west third of a drive, the training set.
+
+        Parameters
+        ----------
+        drive : str
+            One of `SITE_OF`.
+
+        Returns
+        -------
+        Measured
+            Its first runs.
+        """
         return self.drive(drive).of_runs(0, self._west)
 
     def test(self, row: str) -> Measured:
-        """What a row is judged on."""
+        """Return a test set.
+
+        Parameters
+        ----------
+        row : str
+            One of `ROWS`.
+
+        Returns
+        -------
+        Measured
+            Its runs.
+        """
         if row in ("V-A", "V-D"):
             return self.drive("a_lawnmower").of_runs(self._west)
         if row == "V-E rest":
@@ -102,7 +213,20 @@ class Field:
 
 
 def baselines(setting: Setting, seed: int) -> Scores:
-    """Physics, friction as a Gaussian process, ridge on shape, and the noise floor, on every row."""
+    """Judge physics, friction as a Gaussian process, the regression on shape, and the noise floor on all test sets.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    Scores
+        Of every method and test set.
+    """
     field, scores = Field(setting, seed), Scores()
     for row in ROWS:
         test = field.test(row)
@@ -124,7 +248,20 @@ def baselines(setting: Setting, seed: int) -> Scores:
 
 
 def compact(setting: Setting, seed: int) -> Scores:
-    """The compact network from the shipped weights and from scratch, on grass and then fine-tuned on dirt."""
+    """Train the compact network from the shipped weights and from scratch, on grass and then on dirt.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    Scores
+        Of every method and test set.
+    """
     field, scores = Field(setting, seed), Scores()
     for method, start in (("compact", networks.SHIPPED), ("compact_scratch", None)):
         here = setting.model(method, seed)
@@ -150,7 +287,22 @@ def compact(setting: Setting, seed: int) -> Scores:
 
 
 def resnet(strategy: str, setting: Setting, seed: int) -> Scores:
-    """The paper's network in one of its three strategies; the one it calls best goes on to dirt."""
+    """Train the paper's network in one of its three strategies; the one that the paper finds best goes on to dirt.
+
+    Parameters
+    ----------
+    strategy : str
+        One of `STRATEGIES`.
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    Scores
+        Of the strategy.
+    """
     field, scores, profile = Field(setting, seed), Scores(), setting.profile
     method = f"resnet_{strategy}"
     here = setting.model(method, seed)
@@ -181,8 +333,21 @@ def resnet(strategy: str, setting: Setting, seed: int) -> Scores:
 
 
 def map_floor(setting: Setting, seed: int) -> Scores:
-    """What the heightmap can tell at all: the compact network with many times the data of the same robot on sites of
-    the test's own kind, surveyed alike.
+    """Estimate what the heightmap contains at all: the compact network with many times the data.
+
+    The data are of the same robot on other sites of the test set's own kind, surveyed in the same way.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    Scores
+        Of every method and test set.
     """
     field, scores, profile = Field(setting, seed, heightmap_from="survey"), Scores(), setting.profile
     paper = len(field.drive("a_lawnmower").segments) // _PAPER_SHARE
@@ -196,7 +361,22 @@ def map_floor(setting: Setting, seed: int) -> Scores:
 
 
 def learning_curve(setting: Setting, seed: int) -> Scores:
-    """Error on random drives over site A and site B after so many driven metres on site A: rows "metres V-B", "V-C"."""
+    """Judge networks on random drives over sites A and B after some metres of training on site A.
+
+    The test sets are called "METRES V-B" and "METRES V-C".
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    Scores
+        Of every method and test set.
+    """
     field, scores = Field(setting, seed), Scores()
     for method, start in (("curve_shipped", networks.SHIPPED), ("curve_scratch", None)):
         for metres in setting.profile.curve_m:
@@ -219,7 +399,20 @@ def learning_curve(setting: Setting, seed: int) -> Scores:
 
 
 def other_heightmap(setting: Setting, seed: int) -> Scores:
-    """V-A once more, on the kind of heightmap that the other experiments do not use."""
+    """Repeat V-A on the kind of heightmap that the other experiments do not use.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    Scores
+        Of every method and test set.
+    """
     kind = setting.other_heightmap
     field, scores = Field(setting, seed, heightmap_from=kind), Scores()
     west, test = field.west("a_lawnmower"), field.test("V-A")
@@ -238,7 +431,20 @@ def other_heightmap(setting: Setting, seed: int) -> Scores:
 
 
 def field_of(setting: Setting, seed: int) -> dict[str, Any]:
-    """Drive the field of a seed: metres by drive."""
+    """Simulate the drives of a seed.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    dict
+        As `make_field`.
+    """
     return make_field(setting.field(seed), seed, setting.profile)
 
 

@@ -1,4 +1,4 @@
-"""The field of one seed: a robot, three sites and every drive of the paper, logged to files as a user has them."""
+"""The field of one seed: a robot, three sites and all drives of the paper, logged to files like a user's."""
 
 from __future__ import annotations
 
@@ -40,17 +40,26 @@ SITE_OF = {
     "dirt_lawnmower": "dirt",
     "dirt_waypoints": "dirt",
 }
-"""The drives, and where each of them is."""
+"""The drives, and the site of each."""
 HEIGHTMAPS = ("survey", "driven")
 
 _DONE = "field.json"
 _HOUR_S = 3600.0
-_FITTED_REACH_M = 1.6  # what a network looks at lies this near to the track
+_FITTED_REACH_M = 1.6  # a network reads nothing farther from the track
 
 
 def robot_of(seed: int) -> FieldRobot:
-    """The robot that is driven everywhere: hidden numbers drawn, and mu as its owner would measure it on site A's
-    ground where that is smooth and level.
+    """Draw the robot of a field.
+
+    Parameters
+    ----------
+    seed : int
+        Of the field.
+
+    Returns
+    -------
+    FieldRobot
+        Its true values are drawn. Its declared mu is what an owner would measure on smooth, level ground of site A.
     """
     rng = np.random.default_rng([seed, 1])
     truth = FieldRobot.drawn(Robot(), rng)
@@ -60,9 +69,21 @@ def robot_of(seed: int) -> FieldRobot:
 
 
 def make_field(folder: Path, seed: int, profile: Profile) -> dict[str, Any]:
-    """Drive everything and write heightmaps, robot.toml and logs.
+    """Simulate all drives of a field and write heightmaps, robot.toml and logs.
 
-    Returns, JSON-able, the metres of every drive and the `roughness_m3` of every site's true terrain.
+    Parameters
+    ----------
+    folder : Path
+        Folder to write.
+    seed : int
+        Of the field.
+    profile : Profile
+        Its extent.
+
+    Returns
+    -------
+    dict
+        JSON-able: `metres` of every drive, and `roughness_m3` of every site's true terrain.
     """
     folder.mkdir(parents=True, exist_ok=True)
     truth = robot_of(seed)
@@ -101,7 +122,26 @@ def make_field(folder: Path, seed: int, profile: Profile) -> dict[str, Any]:
 def read_measured(
     folder: Path, drive: str, robot: Robot, *, heightmap_from: str = "survey", heightmap: Heightmap | None = None
 ) -> Measured:
-    """A drive of a field that `make_field` wrote. heightmap : the site's, where it is at hand already."""
+    """Read a drive that `make_field` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the field.
+    drive : str
+        One of `SITE_OF`.
+    robot : Robot
+        As declared.
+    heightmap_from : str, optional
+        One of `HEIGHTMAPS`.
+    heightmap : Heightmap, optional
+        The site's, where it is read already.
+
+    Returns
+    -------
+    Measured
+        The drive.
+    """
     site = SITE_OF[drive]
     files = _logs(folder, drive)
     if heightmap is None:
@@ -113,7 +153,22 @@ def read_measured(
 
 
 def read_site_heightmap(folder: Path, site: str, heightmap_from: str) -> Heightmap:
-    """The survey, or the surface fitted to the positions of every drive over the site, as in the paper."""
+    """Read a site's survey, or fit a surface to the positions of all drives over it, as in the paper.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the field.
+    site : str
+        One of `SITES`.
+    heightmap_from : str
+        One of `HEIGHTMAPS`.
+
+    Returns
+    -------
+    Heightmap
+        Of the site.
+    """
     survey = read_heightmap(folder / f"{site}.tif")
     if heightmap_from == "survey":
         return survey
@@ -125,8 +180,25 @@ def read_site_heightmap(folder: Path, site: str, heightmap_from: str) -> Heightm
 
 
 def more_examples(name: str, seed: int, profile: Profile, *, segments: int) -> Examples:
-    """At least `segments` exact segments of this seed's robot on further sites called `name`, on their surveys: half
-    driven as a lawnmower, half between random waypoints. One run per site and kind.
+    """Simulate exact segments of this seed's robot on further sites, on their surveys.
+
+    Half of them are driven in parallel lines, half between random waypoints, one run per site and kind.
+
+    Parameters
+    ----------
+    name : str
+        Kind of the sites, one of `SITES`.
+    seed : int
+        Of the field.
+    profile : Profile
+        Its extent.
+    segments : int
+        How many, at least.
+
+    Returns
+    -------
+    Examples
+        For the compact network.
     """
     truth = robot_of(seed)
     parts: list[Examples] = []
@@ -157,9 +229,25 @@ def more_examples(name: str, seed: int, profile: Profile, *, segments: int) -> E
 
 
 def roughness_m3(terrain: Heightmap) -> float:
-    """Displacement spectral density at 0.1 cycles/m [m3] of north-south lines, as ISO 8608 states a road's roughness.
+    """Compute the roughness of a terrain along north-south lines as ISO 8608 states that of a road.
 
-    The geometric mean of G(n) (n / 0.1)^2 over waves of 0.5 to 5 m: the fit with the standard's exponent of 2.
+    Parameters
+    ----------
+    terrain : Heightmap
+        The ground.
+
+    Returns
+    -------
+    float
+        Displacement spectral density at 0.1 cycles/m [m3].
+
+    Notes
+    -----
+    The geometric mean of G(n) (n / 0.1)^2 over wavelengths of 0.5 to 5 m: the fit with the standard's exponent of 2.
+
+    References
+    ----------
+    ISO 8608:2016, "Mechanical vibration - Road surface profiles - Reporting of measured data".
     """
     step = terrain.resolution_m
     frequency, density = periodogram(terrain.heights, fs=1.0 / step, window="hann", detrend="linear", axis=0)

@@ -1,4 +1,4 @@
-"""The paper's figures redrawn: prediction against measurement along the track, sites with their drives, learning."""
+"""The paper's figures: predictions and measurements along the track, sites with their drives, the learning curve."""
 
 from __future__ import annotations
 
@@ -37,7 +37,20 @@ _NAMES = {"compact": "compact", "resnet": "ResNet18", "physics": "friction"}
 
 
 def draw_all(setting: Setting, summary: Summary) -> list[str]:
-    """Draw what the first seed's results allow into the folder's figures/; names of the files."""
+    """Draw all figures for which the first seed has results, into the folder's figures/.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    summary : Summary
+        All results.
+
+    Returns
+    -------
+    list of str
+        Names of the files.
+    """
     folder = setting.folder / "figures"
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []
@@ -53,7 +66,7 @@ def draw_all(setting: Setting, summary: Summary) -> list[str]:
 
 
 def _predictions(setting: Setting) -> dict[str, FloatArray]:
-    """Everything that was said of the first seed's segments, by "method/row"."""
+    """All predictions for the first seed's segments, by "method/row"."""
     found: dict[str, FloatArray] = {}
     for file in sorted((setting.folder / "results").glob(f"*_{FIRST_SEED}.npz")):
         with np.load(file) as kept:

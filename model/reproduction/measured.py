@@ -1,4 +1,4 @@
-"""A drive as measured, and how what is said of it is judged."""
+"""A measured drive, and the errors of predictions for it."""
 
 from __future__ import annotations
 
@@ -19,10 +19,20 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measured:
-    """One drive as measured, with the map its site has.
+    """One measured drive with the map of its site.
 
-    files : the logs, one per run. segments : all of them. explained_j : (n,) what perfect knowledge of ground, robot
-    and driving would have said of each segment [J].
+    Attributes
+    ----------
+    site : str
+        Name of the site.
+    heightmap : Heightmap
+        Its ground.
+    files : tuple of Path
+        The logs, one per run.
+    segments : Segments
+        Of all runs.
+    explained_j : ndarray of float64, (n,)
+        Energy of each segment with perfect knowledge of ground, robot and driving [J]; NaN where nobody knows.
     """
 
     site: str
@@ -33,11 +43,24 @@ class Measured:
 
     @property
     def straight(self) -> NDArray[np.bool_]:
-        """Segments without a turn: the paper's kind."""
+        """Mask of the segments without a turn, which the paper uses, (n,)."""
         return np.abs(self.segments.heading_change_rad) < MAX_TURN_RAD
 
     def of_runs(self, first: int, stop: int | None = None) -> Measured:
-        """The runs first..stop - 1, numbered anew."""
+        """Return some of the runs, numbered from 0.
+
+        Parameters
+        ----------
+        first : int
+            The first run.
+        stop : int, optional
+            The run after the last one; all by default.
+
+        Returns
+        -------
+        Measured
+            Of these runs.
+        """
         runs = self.segments.runs[first:stop]
         mine = (self.segments.run >= first) & (self.segments.run < first + len(runs))
         taken = self.segments.take(mine)
@@ -46,8 +69,21 @@ class Measured:
 
 
 def judged(predicted: FloatArray, measured: Measured) -> dict[str, Any]:
-    """`errors` on the straight segments; whole routes (route_relative_error, site_relative_error of the whole set) and
-    `with_turns`, the mean relative error, on all of them; straight_route_relative_error on the straight ones.
+    """Judge predictions for a drive.
+
+    Parameters
+    ----------
+    predicted : ndarray of float64, (n,)
+        Energy of every segment [J]; NaN where unknown.
+    measured : Measured
+        The drive.
+
+    Returns
+    -------
+    dict
+        JSON-able. The numbers of `errors` on the straight segments, and straight_route_relative_error. On all segments:
+        route_relative_error of whole runs, site_relative_error of the whole drive, and with_turns, the mean relative
+        error. unknown : number of segments without a prediction.
     """
     energy, run = measured.segments.energy_j, measured.segments.run
     known = np.isfinite(predicted)

@@ -1,4 +1,4 @@
-"""How the reproduction trains and asks networks: the one place that calls the project's training."""
+"""How the reproduction trains networks and asks them: the only module of it that calls the project's training."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from joulemap.model.training.optimisation import TrainingOptions, train_network
 FloatArray = NDArray[np.float64]
 
 SHIPPED = Path(str(SHIPPED_WEIGHTS))
-"""Folder of the network that joulemap ships."""
+"""Folder of the shipped network."""
 BACKBONE_FILE = "backbone.safetensors"
 
 _MORE_BATCH = 128  # twenty times the data do not need small batches
@@ -42,7 +42,28 @@ _BACKBONE_WAYPOINTS = 12
 def trained_compact(
     measured: Measured, robot: Robot, *, out: Path, start_from: Path | None, seed: int, epochs: int
 ) -> Predictor:
-    """What `joulemap train` makes of these runs. start_from : a model's folder, or None for a fresh network."""
+    """Train a compact network as `joulemap train` does, unless it is there already.
+
+    Parameters
+    ----------
+    measured : Measured
+        The training set.
+    robot : Robot
+        As declared.
+    out : Path
+        Folder of the model.
+    start_from : Path, optional
+        A model's folder; None for a fresh network.
+    seed : int
+        Of the training.
+    epochs : int
+        Passes over the data, at most.
+
+    Returns
+    -------
+    Predictor
+        Of the trained network.
+    """
     if not (out / CONFIG_FILE).exists():
         train_on_runs(
             measured.heightmap,
@@ -58,7 +79,24 @@ def trained_compact(
 
 
 def compact_on_more(examples: Examples, *, out: Path, seed: int, epochs: int) -> Predictor:
-    """The shipped network trained on very many segments: what the map can tell at all."""
+    """Train the shipped network on very many segments, unless that is done already.
+
+    Parameters
+    ----------
+    examples : Examples
+        The training set.
+    out : Path
+        Folder of the model.
+    seed : int
+        Of the training.
+    epochs : int
+        Passes over the data, at most.
+
+    Returns
+    -------
+    Predictor
+        Of the trained network.
+    """
     if not (out / CONFIG_FILE).exists():
         parent = read_artifact(SHIPPED)
         options = TrainingOptions(
@@ -70,7 +108,22 @@ def compact_on_more(examples: Examples, *, out: Path, seed: int, epochs: int) ->
 
 
 def pretrained_backbone(out: Path, *, profile: Profile, seed: int) -> Path:
-    """A file with torchvision's names: a backbone trained on the energy of one nominal robot on random sites."""
+    """Train a backbone on the energy of one nominal robot on random sites, unless it is there already.
+
+    Parameters
+    ----------
+    out : Path
+        Folder to write.
+    profile : Profile
+        Sites, epochs and patch size.
+    seed : int
+        Of sites and training.
+
+    Returns
+    -------
+    Path
+        File of weights with torchvision's names.
+    """
     file = out / BACKBONE_FILE
     if file.exists():
         return file
@@ -83,7 +136,7 @@ def pretrained_backbone(out: Path, *, profile: Profile, seed: int) -> Path:
         drive = drive_along(points, speed_mps=truth.declared.speed_mps, rng=rng)
         found = simulate_segments(site, truth, drive, rng=rng)
         keep = np.abs(found.heading_change_rad) < MAX_TURN_RAD
-        ends = np.array_split(np.flatnonzero(keep), 2)  # two runs a site: one site alone can be trained on as well
+        ends = np.array_split(np.flatnonzero(keep), 2)  # two runs per site: a single site can then be trained on, too
         for half, mine in enumerate(ends):
             parts.append(
                 cut_examples(
@@ -126,10 +179,38 @@ def trained_resnet(
     backbone: Path | None = None,
     start_from: Path | None = None,
 ) -> Predictor:
-    """The paper's network on these runs with the paper's loss and learning rate, one of `STRATEGIES`.
+    """Train the paper's network with the paper's loss and learning rate, unless it is there already.
 
-    backbone : a file with torchvision's names, needed but for "scratch". start_from : a trained model's folder to
-    fine-tune instead. Raises ModelError for an unknown strategy or a missing backbone.
+    Parameters
+    ----------
+    measured : Measured
+        The training set; its straight segments are used.
+    robot : Robot
+        As declared.
+    out : Path
+        Folder of the model.
+    strategy : str
+        One of `STRATEGIES`.
+    size : int
+        Rows and columns of a patch.
+    epochs : int
+        Passes over the data, at most.
+    seed : int
+        Of the training.
+    backbone : Path, optional
+        File of weights with torchvision's names. All strategies but "scratch" need it.
+    start_from : Path, optional
+        Folder of a trained model to fine-tune instead.
+
+    Returns
+    -------
+    Predictor
+        Of the trained network.
+
+    Raises
+    ------
+    ModelError
+        If the strategy is unknown or a backbone is missing.
     """
     if strategy not in STRATEGIES:
         raise ModelError(f"no training strategy {strategy!r}: known are {', '.join(STRATEGIES)}", name=strategy)
@@ -202,12 +283,38 @@ def _resnet(net: Network) -> ResNetEnergy:
 
 
 def predicted_j(predictor: Predictor, measured: Measured, robot: Robot) -> FloatArray:
-    """Energy [J] of every segment, (n,); NaN on unknown ground."""
+    """Predict the energy of every segment of a drive.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        The model.
+    measured : Measured
+        The drive.
+    robot : Robot
+        As declared.
+
+    Returns
+    -------
+    ndarray of float64, (n,)
+        Energy [J]; NaN on unknown ground.
+    """
     return predict_segments(predictor, measured.heightmap, robot, measured.segments).energy_j
 
 
 def described(backbone: Path | None) -> dict[str, Any]:
-    """Where the paper network's backbone came from, for the table."""
+    """Say where the backbone of the paper's network comes from.
+
+    Parameters
+    ----------
+    backbone : Path, optional
+        An ImageNet file.
+
+    Returns
+    -------
+    dict
+        One sentence under `backbone`, JSON-able.
+    """
     if backbone is None:
         return {"backbone": "pre-trained on simulated terrain: another robot on random sites (no ImageNet file given)"}
     return {"backbone": f"read from {backbone.name}"}

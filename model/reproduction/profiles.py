@@ -1,4 +1,4 @@
-"""How much of the reproduction is run: sizes of the field and lengths of the trainings."""
+"""The extent of a reproduction: sizes of the field and lengths of the trainings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 FIRST_SEED = 1001
-"""Seeds count from here. The simulated ground was made hard enough on seed 0, which is therefore none of them."""
+"""Seeds count from here. The hardness of the simulated ground was chosen on seed 0, which is therefore not used."""
 
 STRATEGIES = ("frozen", "scratch", "finetuned")
 """The paper's three ways to train its network (section IV-C)."""
@@ -14,15 +14,40 @@ STRATEGIES = ("frozen", "scratch", "finetuned")
 
 @dataclass(frozen=True)
 class Profile:
-    """One extent of the reproduction.
+    """One extent of a reproduction.
 
-    width_m, height_m : of every site; lane_m : between the lines of a lawnmower; strips : runs that a site's lawnmower
-    is driven in, the first third of which is the west third of the site. waypoints : of a random drive, in
-    waypoint_runs runs. curve_m : driven metres of the learning curve; its short drives are short_m long. more : how
-    many times the paper's training data the map floor learns from, in more_epochs. compact_epochs : at most.
-    resnet_size : rows of the paper network's patch; resnet_seeds : of the seeds, for how many that network is trained;
-    resnet_epochs by strategy, dirt_epochs on the new ground. backbone_sites, backbone_epochs : of the pre-training on
-    simulated terrain.
+    Attributes
+    ----------
+    name : str
+        Of the profile.
+    seeds : int
+        Number of fields.
+    width_m, height_m : float
+        Size of every site [m].
+    lane_m : float
+        Distance of the parallel lines of a lawnmower drive [m].
+    strips : int
+        Runs of a lawnmower drive; the first third of them is the west third of the site.
+    waypoints, waypoint_runs : int
+        Points of a random drive, and runs that it is divided into.
+    curve_m : tuple of int
+        Driven distances of the learning curve [m].
+    short_m : float
+        Length of its short drives [m].
+    more : int
+        How many times the paper's training data the map floor learns from.
+    more_epochs, compact_epochs : int
+        Passes over the data, at most.
+    resnet_size : int
+        Rows and columns of a patch of the paper's network.
+    resnet_seeds : int
+        Number of fields on which the paper's network is trained.
+    resnet_epochs : tuple of int
+        By strategy.
+    dirt_epochs : int
+        On the new ground.
+    backbone_sites, backbone_epochs : int
+        Of the pre-training on simulated terrain.
     """
 
     name: str
@@ -51,6 +76,7 @@ class Profile:
         return self.strips // 3
 
     def as_dict(self) -> dict[str, Any]:
+        """Return all values, JSON-able."""
         return asdict(self)
 
 
@@ -78,4 +104,4 @@ PROFILES = {
         backbone_epochs=1,
     ),
 }
-"""By name. `quick` only shows that everything runs: its numbers mean nothing."""
+"""Profiles by name. `quick` only shows that everything runs: its numbers mean nothing."""

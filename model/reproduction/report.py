@@ -1,4 +1,4 @@
-"""REPRODUCTION.md: the table, what was to hold, what does not reproduce, and how the field was made."""
+"""REPRODUCTION.md: the table, the expected results, what does not reproduce, and how the field was made."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ _STRATEGY_WORDS = dict(
 _NOTES = """
 Paper: its network on its own data (in brackets its physics baseline); not the same ground, so only the pattern can be
 compared. Physics: equation 5 with one mu fitted by least squares. GP: mu as a Gaussian process over the map (Quann et
-al. 2020); on another site it has only its mean. Ridge: a regression on plain shape features of the heightmap.
+al. 2020); on another site it predicts its mean. Ridge: a regression on plain shape features of the heightmap.
 ResNet18: the paper's network, backbone fine-tuned. Compact: what `joulemap train` makes from the shipped weights.
-Noise floor: perfect knowledge of ground, robot and driving, with what the logger adds. Map floor: the compact network
-with {more} times the data of the same robot on other sites of the test's own kind, always on surveys. Segments that
+Noise floor: perfect knowledge of ground, robot and driving, with the logger's noise. Map floor: the compact network
+with {more} times the data of the same robot on other sites of the test set's own kind, always on surveys. Segments that
 turn by more than 0.25 rad are left out. ± is the half width of the 95 % interval over seeds.
 """
 
@@ -53,14 +53,15 @@ The paper's data is not public. The ground, the robot and its logger are simulat
 formula with the models, over terrain of 5 cm; models see the logs and a survey of 10 cm (blurred by 6 cm, 4 mm of
 noise). **The hardness of the simulated grass (relief, tussocks, bump loss, rolling loss) was chosen while looking at
 the gap between fitted friction and a regression on shape, on seed 0.** That such a gap exists here is therefore partly
-put in; it is not evidence that real grass has one. What is not put in is which of the learned methods wins, and by how
-much they miss the floors. Every seed shown ({FIRST_SEED} and up) is another robot on other ground, and none of them was
-looked at while grass A and the dirt were made. Site B is another meadow, its soil softer or firmer than A's by a spread
-of 10 % that no heightmap shows (and its bumps by 5 %), balanced over the seeds. A first version made it always 10.8 %
-softer and 5.5 % bumpier, which the map floor of V-C then knew from other such sites and the network could not; there,
-on seeds 1001 to 1005, one fitted friction erred 8.1 points more than the compact network, which stood at 1.21 of the
-map floor and at 7.7 % of whole routes. That the compact network learns every segment from random sides was decided
-after seeds 1001 and 1002 had shown what a north-south lawnmower alone does to other headings.
+put in; it is not evidence that real grass has one. Which of the learned methods is best, and how far they are from the
+floors, is not put in. Every seed shown ({FIRST_SEED} and up) is another robot on other ground, and none of them was
+looked at while grass A and the dirt were made. Site B is another meadow. Its soil is softer or firmer than that of A,
+with a standard deviation of 10 % that no heightmap shows (5 % for its bumps), balanced over the seeds. A first version
+made it always 10.8 % softer and 5.5 % bumpier. The map floor of V-C could learn that from other such sites, and the
+network could not. There, on seeds 1001 to 1005, the error of one fitted friction was 8.1 points larger than that of the
+compact network, whose error was 1.21 times the map floor, and 7.7 % on whole routes. The compact network learns every
+segment from random directions. This was decided after seeds 1001 and 1002 had shown how large errors at other headings
+are when all training drives go north and south.
 
 Against published values:
 - Rolling loss over load is 0.065 (grass A; grass B around it) and 0.045 (dirt). Carvill, *Mechanical Engineer's Data
@@ -68,13 +69,31 @@ Against published values:
   tyres. Small wheels on grass are not in such tables.
 - The roughness of the true terrain along lines, as ISO 8608 states it (displacement spectral density at 0.1 cycles/m,
   fitted with exponent 2 over wavelengths of 0.5 to 5 m), is in the table below. The standard's classes have the means
-  16 (A), 64 (B), 256 (C), 1024 (D), 4096 (E), 16384 (F) and 65536 (G), in 1e-6 m3; it is made for roads and asks for
-  care off them. No published value for tussocks or for the energy that small rigid wheels lose in bumps was found.
+  16 (A), 64 (B), 256 (C), 1024 (D), 4096 (E), 16384 (F) and 65536 (G), in 1e-6 m3. It is made for roads, and
+  asks for care when it is used off roads. No published value was found for tussocks, or for the energy that small rigid
+  wheels lose in bumps.
 """
 
 
 def report(summary: Summary, setting: Mapping[str, Any], *, command: str, figures: Sequence[str]) -> str:
-    """The document. setting : as the folder keeps it. figures : file names in figures/."""
+    """Write the document.
+
+    Parameters
+    ----------
+    summary : Summary
+        All results.
+    setting : mapping
+        As the folder keeps it.
+    command : str
+        The command line that made the results.
+    figures : sequence of str
+        File names in figures/.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
     profile = setting["profile"]
     parts = [
         "# Section V of the paper, on simulated sites\n",
@@ -82,7 +101,7 @@ def report(summary: Summary, setting: Mapping[str, Any], *, command: str, figure
         "## Mean relative error per 1 m segment, percent\n",
         _main_table(summary),
         _NOTES.format(more=profile["more"]),
-        "## What was to hold\n",
+        "## Expected results\n",
         _checks(summary),
         "## What does not reproduce\n",
         _missed(summary),
@@ -155,7 +174,7 @@ def _table(summary: Summary, columns: Sequence[str], number: str, rows: Sequence
 
 def _checks(summary: Summary) -> str:
     return _lines(
-        ["wanted", "found", "holds"],
+        ["expected", "found", "holds"],
         [[check.wanted, check.found, "yes" if check.holds else "**no**"] for check in checks(summary)],
     )
 
@@ -166,14 +185,16 @@ def _missed(summary: Summary) -> str:
     if local is not None and abs(local.mean - paper) > 0.05:
         lines.append(
             f"- V-D: friction of the last five metres errs by {local.words()} % here, by {100 * paper:.1f} % in the "
-            "paper: on this ground roughness changes from metre to metre, so that the last five say little of the next."
+            "paper. On this ground roughness changes from metre to metre, so that the last five metres say little of "
+            "the next five."
         )
     gap = summary.compared("V-A", "resnet_finetuned", "resnet_scratch")
     if gap and sum(tuned - scratch for tuned, scratch in gap) >= 0.0:
         lines.append(
-            "- Fine-tuning the backbone, best of the paper's three strategies, is not better than scratch here."
+            "- Fine-tuning the backbone, the best of the paper's three strategies, is not better than training from "
+            "scratch here."
         )
-    return "\n".join(lines) + "\n" if lines else "Everything above holds.\n"
+    return "\n".join(lines) + "\n" if lines else "All expected results hold.\n"
 
 
 def _strategies(summary: Summary) -> str:
@@ -202,9 +223,9 @@ def _curve(summary: Summary) -> str:
         ]
         body.append([str(amount), *cells])
     return (
-        "## Learning curve\nMean relative error, percent, after so many driven metres on site A (north-south). Without "
-        "any, the shipped network is as shipped, and scratch is equation 5 with the mu the owner measured.\n\n"
-        + _lines(["metres", "A, shipped", "A, scratch", "B, shipped", "B, scratch"], body)
+        "## Learning curve\nMean relative error, percent, after training on so many driven metres on site A "
+        "(north-south). At 0 metres, the shipped network is as shipped, and scratch is equation 5 with the mu that the "
+        "owner measured.\n\n" + _lines(["metres", "A, shipped", "A, scratch", "B, shipped", "B, scratch"], body)
     )
 
 
@@ -219,7 +240,7 @@ def _heightmaps(summary: Summary, setting: Mapping[str, Any]) -> str:
     ]
     return (
         "## Where the heightmap comes from (V-A)\nThe survey, or the surface fitted to the driven positions as in the "
-        "paper, which knows only what the body of the robot did.\n\n"
+        "paper, which shows only how the body of the robot moved.\n\n"
         + _lines(["heightmap", *(_TITLES[column] for column in columns)], body)
     )
 
@@ -245,7 +266,7 @@ def _roughness(summary: Summary) -> str:
 
 
 def _iso_class(density_m3: float) -> str:
-    """Classes are a factor of four apart, A's mean is 16e-6 m3."""
+    """The mean of class A is 16e-6 m3; each further class has four times as much."""
     step = round(math.log(density_m3 / 16e-6, 4.0))
     return "ABCDEFGH"[min(max(step, 0), 7)]
 
@@ -255,7 +276,20 @@ RESULTS_FILE = "results.json"
 
 
 def publish(setting: Setting, *, command: str) -> dict[str, Any]:
-    """Write the three from the results in the folder; what results.json holds."""
+    """Write figures, REPRODUCTION.md and results.json from the results in a folder.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    command : str
+        The command line that made the results.
+
+    Returns
+    -------
+    dict
+        The content of results.json.
+    """
     summary = Summary(read_results(setting))
     kept = read_setting(setting.folder)
     figures = draw_all(setting, summary)

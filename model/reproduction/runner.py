@@ -1,4 +1,4 @@
-"""Run the experiments of every seed, two side by side, and keep each one's result so that a cut-off run goes on."""
+"""Run the experiments of all seeds, two at a time, and keep every result, so that an interrupted run can continue."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from joulemap.model.reproduction.profiles import FIRST_SEED, STRATEGIES
 SETTING_FILE = "setting.json"
 WORKERS = 2
 
-_USUAL_S = {  # on one core, in the default profile: what comes first, and how far a run has got
+_USUAL_S = {  # on one core, in the default profile: decides the order and the progress
     "field": 12.0,
     "baselines": 10.0,
     "compact": 45.0,
@@ -41,7 +41,17 @@ _USUAL_S = {  # on one core, in the default profile: what comes first, and how f
 
 @dataclass(frozen=True)
 class Task:
-    """One experiment of one seed; `needs` are done before it."""
+    """One experiment of one seed.
+
+    Attributes
+    ----------
+    kind : str
+        Of the experiment.
+    seed : int
+        Of the field.
+    needs : tuple of Task
+        Tasks that must be done before.
+    """
 
     kind: str
     seed: int
@@ -49,17 +59,34 @@ class Task:
 
     @property
     def name(self) -> str:
+        """Name of the result's file."""
         return f"{self.kind}_{self.seed}"
 
     @property
     def usual_s(self) -> float:
+        """Usual duration [s]."""
         return _USUAL_S[self.kind]
 
 
 def plan(setting: Setting, *, only: Sequence[str] = ()) -> list[Task]:
-    """Every task, those on which others wait first, then the long ones. only : kinds of experiments, all if empty.
+    """List all tasks: first those on which others wait, then the long ones.
 
-    Raises InputError for a kind that does not exist.
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    only : sequence of str, optional
+        Kinds of experiments; all if empty.
+
+    Returns
+    -------
+    list of Task
+        In order.
+
+    Raises
+    ------
+    InputError
+        If a kind does not exist.
     """
     for kind in only:
         if kind not in EXPERIMENTS:
@@ -88,9 +115,25 @@ def run_all(
     progress: Callable[[float], None] | None = None,
     said: Callable[[str], None] | None = None,
 ) -> None:
-    """Run what is not there yet. `said` gets a line for every experiment that ends.
+    """Run the experiments whose results are not there yet.
 
-    Raises InputError where the folder holds a reproduction of another setting.
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    only : sequence of str, optional
+        Kinds of experiments; all if empty.
+    workers : int, optional
+        Processes.
+    progress : callable, optional
+        Gets the share of the work that is done, 0 to 1.
+    said : callable, optional
+        Gets a line of text for every experiment that ends.
+
+    Raises
+    ------
+    InputError
+        If the folder holds a reproduction of another setting, or a kind does not exist.
     """
     _claim(setting)
     tasks = plan(setting, only=only)
@@ -101,7 +144,7 @@ def run_all(
     if done:
         said(f"{len(done)} of {len(tasks)} experiments are there already")
 
-    def ended(task: Task, seconds: float) -> None:
+    def _ended(task: Task, seconds: float) -> None:
         done.add(task)
         said(f"{task.kind}, seed {task.seed}: {seconds:.0f} s")
         progress(sum(one.usual_s for one in done) / whole)
@@ -109,7 +152,7 @@ def run_all(
     if workers < 2:
         with _one_thread():
             for task in waiting:
-                ended(task, _run_task(setting, task))
+                _ended(task, _run_task(setting, task))
         return
     context = get_context("spawn")  # threads of numba and torch do not survive a fork
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_keep_to_one_thread) as pool:
@@ -119,22 +162,62 @@ def run_all(
                 waiting.remove(task)
                 running[pool.submit(_run_task, setting, task)] = task
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                ended(running.pop(future), future.result())
+                _ended(running.pop(future), future.result())
 
 
 def result_file(setting: Setting, name: str) -> Path:
-    """Where a task's result is kept; a .npz of the same name holds its predictions."""
+    """Return the file of a task's result. A .npz of the same name holds its predictions.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+    name : str
+        `Task.name`.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
     return setting.folder / "results" / f"{name}.json"
 
 
 def read_results(setting: Setting) -> list[dict[str, Any]]:
-    """Every kept result: kind, seed, seconds, and `methods` or facts."""
+    """Read all results of a reproduction.
+
+    Parameters
+    ----------
+    setting : Setting
+        Folder and extent.
+
+    Returns
+    -------
+    list of dict
+        Each with kind, seed, seconds, and `methods` or facts.
+    """
     files = sorted(result_file(setting, "x").parent.glob("*.json"))
     return [json.loads(file.read_text(encoding="utf-8")) for file in files]
 
 
 def read_setting(folder: Path) -> dict[str, Any]:
-    """What a folder's reproduction was run with. Raises InputError where there is none."""
+    """Read the setting that a folder's reproduction was run with.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the reproduction.
+
+    Returns
+    -------
+    dict
+        As it is kept in the folder.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
     try:
         return dict(json.loads((folder / SETTING_FILE).read_text(encoding="utf-8")))
     except OSError as error:
@@ -142,7 +225,7 @@ def read_setting(folder: Path) -> dict[str, Any]:
 
 
 def _claim(setting: Setting) -> None:
-    """Write the setting into the folder, or refuse one that is not this one. More seeds are no other setting."""
+    """Write the setting into the folder; refuse a folder of another one. More seeds do not make another setting."""
     weights = setting.weights.name if setting.weights is not None else ""
     wanted = {
         "profile": setting.profile.as_dict(),
@@ -173,7 +256,7 @@ def _keep_to_one_thread() -> None:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """A worker to a core: threads that wait for each other across workers only lose time."""
+    """One thread for each worker: threads of several workers would wait for each other."""
     before = torch.get_num_threads(), numba.get_num_threads()
     try:
         with threadpool_limits(1):

@@ -1,4 +1,4 @@
-"""From results per seed to means, 95 % intervals, and what was to hold."""
+"""From results per seed to means, 95 % intervals, and the expected results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PAPER = {
 PAPER_PHYSICS = {"V-A": 0.236, "V-D": 0.108}
 """Those of its physics baseline: one friction coefficient; five metres for the next five (figure 8)."""
 PAPER_STRATEGY = "resnet_finetuned"
-"""The strategy that the paper found best and reports."""
+"""The strategy that the paper finds best and reports."""
 
 BARTLETT_ROUTE = 0.066
 """Error of energy over whole routes in Bartlett et al., IROS 2016."""
@@ -33,7 +33,17 @@ BARTLETT_ROUTE = 0.066
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean over seeds and the half width of its 95 % interval (Student's t; NaN for a single seed)."""
+    """A mean over seeds with its 95 % confidence interval (Student's t).
+
+    Attributes
+    ----------
+    mean : float
+        Over the seeds.
+    half : float
+        Half width of the interval; NaN for a single seed.
+    seeds : int
+        How many.
+    """
 
     mean: float
     half: float
@@ -41,6 +51,18 @@ class Interval:
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Interval:
+        """Compute the interval of some values.
+
+        Parameters
+        ----------
+        values : iterable of float
+            One per seed.
+
+        Returns
+        -------
+        Interval
+            Their mean and interval.
+        """
         numbers = np.asarray(list(values), dtype=np.float64)
         n = int(numbers.size)
         half = float("nan")
@@ -49,17 +71,29 @@ class Interval:
         return cls(float(numbers.mean()), half, n)
 
     def words(self) -> str:
-        """In percent: "9.1 ± 0.4", or "9.1 (1 seed)"."""
+        """Return the interval in percent: "9.1 ± 0.4", or "9.1 (1 seed)"."""
         if self.seeds == 1:
             return f"{100 * self.mean:.1f} (1 seed)"
         return f"{100 * self.mean:.1f} ± {100 * self.half:.1f}"
 
     def as_dict(self) -> dict[str, Any]:
+        """Return the numbers, JSON-able."""
         return {"mean": self.mean, "half_width_95": self.half if self.seeds > 1 else None, "seeds": self.seeds}
 
 
 class Summary:
-    """All results of a reproduction, asked by method, row and number."""
+    """All results of a reproduction by method, test set and number.
+
+    Parameters
+    ----------
+    results : sequence of mapping
+        As from `read_results`.
+
+    Attributes
+    ----------
+    facts : dict
+        The results by kind and seed.
+    """
 
     def __init__(self, results: Sequence[Mapping[str, Any]]) -> None:
         self.facts = {(r["kind"], int(r["seed"])): r for r in results}
@@ -71,36 +105,103 @@ class Summary:
 
     @property
     def methods(self) -> list[str]:
+        """All methods, in the order of their results."""
         return list(dict.fromkeys(method for method, _ in self._values))
 
     def rows(self, method: str) -> list[str]:
-        """Rows that a method was judged on."""
+        """Return the test sets of a method.
+
+        Parameters
+        ----------
+        method : str
+            Its name.
+
+        Returns
+        -------
+        list of str
+            The test sets.
+        """
         return [row for name, row in self._values if name == method]
 
     def seeds(self, method: str, row: str, number: str = "mean_relative_error") -> dict[int, float]:
-        """The number of every seed; empty where there is none."""
+        """Return a number of every seed.
+
+        Parameters
+        ----------
+        method : str
+            Its name.
+        row : str
+            The test set.
+        number : str, optional
+            A key of `judged`.
+
+        Returns
+        -------
+        dict of int to float
+            By seed; empty where there is no result.
+        """
         return {seed: float(found[number]) for seed, found in self._values.get((method, row), {}).items()}
 
     def interval(self, method: str, row: str, number: str = "mean_relative_error") -> Interval | None:
+        """Return the mean of a number over all seeds.
+
+        Parameters
+        ----------
+        method : str
+            Its name.
+        row : str
+            The test set.
+        number : str, optional
+            A key of `judged`.
+
+        Returns
+        -------
+        Interval, optional
+            None where there is no result.
+        """
         values = self.seeds(method, row, number)
         return Interval.of(values.values()) if values else None
 
     def best_resnet(self) -> str:
-        """The strategy of the paper's network that is shown: the one the paper reports, where it was run."""
+        """Return the strategy of the paper's network that is shown: the paper's best, where it was run."""
         there = [method for method in self.methods if method.startswith("resnet_") and "dirt" not in method]
         return PAPER_STRATEGY if PAPER_STRATEGY in there or not there else there[0]
 
     def name_of(self, column: str) -> str:
-        """The method behind a column of the table."""
+        """Return the method of a column of the table.
+
+        Parameters
+        ----------
+        column : str
+            One of `METHODS`.
+
+        Returns
+        -------
+        str
+            Its name in the results.
+        """
         return self.best_resnet() if column == "resnet" else column
 
     def compared(self, row: str, method: str, other: str) -> list[tuple[float, float]]:
-        """Errors of two methods on the same seeds."""
+        """Return the mean relative errors of two methods on the same seeds.
+
+        Parameters
+        ----------
+        row : str
+            The test set.
+        method, other : str
+            Their names.
+
+        Returns
+        -------
+        list of (float, float)
+            One pair per seed.
+        """
         mine, its = self.seeds(method, row), self.seeds(other, row)
         return [(mine[seed], its[seed]) for seed in sorted(mine.keys() & its.keys())]
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything per seed and over seeds, JSON-able."""
+        """Return all numbers per seed and over seeds, JSON-able."""
         numbers = ("mean_relative_error", "route_relative_error", "with_turns")
         document: dict[str, Any] = {"methods": {}, "checks": [check.as_dict() for check in checks(self)]}
         for method, row in self._values:
@@ -117,25 +218,47 @@ class Summary:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was to hold: in words, what was found, and whether it holds."""
+    """One expected result.
+
+    Attributes
+    ----------
+    wanted : str
+        What was expected, in words.
+    found : str
+        What was found.
+    holds : bool
+        Whether it is as expected.
+    """
 
     wanted: str
     found: str
     holds: bool
 
     def as_dict(self) -> dict[str, Any]:
+        """Return the result, JSON-able."""
         return {"wanted": self.wanted, "found": self.found, "holds": self.holds}
 
 
 def checks(summary: Summary) -> list[Check]:
-    """Everything that was to hold and can be judged from these results; means over seeds decide."""
+    """Compare the results with all expectations for which there are results; means over seeds decide.
+
+    Parameters
+    ----------
+    summary : Summary
+        All results.
+
+    Returns
+    -------
+    list of Check
+        In the order of the report.
+    """
     made: list[Check] = []
     for row in ("V-A", "V-B", "V-C"):
         gaps = [100 * (physics - ours) for ours, physics in summary.compared(row, "compact", "physics")]
         if gaps:
             made.append(
                 Check(
-                    f"{row}: one fitted friction errs at least 10 points more than the compact network",
+                    f"{row}: the error of one fitted friction is at least 10 points larger than the compact network's",
                     f"{np.mean(gaps):.1f} points (least seed {min(gaps):.1f})",
                     float(np.mean(gaps)) >= 10.0,
                 )
@@ -159,7 +282,7 @@ def checks(summary: Summary) -> list[Check]:
         if route is not None:
             made.append(
                 Check(
-                    f"{row}: whole routes on site {site} err by less than {100 * limit:.1f} %",
+                    f"{row}: the error on whole routes on site {site} is less than {100 * limit:.1f} %",
                     f"{route.words()} %",
                     route.mean < limit,
                 )

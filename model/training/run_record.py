@@ -71,7 +71,8 @@ def seen_runs(provenance: Mapping[str, Any], runs: Sequence[Run]) -> tuple[list[
     hashes = {str(value): str(name) for name, value in dict(training.get("run_hashes") or {}).items()}
     names = {str(name) for name in training.get("runs") or []}
     by_name = not hashes and bool(names)
-    learned, stopped = [], []
+    learned: list[str] = []
+    stopped: list[str] = []
     held_out = {str(name) for name in training.get("held_out_runs") or []}
     for run in runs:
         known = hashes.get(run_hash(run)) if hashes else (run.name if run.name in names else None)

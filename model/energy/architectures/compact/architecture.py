@@ -109,7 +109,7 @@ class Compact(Architecture[CompactNet]):
         net = super().initial(examples, start_from)
         if start_from is None:
             net.set_feature_ranges(examples.features.min(axis=0), examples.features.max(axis=0))
-        return net.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+        return net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def predictor(
         self,
