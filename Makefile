@@ -5,7 +5,7 @@ ARGS ?=
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.joulemap-installed
 
-.PHONY: help demo test test-slow bench lint lint-docstrings format docs openapi clean distclean
+.PHONY: help demo test test-slow bench lint format docs openapi clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -22,14 +22,12 @@ test-slow: $(INSTALLED) ## the tests that take minutes
 bench: $(INSTALLED) ## seconds for every step, compared with SciPy, on this machine
 	$(BIN)/python -m tests.bench $(ARGS)
 
-lint: $(INSTALLED) ## ruff, mypy and the layers of the architecture
+lint: $(INSTALLED) ## ruff, mypy, the layers of the architecture, and every public docstring
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-
-lint-docstrings: $(INSTALLED) ## numpydoc's checks of every public docstring
-	$(BIN)/numpydoc lint $$(git ls-files 'model/*.py' 'planner/*.py' 'service/*.py')
+	$(BIN)/numpydoc lint $$(find joulemap/__init__.py model planner service -name '*.py')
 
 format: $(INSTALLED) ## let ruff correct what it can
 	$(BIN)/ruff check --fix .

@@ -93,7 +93,7 @@ def train(
     *,
     out: str | Path,
     robot: RobotLike = None,
-    architecture: str = "compact",
+    architecture: str = DEFAULT_ARCHITECTURE,
     start_from: ModelLike | None = None,
     backbone: str | Path | None = None,
     patch_size: int | None = None,

@@ -165,7 +165,10 @@ def test_the_hidden_effect_is_found_and_planned_with(
     again = asked | {"runs": [runs_id]}
     del again["model"]
     check_problem(
-        service.post("/v1/calibrations", json=again | {"model": calibration["id"]}), 422, "invalid_input", "the model that it was made from"
+        service.post("/v1/calibrations", json=again | {"model": calibration["id"]}),
+        422,
+        "invalid_input",
+        "the model that it was made from",
     )
 
 
