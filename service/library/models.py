@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE
 from joulemap.model.errors import ConflictError
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.html import html_table, text_table
@@ -154,7 +155,6 @@ def train(
     """
     from dataclasses import asdict
 
-    from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE
     from joulemap.model.energy.artifact import CONFIG_FILE
     from joulemap.model.training.measured_runs import train_on_runs
     from joulemap.service.models import start_folder
