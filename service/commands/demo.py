@@ -119,7 +119,7 @@ def run_demo(
         output.say(f"[bold]joulemap[/] is running at {url}")
         with httpx.Client(base_url=url, timeout=COSTMAP_WITHIN_S + 60.0) as client:
             answers = _ask(output, client, ground, model, out)
-        title = f"{ground.name}: cheapest and shortest"
+        title = f"{ground.name}: energy-optimal and shortest path"
         write_file(picture, route_picture(ground.heightmap, answers.plan.route, answers.plan.shortest, title=title))
         output.say(f"\n[bold]Picture[/]    {escape(str(picture))}")
         output.warn(answers.document["costmap"]["warnings"])
@@ -171,9 +171,9 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
     path = _json(client.post(f"/v1/costmaps/{costmap['id']}/paths", json=ends))
     output.say(
         f"[bold]Path[/]       from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f})\n"
-        f"           cheapest  {route_words(path)}\n"
-        f"           shortest  {route_words(path['shortest'])}\n"
-        f"           [bold]saved     {saving_words(path, path['shortest'])}[/]"
+        f"           energy-optimal  {route_words(path)}\n"
+        f"           shortest        {route_words(path['shortest'])}\n"
+        f"           [bold]saved           {saving_words(path, path['shortest'])}[/]"
     )
 
     battery = {"charge": CHARGE, "reserve": RESERVE}
