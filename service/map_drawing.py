@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -24,14 +23,10 @@ from joulemap.model.frames import GridFrame
 from joulemap.planner.edges import interpolation_matrix
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.route import Route
-
-Image = NDArray[Any]
-Extent = tuple[float, float, float, float]
+from joulemap.service.raster_shading import Extent, Image, centres, hillshade, thinned
 
 VIEWS = ("mean", "directionality", "heading")
 """What a cost map can be coloured by."""
-MAX_PIXELS = 1400
-"""Longest side of a raster that is drawn; finer ones are averaged first."""
 OPTIMAL, SHORTEST = "#0072B2", "#D55E00"
 """Colours of the two routes: blue and vermilion of Okabe & Ito, which people with any colour vision distinguish."""
 INK, FAINT = "#22262b", "#7b838c"
@@ -108,8 +103,8 @@ def draw_costmap(
         On another view, or a heading that is missing or not finite.
     """
     values, codes, title = _view(lattice, view, heading_deg)
-    shown, extent = _thinned(np.where(codes == Blocked.FREE, values, np.nan), lattice.frame)
-    ground, _ = _thinned(lattice.elevation_m, lattice.frame)
+    shown, extent = thinned(np.where(codes == Blocked.FREE, values, np.nan), lattice.frame)
+    ground, _ = thinned(lattice.elevation_m, lattice.frame)
     style_map(axes, lattice.frame)
     priced = shown[np.isfinite(shown)]
     low, high = (float(q) for q in np.quantile(priced, [0.02, 0.98])) if priced.size else (0.0, 1.0)
@@ -117,7 +112,7 @@ def draw_costmap(
     high = max(high, low + max(_LEAST_SPAN * mean, 1e-3))
     norm = Normalize(low, high)
     colours = colormaps["YlGn" if view == "directionality" else "YlGnBu"]
-    image = colours(norm(np.nan_to_num(shown, nan=low)))[..., :3] * _faint(_hillshade(ground, extent))
+    image = colours(norm(np.nan_to_num(shown, nan=low)))[..., :3] * (0.75 + 0.25 * hillshade(ground, extent))[..., None]
     image[np.isnan(shown)] = 1.0
     axes.imshow(np.clip(image, 0.0, 1.0), extent=extent, interpolation="nearest")
     handles = draw_blocked(axes, codes, extent)
@@ -150,18 +145,18 @@ def draw_ground(
     list of matplotlib.patches.Patch
         A legend handle for unknown ground and for each reason that occurs.
     """
-    ground, extent = _thinned(heights, frame)
+    ground, extent = thinned(heights, frame)
     style_map(axes, frame)
     known = ground[np.isfinite(ground)]
     low, high = (float(q) for q in np.quantile(known, [0.02, 0.98])) if known.size else (0.0, 1.0)
     norm = Normalize(low, max(high, low + 0.1), clip=True)
-    image = _TERRAIN(norm(np.nan_to_num(ground, nan=low)))[..., :3] * _hillshade(ground, extent)[..., None]
+    image = _TERRAIN(norm(np.nan_to_num(ground, nan=low)))[..., :3] * hillshade(ground, extent)[..., None]
     image[np.isnan(ground)] = 1.0
     axes.imshow(np.clip(np.asarray(image), 0.0, 1.0), extent=extent, interpolation="bilinear")
     if min(ground.shape) >= 2 and known.size and known.max() - known.min() > 0.05:
         levels: list[float] = list(MaxNLocator(14, steps=[1, 2, 5, 10]).tick_values(known.min(), known.max()))
         lines = axes.contour(
-            *_centres(ground, extent), ground, levels=levels, colors="#5d5346", linewidths=0.6, alpha=0.55
+            *centres(ground, extent), ground, levels=levels, colors="#5d5346", linewidths=0.6, alpha=0.55
         )
         axes.clabel(lines, levels[::2], fontsize=7, fmt="%g m", inline=True)
     if blocked is None:
@@ -345,48 +340,13 @@ def _view(lattice: CostLattice, view: str, heading_deg: float | None) -> tuple[I
     return np.where(codes == Blocked.FREE, dearest - cheapest, np.nan), codes, "How much the heading matters"
 
 
-def _thinned(values: Image, frame: GridFrame) -> tuple[Image, Extent]:
-    """At most MAX_PIXELS a side, by means over square blocks (NaN where none is known), and the extent that is left."""
-    step = math.ceil(max(values.shape) / MAX_PIXELS)
-    rows, cols = (max(n // step, 1) for n in values.shape)
-    west, south, east, north = frame.window(0, min(rows * step, frame.rows), 0, min(cols * step, frame.cols)).bounds
-    extent = (west, east, south, north)
-    if step == 1:
-        return values, extent
-    blocks = values[: rows * step, : cols * step].reshape(rows, step, cols, step)
-    known = np.isfinite(blocks)
-    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
-    count = known.sum(axis=(1, 3))
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan), extent
-
-
-def _faint(shade: Image) -> Image:
-    """So little of it that a colour is still that of the bar beside it."""
-    return (0.75 + 0.25 * shade)[..., None]
-
-
-def _hillshade(heights: Image, extent: Extent) -> Image:
-    """Brightness 0.45..1.2 of ground lit from the north-west, exaggerated so that gentle slopes show; 1 unknown."""
-    if min(heights.shape) < 2:
-        return np.ones(heights.shape)
-    pixel = (extent[1] - extent[0]) / heights.shape[1]
-    south, east = np.gradient(heights.astype(np.float64), pixel)
-    slope = np.hypot(south, east)
-    steep = np.nanquantile(slope, 0.95) if np.isfinite(slope).any() else 0.0
-    gain = 0.7 / steep if steep > 1e-9 else 0.0
-    nx, ny = -east * gain, south * gain
-    light = np.array([-0.5, 0.5, math.sqrt(0.5)])
-    lit = (nx * light[0] + ny * light[1] + light[2]) / np.sqrt(nx**2 + ny**2 + 1.0)
-    return np.nan_to_num(np.clip(0.45 + 0.75 * lit / light[2] * 0.72, 0.45, 1.2), nan=1.0)
-
-
 def _hatch(axes: Axes, mask: NDArray[np.bool_], extent: tuple[float, float, float, float], reason: Blocked) -> None:
     padded = np.pad(mask.astype(np.float64), 1)
     dx = (extent[1] - extent[0]) / mask.shape[1]
     dy = (extent[3] - extent[2]) / mask.shape[0]
     wider = (extent[0] - dx, extent[1] + dx, extent[2] - dy, extent[3] + dy)
     area = axes.contourf(
-        *_centres(padded, wider), padded, levels=[0.5, 1.5], colors="none", hatches=[_REASONS[reason][1]], zorder=2
+        *centres(padded, wider), padded, levels=[0.5, 1.5], colors="none", hatches=[_REASONS[reason][1]], zorder=2
     )
     area.set_edgecolor(_REASONS[reason][2])
     area.set_linewidth(0.0)
@@ -396,14 +356,6 @@ def _patch(reason: Blocked) -> Patch:
     colour, hatch, line = _REASONS[reason]
     label = f"blocked: {reason.label.replace('_', ' ')}"
     return Patch(facecolor=colour, edgecolor=line, linewidth=0.5, hatch=hatch, label=label)
-
-
-def _centres(values: Image | NDArray, extent: Extent) -> tuple[Image, Image]:
-    west, east, south, north = extent
-    rows, cols = values.shape
-    return west + (np.arange(cols) + 0.5) * (east - west) / cols, north - (np.arange(rows) + 0.5) * (
-        north - south
-    ) / rows
 
 
 def _energy(energy_j: float) -> str:

@@ -16,7 +16,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.plan import RoutePlanner
-from joulemap.service import map_drawing
+from joulemap.service import map_drawing, raster_shading
 from joulemap.service.map_drawing import INK, OPTIMAL, SHORTEST
 from joulemap.service.pictures import lattice_image, route_picture
 
@@ -95,10 +95,10 @@ def test_both_paths_are_in_the_picture() -> None:
 
 def test_a_large_map_is_averaged_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks of 3 x 3 with one unknown cell average the other eight; the rest that fills no block is left out."""
-    monkeypatch.setattr(map_drawing, "MAX_PIXELS", 4)
+    monkeypatch.setattr(raster_shading, "MAX_PIXELS", 4)
     values = np.arange(110.0).reshape(10, 11)
     values[0, 0] = np.nan
-    thin, extent = map_drawing._thinned(values, GridFrame(0.0, 10.0, 1.0, 10, 11))
+    thin, extent = raster_shading.thinned(values, GridFrame(0.0, 10.0, 1.0, 10, 11))
     assert thin.shape == (3, 3)
     assert extent == (0.0, 9.0, 1.0, 10.0)
     assert thin[0, 0] == pytest.approx((values[:3, :3][~np.isnan(values[:3, :3])]).mean())

@@ -1,0 +1,99 @@
+"""Rasters made ready for drawing: averaged to the size of a screen, shaded as relief, placed in world coordinates."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.frames import GridFrame
+
+Image = NDArray[Any]
+Extent = tuple[float, float, float, float]
+"""West, east, south, north [m]."""
+
+MAX_PIXELS = 1400
+"""Longest side of a raster that is drawn; finer ones are averaged first."""
+
+
+def thinned(values: Image, frame: GridFrame) -> tuple[Image, Extent]:
+    """Return a raster of at most `MAX_PIXELS` a side.
+
+    Parameters
+    ----------
+    values : ndarray, (rows, cols)
+        NaN where unknown.
+    frame : GridFrame
+        Where the cells lie.
+
+    Returns
+    -------
+    values : ndarray, (rows, cols)
+        Means over square blocks of cells, NaN where none of them is known.
+    extent : tuple of float
+        West, east, south, north [m] of what is left: cells that fill no block are not drawn.
+    """
+    step = math.ceil(max(values.shape) / MAX_PIXELS)
+    rows, cols = (max(n // step, 1) for n in values.shape)
+    west, south, east, north = frame.window(0, min(rows * step, frame.rows), 0, min(cols * step, frame.cols)).bounds
+    extent = (west, east, south, north)
+    if step == 1:
+        return values, extent
+    blocks = values[: rows * step, : cols * step].reshape(rows, step, cols, step)
+    known = np.isfinite(blocks)
+    total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
+    count = known.sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan), extent
+
+
+def hillshade(heights: Image, extent: Extent) -> Image:
+    """Return the brightness of ground lit from the north-west, exaggerated so that gentle slopes show.
+
+    Parameters
+    ----------
+    heights : ndarray, (rows, cols) [m]
+        NaN where unknown.
+    extent : tuple of float
+        West, east, south, north [m].
+
+    Returns
+    -------
+    ndarray, (rows, cols)
+        0.45 to 1.2; 1 where unknown.
+    """
+    if min(heights.shape) < 2:
+        return np.ones(heights.shape)
+    pixel = (extent[1] - extent[0]) / heights.shape[1]
+    south, east = np.gradient(heights.astype(np.float64), pixel)
+    slope = np.hypot(south, east)
+    steep = np.nanquantile(slope, 0.95) if np.isfinite(slope).any() else 0.0
+    gain = 0.7 / steep if steep > 1e-9 else 0.0
+    nx, ny = -east * gain, south * gain
+    light = np.array([-0.5, 0.5, math.sqrt(0.5)])
+    lit = (nx * light[0] + ny * light[1] + light[2]) / np.sqrt(nx**2 + ny**2 + 1.0)
+    return np.nan_to_num(np.clip(0.45 + 0.75 * lit / light[2] * 0.72, 0.45, 1.2), nan=1.0)
+
+
+def centres(values: Image, extent: Extent) -> tuple[Image, Image]:
+    """Return the coordinates of cell centres.
+
+    Parameters
+    ----------
+    values : ndarray, (rows, cols)
+        Any raster.
+    extent : tuple of float
+        West, east, south, north [m].
+
+    Returns
+    -------
+    x : ndarray, (cols,) [m]
+        From west to east.
+    y : ndarray, (rows,) [m]
+        From north to south.
+    """
+    west, east, south, north = extent
+    rows, cols = values.shape
+    x = west + (np.arange(cols) + 0.5) * (east - west) / cols
+    return x, north - (np.arange(rows) + 0.5) * (north - south) / rows
