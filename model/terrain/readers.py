@@ -7,7 +7,7 @@ from pathlib import Path
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.coordinate_systems import crs_name
+from joulemap.model.terrain.coordinate_systems import Bounds, crs_name
 from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling
 from joulemap.model.terrain.formats import FORMATS, formats_in_words
 from joulemap.model.terrain.formats.contract import HeightmapFormat, SourceFile, WindowReader
@@ -194,19 +194,27 @@ def _frame(
     west = said.west_m if said.west_m is not None else west_m
     north = next((edge for edge in (said.north_m, north_m) if edge is not None), rows * resolution)
     bounds = (west, north - rows * resolution, west + cols * resolution, north) if placed else None
-    given_crs = crs_name(crs, bounds) if crs is not None else None
     own_crs = crs_name(said.crs, bounds) if said.crs is not None else None
-    if own_crs is not None and given_crs is not None and own_crs != given_crs:
+    if own_crs is not None and crs is not None and _name_or_text(crs, bounds) != own_crs:
         raise HeightmapError(
-            f"`crs` {given_crs[:80]} was given, but the file says {own_crs[:80]}: leave it out, or reproject the file",
-            crs=given_crs[:80],
+            f"`crs` {crs[:80]} was given, but the file says {own_crs[:80]}: leave it out, or reproject the file",
+            crs=crs[:80],
             file_crs=own_crs[:80],
         )
+    named = own_crs if own_crs is not None or crs is None else crs_name(crs, bounds)
     return GridFrame(
         west_m=west,
         north_m=north,
         resolution_m=resolution,
         rows=rows,
         cols=cols,
-        crs=own_crs if own_crs is not None else given_crs,
+        crs=named,
     )
+
+
+def _name_or_text(crs: str, bounds: Bounds | None) -> str:
+    """The name of a CRS, or the text itself where it names none that could be used."""
+    try:
+        return crs_name(crs, bounds)
+    except HeightmapError:
+        return crs

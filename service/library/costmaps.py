@@ -157,8 +157,6 @@ class CostMap:
             Whether the legs are improved to any angle.
         snap : bool, optional
             Whether a stop on blocked ground is moved to the nearest free place.
-        snap : bool, optional
-            Whether a stop on blocked ground is moved to the nearest free place.
         time_limit_s : float, optional
             For the search of the order [s].
         progress : callable, optional
@@ -253,7 +251,7 @@ class CostMap:
         """
         return costs_at(self.lattice, x, y)
 
-    def plot(self, ax: Axes | None = None, *, view: str = "mean", heading_deg: float | None = None) -> Axes:
+    def plot(self, ax: Axes | None = None, *, view: str | None = None, heading_deg: float | None = None) -> Axes:
         """Draw the energy per metre in colour.
 
         Parameters
@@ -261,7 +259,8 @@ class CostMap:
         ax : matplotlib.axes.Axes, optional
             Where to draw. By default a new figure is made with pyplot.
         view : str, optional
-            "mean" over the headings, "directionality" (dearest minus cheapest heading), or "heading".
+            "mean" over the headings, "directionality" (dearest minus cheapest heading), or "heading". By default
+            "heading" where one is given, "mean" otherwise.
         heading_deg : float, optional
             The heading of the view "heading", clockwise from north.
 
@@ -278,6 +277,7 @@ class CostMap:
         from joulemap.service.map_drawing import draw_costmap, new_axes
 
         ax = new_axes() if ax is None else ax
+        view = view or ("mean" if heading_deg is None else "heading")
         drawn = draw_costmap(ax, self.lattice, view=view, heading_deg=heading_deg)
         ax.figure.colorbar(drawn.scale, ax=ax, label=drawn.label, extend=drawn.extend)
         ax.set_title(drawn.title)
@@ -358,18 +358,15 @@ class CostMap:
         return f"Cost map of {cols} x {rows} cells of {spacing:g} m, {self.lattice.headings} headings"
 
     def _rows(self) -> dict[str, str]:
-        mean = self.lattice.mean_energy_per_m()
-        known = mean[mean == mean]
-        shares = self.lattice.blocked_shares()
+        figures = self.summary()
+        price, shares = figures["energy_per_m"], figures["blocked"]
         west, south, east, north = self.bounds
         blocked = ", ".join(f"{share:.1%} {reason}" for reason, share in shares.items() if reason != "free" and share)
         rows = {
             "area": f"x {west:.1f} to {east:.1f}, y {south:.1f} to {north:.1f} m, {self.crs or 'CRS not known'}",
             "robot": f"{self.robot.name}, {self.robot.mass_kg:g} kg, {self.robot.speed_mps:g} m/s",
             "model": str(self.lattice.provenance.get("model", {}).get("name", "not known")),
-            "energy per metre": f"{known.mean():.1f} J/m in the mean over places and headings"
-            if known.size
-            else "none",
+            "energy per metre": "{min:.1f} to {max:.1f} J/m, mean {mean:.1f} J/m".format(**price) if price else "none",
             "blocked": blocked.replace("_", " ") or "nothing",
         }
         return rows | ({"warning": "; ".join(self.warnings)} if self.warnings else {})
@@ -464,9 +461,11 @@ def open_costmap(path: str | Path) -> CostMap:
 
 
 def _point(point: Point, name: str) -> tuple[float, float]:
-    """The pair of a point. Raises InputError."""
+    """x and y of a point; a height that comes with them, as in the points of a route, is left out."""
     try:
-        x, y = (float(value) for value in point)
+        if isinstance(point, str) or not 2 <= len(point) <= 3:
+            raise ValueError
+        x, y = float(point[0]), float(point[1])
     except (TypeError, ValueError):
         raise InputError(f"{name} is {point!r}: give x and y in metres") from None
     return x, y

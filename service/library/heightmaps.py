@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from joulemap.model.errors import HeightmapError
+from joulemap.model.errors import HeightmapError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.coordinate_systems import crs_name
+from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
 
@@ -28,6 +31,7 @@ def heightmap(
     west_m: float = 0.0,
     north_m: float | None = None,
     crs: str | None = None,
+    nodata: float | None = None,
 ) -> Heightmap:
     """Make a heightmap of an array.
 
@@ -43,6 +47,8 @@ def heightmap(
         y of the outer northern edge [m]. By default the southern edge is at y = 0.
     crs : str, optional
         Coordinate system in metres, "EPSG:n" or WKT.
+    nodata : float, optional
+        Value that marks an unknown height, beside NaN.
 
     Returns
     -------
@@ -52,7 +58,8 @@ def heightmap(
     Raises
     ------
     HeightmapError
-        If the array is not two-dimensional and numeric, or no height is known.
+        If the array is not two-dimensional and numeric, no height is known, a usual mark of unknown heights such as
+        -9999 is not declared, or the coordinate system is unknown or not in true metres.
 
     Examples
     --------
@@ -61,7 +68,7 @@ def heightmap(
     (0.0, 0.0, 30.0, 20.0)
     """
     try:
-        array = np.asarray(heights, dtype=np.float32)
+        array = Scaling(nodata=nodata).to_metres(np.asarray(heights, dtype=np.float64))
     except (TypeError, ValueError) as error:
         raise HeightmapError(f"the heights are no array of numbers: {error}") from error
     if array.ndim != 2:
@@ -69,8 +76,9 @@ def heightmap(
             f"heights have two dimensions, rows and columns; got {array.ndim}", shape=list(array.shape)
         )
     rows, cols = array.shape
-    north = rows * resolution_m if north_m is None else north_m
-    return Heightmap(array, GridFrame(west_m, north, resolution_m, rows, cols, crs), source="array")
+    frame = GridFrame(west_m, rows * resolution_m if north_m is None else north_m, resolution_m, rows, cols)
+    named = None if crs is None else crs_name(crs, None if west_m == 0.0 and north_m is None else frame.bounds)
+    return Heightmap(array, replace(frame, crs=named), source="array")
 
 
 def ground_of(ground: GroundLike) -> Heightmap:
@@ -90,8 +98,17 @@ def ground_of(ground: GroundLike) -> Heightmap:
     ------
     HeightmapError
         If a file cannot be read.
+    InputError
+        If it is something else.
     """
-    return ground if isinstance(ground, Heightmap) else read_heightmap(ground)
+    if isinstance(ground, Heightmap):
+        return ground
+    if not isinstance(ground, str | Path):
+        raise InputError(
+            f"the ground is {_shown(ground)}: give a heightmap or the path of its file; "
+            "joulemap.heightmap(array, resolution_m=...) makes one of an array"
+        )
+    return read_heightmap(ground)
 
 
 def robot_of(robot: RobotLike) -> Robot:
@@ -111,9 +128,19 @@ def robot_of(robot: RobotLike) -> Robot:
     ------
     RobotError
         On an unknown or impossible field.
+    InputError
+        If it is something else.
     """
     if robot is None:
         return Robot()
     if isinstance(robot, Robot):
         return robot
-    return Robot.from_mapping(robot) if isinstance(robot, Mapping) else Robot.from_toml(robot)
+    if isinstance(robot, Mapping):
+        return Robot.from_mapping(robot)
+    if not isinstance(robot, str | Path):
+        raise InputError(f"the robot is {_shown(robot)}: give a Robot, its fields as a dict, or the path of its file")
+    return Robot.from_toml(robot)
+
+
+def _shown(value: object) -> str:
+    return f"{type(value).__name__} {str(value)[:40]!r}"

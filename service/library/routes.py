@@ -325,8 +325,13 @@ class Feasibility:
 
     @property
     def margin_j(self) -> float:
-        """Energy that is left above the reserve [J]; negative when it does not last."""
-        return self.verdict.margin_j - self.verdict.shortfall_j
+        """Energy that is left above the reserve [J]; 0 when it does not last."""
+        return self.verdict.margin_j
+
+    @property
+    def shortfall_j(self) -> float:
+        """Energy that is missing [J]; 0 when it lasts."""
+        return self.verdict.shortfall_j
 
     @property
     def charge_at_end(self) -> float:

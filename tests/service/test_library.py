@@ -102,7 +102,9 @@ def test_a_verdict_is_true_exactly_when_the_battery_lasts(costmap: jm.CostMap, r
     assert not costmap.feasibility(route, charge=share * 0.9)
     assert costmap.feasibility(route, charge=share * 1.1)
     assert not costmap.feasibility(route, charge=share * 1.1, round_trip=True)
-    assert "not feasible" in str(costmap.feasibility(route, charge=0.0))
+    empty = costmap.feasibility(route, charge=0.0)
+    assert "not feasible" in str(empty)
+    assert (empty.margin_j, empty.shortfall_j) == (0.0, pytest.approx(route.energy_j))
     both = costmap.feasibility(route, round_trip=True)
     assert both.energy_j == pytest.approx(route.energy_j + costmap.plan(GOAL, START).energy_j)
     assert costmap.feasibility([START, GOAL]).energy_j == pytest.approx(
@@ -191,6 +193,43 @@ def test_a_geotiff_has_a_band_for_each_heading(costmap: jm.CostMap, tmp_path: Pa
 
     with rasterio.open(costmap.write_geotiff(tmp_path / "prices.tif")) as file:
         assert file.count == costmap.lattice.headings
+
+
+def test_points_of_a_route_may_be_given_back(costmap: jm.CostMap, route: jm.PlannedRoute) -> None:
+    """They have heights, which are not needed."""
+    assert costmap.feasibility(route.points).energy_j == pytest.approx(route.energy_j)
+    assert costmap.plan(route.points[0], route.points[-1]).energy_j == pytest.approx(route.energy_j, rel=1e-3)
+
+
+def test_one_mean_for_one_map(costmap: jm.CostMap) -> None:
+    assert f"mean {costmap.summary()['energy_per_m']['mean']:.1f} J/m" in str(costmap)
+
+
+def test_a_heading_is_drawn_when_one_is_given(costmap: jm.CostMap) -> None:
+    assert "heading 90" in costmap.plot(heading_deg=90.0).get_title()
+
+
+@pytest.mark.parametrize(
+    ("crs", "match"), [("EPSG:4326", "degrees"), ("UTM30", "not known"), ("EPSG:3857", r"1/cos\(latitude\)")]
+)
+def test_an_array_is_placed_in_true_metres(crs: str, match: str) -> None:
+    with pytest.raises(jm.JoulemapError, match=match):
+        jm.heightmap(np.zeros((5, 5)), resolution_m=1.0, crs=crs)
+
+
+def test_an_undeclared_mark_of_unknown_heights_is_refused() -> None:
+    heights = np.zeros((5, 5))
+    heights[0, 0] = -9999.0
+    with pytest.raises(jm.JoulemapError, match="give `nodata` as -9999"):
+        jm.heightmap(heights, resolution_m=1.0)
+    assert jm.heightmap(heights, resolution_m=1.0, nodata=-9999.0).known_share == pytest.approx(24 / 25)
+
+
+def test_what_is_neither_map_nor_robot_is_named() -> None:
+    with pytest.raises(jm.JoulemapError, match=r"joulemap\.heightmap"):
+        jm.costmap(np.zeros((5, 5)))  # type: ignore[arg-type]
+    with pytest.raises(jm.JoulemapError, match="the robot is int '40'"):
+        jm.costmap(knoll(), robot=40)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
