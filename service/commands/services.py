@@ -31,7 +31,8 @@ def serve(
 ) -> None:
     """Start the **HTTP service** (Ctrl-C stops it). Its description is /openapi.json, its readiness /readyz.
 
-    Everything else is set by the environment, `JOULEMAP_...` (see the README).
+    Everything else is set by environment variables `JOULEMAP_...`, for example `JOULEMAP_MODELS_DIR` (trained models),
+    `JOULEMAP_DATABASE_URL` and `JOULEMAP_MAX_LATTICE_VALUES` (largest cost map); page *settings* of `make docs` has all.
 
     Example: `joulemap serve --host 0.0.0.0 --port 8080 --data-dir /var/lib/joulemap`
     """
