@@ -250,13 +250,25 @@ class GridFrame:
         if not (west <= x <= east and south <= y <= north):
             raise PointError(
                 f"{name} ({x:.2f}, {y:.2f}) lies outside the map, which spans x {west:.2f}..{east:.2f}, "
-                f"y {south:.2f}..{north:.2f}",
+                f"y {south:.2f}..{north:.2f}{self._likely_mistake(x, y)}",
                 x=x,
                 y=y,
                 bounds=[west, south, east, north],
             )
         row, col = self.rowcol(x, y)
         return min(int(row + 0.5), self.rows - 1), min(int(col + 0.5), self.cols - 1)
+
+    def _likely_mistake(self, x: float, y: float) -> str:
+        """What a sender of a point outside the map may have mixed up, to follow the message."""
+        west, south, east, north = self.bounds
+        if west <= y <= east and south <= x <= north:
+            return "; with x and y exchanged it would lie inside"
+        degrees = max(abs(x), abs(y)) <= 180.0 and min(abs(x), abs(y)) <= 90.0
+        # on a map near the origin, small numbers are metres
+        far = west > 180.0 or east < -180.0 or south > 180.0 or north < -180.0
+        if self.crs is not None and degrees and far:
+            return f"; this looks like latitude and longitude in degrees; the map is in metres of {self.crs_in_words}"
+        return ""
 
     def centres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the world x [m] of every column (cols,) and y [m] of every row (rows,), at cell centres."""

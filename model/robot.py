@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -126,12 +126,10 @@ class Robot:
         known = [field.name for field in fields(cls)]
         unknown = sorted(set(values) - set(known))
         if unknown:
-            name = unknown[0]
-            near = nearest_name(name, known)
-            hint = f"did you mean {near}?" if near else f"known are {', '.join(known)}"
-            if isinstance(values[name], Mapping):
-                hint = f"the values belong at the top level of the file, so leave out the line [{name}]"
-            raise RobotError(f"robot.{name}: unknown; {hint}", key=name, keys=unknown)
+            found = [f"robot.{name}: unknown{_hint(name, values[name], known)}" for name in unknown]
+            if not all(nearest_name(name, known) or isinstance(values[name], Mapping) for name in unknown):
+                found[-1] += f"; known are {', '.join(known)}"
+            raise RobotError("; ".join(found), key=unknown[0], keys=unknown)
         return cls(**values)
 
     @classmethod
@@ -156,8 +154,12 @@ class Robot:
         """
         try:
             text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise RobotError(f"robot file {path} cannot be read: {error}", path=str(path)) from error
+        except FileNotFoundError as error:
+            raise RobotError(f"there is no robot file {path}", path=str(path)) from error
+        except OSError as error:
+            raise RobotError(f"robot file {path} cannot be read: {error.strerror}", path=str(path)) from error
+        except UnicodeDecodeError as error:
+            raise RobotError(f"robot file {path} is no text in UTF-8: {error}", path=str(path)) from error
         try:
             values = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -168,7 +170,7 @@ class Robot:
         try:
             return cls.from_mapping(values)
         except RobotError as error:
-            place = _line_of(str(error.context.get("key", "")), text)
+            place = _lines_of(error.context.get("keys") or [error.context.get("key", "")], text)
             raise RobotError(f"robot file {path}{place}: {error.message}", path=str(path), **error.context) from error
 
     def as_dict(self) -> dict[str, Any]:
@@ -286,9 +288,22 @@ def _plain(number: float) -> str:
     return f"{number:g}" if abs(number) < 1e5 else f"{number:.0f}"
 
 
-def _line_of(key: str, text: str) -> str:
-    """ ", line 3" of a TOML text that gives this key, "" where none is found."""
+def _hint(name: str, value: Any, known: Sequence[str]) -> str:
+    """What an unknown key may have been meant to be."""
+    if isinstance(value, Mapping):
+        return f"; the values belong at the top level of the file, so leave out the line [{name}]"
+    near = nearest_name(name, known)
+    return f"; did you mean {near}?" if near else ""
+
+
+def _lines_of(keys: Sequence[str], text: str) -> str:
+    """ ", line 3" or ", lines 2 and 3" of a TOML text that gives these keys, in its order; "" where none is found."""
+    found = []
     for number, line in enumerate(text.splitlines(), start=1):
-        if key and re.match(rf"""\s*\[?\s*["']?{re.escape(key)}["']?\s*[=.\]]""", line):
-            return f", line {number}"
-    return ""
+        for key in keys:
+            if key and re.match(rf"""\s*\[?\s*["']?{re.escape(key)}["']?\s*[=.\]]""", line):
+                found.append(str(number))
+                break
+    if len(keys) == 1 or len(found) == 1:
+        return f", line {found[0]}" if found else ""
+    return f", lines {', '.join(found[:-1])} and {found[-1]}" if found else ""

@@ -63,7 +63,7 @@ class Verdict:
         need = f"{self.energy_j / 3600:.2f}{spread} Wh needed, "
         need += f"{self.available_j / 3600:.2f} Wh available above the reserve"
         if self.probability is not None:
-            need += f", lasts with {probability_words(self.probability)}"
+            need += f", probability that it lasts: {probability_words(self.probability)}"
         if self.feasible:
             spare = f"{self.margin_j / 3600:.2f} Wh to spare"
             return f"feasible: {need}, {spare}; charge at the end {self.charge_at_end:.1%}"

@@ -148,7 +148,8 @@ def build_lattice(
     if tiling.values > MAX_LATTICE_VALUES:
         raise TooLargeError(
             f"{frame.rows} x {frame.cols} cells at {headings} headings are {tiling.values:,} values, the limit is "
-            f"{MAX_LATTICE_VALUES:,} in memory: write to a folder, or choose a larger spacing than {spacing_m:g} m",
+            f"{MAX_LATTICE_VALUES:,} in memory: choose a larger spacing than {spacing_m:g} m, or write the map "
+            "to a folder with the command `joulemap costmap`",
             values=tiling.values,
             limit=MAX_LATTICE_VALUES,
         )

@@ -228,9 +228,11 @@ def load_lattice(path: str | Path) -> CostLattice:
     Raises
     ------
     InputError
-        If `path` is not a cost lattice, or a damaged one.
+        If `path` is missing, is not a cost lattice, or is a damaged one.
     """
     path = Path(path)
+    if not path.exists():
+        raise InputError(f"there is no cost map {path}", path=str(path))
     if not (path / "zarr.json").is_file():
         raise InputError(
             f"{path} is not a cost lattice, which is a folder written by `joulemap costmap`", path=str(path)

@@ -40,6 +40,8 @@ _REASONS = {  # face colour, hatch, colour of the hatch: none of them is a colou
     Blocked.GRADE: ("#b3264a", "", "#9aa1a8"),
     Blocked.CROSS_SLOPE: ("#f2a7b8", "", "#9aa1a8"),
 }
+_PARTLY = ("#f8d7df", 0.8)
+"""Colour and opacity of what is blocked in some headings: pale, because routes cross it."""
 _LEAST_SPAN = 0.1
 """Least span of the colours, as a share of the mean price: a map on which all prices are nearly equal looks so."""
 
@@ -165,6 +167,35 @@ def draw_ground(
         codes = blocked
     west, south, east, north = frame.bounds
     return draw_blocked(axes, codes, (west, east, south, north))
+
+
+def draw_lattice_ground(axes: Axes, lattice: CostLattice) -> list[Patch]:
+    """Draw the terrain of a cost map, and what may not be driven in any heading, or not in some.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where to draw.
+    lattice : CostLattice
+        The cost map.
+
+    Returns
+    -------
+    list of matplotlib.patches.Patch
+        As `draw_ground`, and one for what is blocked in some headings.
+    """
+    codes = blocked_everywhere(lattice)
+    handles = draw_ground(axes, lattice.elevation_m, lattice.frame, blocked=codes)
+    partly = (codes == Blocked.FREE) & (lattice.blocked_by_heading() != Blocked.FREE).any(axis=2)
+    if not partly.any():
+        return handles
+    colour, opacity = _PARTLY
+    paint = np.zeros((*partly.shape, 4))
+    paint[partly] = (*to_rgb(colour), opacity)
+    west, south, east, north = lattice.frame.bounds
+    axes.imshow(paint, extent=(west, east, south, north), interpolation="nearest", zorder=1)
+    label = "blocked in some headings"
+    return [*handles, Patch(facecolor=colour, edgecolor=_REASONS[Blocked.CROSS_SLOPE][0], linewidth=0.5, label=label)]
 
 
 def blocked_everywhere(lattice: CostLattice) -> NDArray[np.uint8]:

@@ -20,9 +20,9 @@ from joulemap.service.map_drawing import (
     OPTIMAL,
     SHORTEST,
     VIEWS,
-    blocked_everywhere,
     draw_costmap,
     draw_ground,
+    draw_lattice_ground,
     draw_profile,
     draw_routes,
 )
@@ -90,7 +90,8 @@ def route_picture(
     Parameters
     ----------
     ground : Heightmap or CostLattice
-        The terrain. Of a cost lattice, what is blocked is drawn too, with the reason.
+        The terrain. Of a cost lattice, what is blocked is drawn too, with the reason, and what is blocked in some
+        headings.
     best, other : Route
         The two paths.
     title : str
@@ -111,10 +112,10 @@ def route_picture(
     grid = figure.add_gridspec(3, 1, height_ratios=[height, 1.35, 1.35])
     axes, climb, spent = (figure.add_subplot(grid[k]) for k in range(3))
     spent.sharex(climb)
-    heights, blocked = (
-        (ground.heights, None) if isinstance(ground, Heightmap) else (ground.elevation_m, blocked_everywhere(ground))
-    )
-    patches = draw_ground(axes, heights, frame, blocked=blocked)
+    if isinstance(ground, Heightmap):
+        patches = draw_ground(axes, ground.heights, frame)
+    else:
+        patches = draw_lattice_ground(axes, ground)
     draw_routes(axes, best, other, names=names, alternatives=alternatives)
     for route, colour in ((other, SHORTEST), (best, OPTIMAL)):
         draw_profile(climb, route, quantity="elevation", colour=colour)

@@ -30,6 +30,7 @@ INTERNAL_EXIT_CODE = 1
 _LOG = logging.getLogger("joulemap.service")
 _MAX_TEXT = 500
 _MAX_ERRORS = 20
+_BODY, _THE_BODY = "body", "the body "
 
 
 class Row(NamedTuple):
@@ -244,7 +245,8 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
         found = [_field_error(e) for e in error.errors()[:_MAX_ERRORS]]
-        detail = "; ".join(f"{e['field']}: {e['message']}" for e in found[:5])
+        named = ("" if e["message"].startswith(_THE_BODY) else f"{e['field']}: " for e in found[:5])
+        detail = "; ".join(f"{name}{e['message']}" for name, e in zip(named, found[:5], strict=True))
         return response(
             problem(422, "invalid_request", "The request is not valid", detail, request_id(request), {"errors": found})
         )
@@ -265,6 +267,11 @@ def install(app: FastAPI) -> None:
 def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
     """One of pydantic's findings: which field, what is wrong with it, and the value that was sent."""
     place = [str(part) for part in error["loc"]] or ["body"]
+    if error["type"] == "json_invalid":  # the second part of the place is the character
+        reason = str(error.get("ctx", {}).get("error", error["msg"]))
+        return {"field": _BODY, "message": f"{_THE_BODY}is no valid JSON: {reason} at character {place[-1]}"}
+    if place == [_BODY] and error["type"] in ("model_attributes_type", "model_type", "dict_type"):
+        return {"field": _BODY, "message": f"{_THE_BODY}must be a JSON object with Content-Type: application/json"}
     field = ".".join(place[1:] or place)  # the first says where: body, query, path, header, or a form field
     message = str(error["msg"]).removeprefix("Value error, ")
     found = {"field": jsonable(field), "message": jsonable(message)}

@@ -22,6 +22,11 @@ ROBOT_KEYS = ("mass_kg", "width_m", "length_m", "wheel_radius_m", "speed_mps", "
 
 _TOLERANCE = 0.005  # of a limit: a value on the edge is inside
 _SHARE_WARNED = 0.001  # of the map that must be too steep before a warning is given
+_COMPARED = {  # what the prices of a model of measured runs depend on, in words
+    "mass_kg": "{:.4g} kg",
+    "rolling_resistance": "rolling resistance {:.3g}",
+    "idle_power_w": "{:.4g} W idle",
+}
 _SAMPLE_CELLS = 4_000_000  # a larger map's slopes are judged on every n-th row and column
 
 
@@ -151,6 +156,42 @@ class Domain:
         return found
 
 
+def robot_warnings(trained: Mapping[str, Any], robot: Robot, *, model: str) -> list[str]:
+    """Return a warning where a model of measured runs is asked about another robot than that of its runs.
+
+    Speed, limits and names may differ: another declared speed is a question that a plan may ask.
+
+    Parameters
+    ----------
+    trained : mapping
+        The robot of the runs, by the keys of the robot file; empty where the model learned from no single robot.
+    robot : Robot
+        What the model is asked about.
+    model : str
+        What the model is called.
+
+    Returns
+    -------
+    list of str
+        One sentence with the value that differs most, or nothing.
+    """
+    most, words = _TOLERANCE, None
+    for key, unit in _COMPARED.items():
+        try:
+            then, now = float(trained[key]), float(getattr(robot, key))
+        except (KeyError, TypeError, ValueError):  # an older model, or a file that somebody wrote
+            continue
+        difference = abs(now - then) / max(abs(now), abs(then), 1e-9)
+        if difference > most:
+            most, words = difference, (unit.format(now), unit.format(then))
+    if words is None:
+        return []
+    return [
+        f"this robot is {robot.name} ({words[0]}), but the model {model} was trained with "
+        f"{trained.get('name', 'another robot')} ({words[1]}): give that robot's file, or expect errors"
+    ]
+
+
 class Learned(ABC):
     """The part that all predictors of a trained network share.
 
@@ -188,7 +229,7 @@ class Learned(ABC):
         return {"name": self.name, "spread": self.spread.as_dict(), **self._provenance}
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Return one sentence for every way in which a map or robot is outside of what the network learned.
+        """Return one sentence for every way in which a map or robot differs from what the network learned.
 
         Parameters
         ----------
@@ -200,9 +241,12 @@ class Learned(ABC):
         Returns
         -------
         list of str
-            As `Domain.warnings`.
+            As `robot_warnings` and `Domain.warnings`.
         """
-        return self.domain.warnings(heightmap, robot)
+        training = (self._provenance.get("config") or {}).get("training") or {}
+        trained = training.get("robot")
+        other = robot_warnings(trained, robot, model=self.name) if isinstance(trained, Mapping) else []
+        return [*other, *self.domain.warnings(heightmap, robot)]
 
     def robot_with_turning(self, robot: Robot) -> Robot:
         """Return the robot with the energy of turning that the model's runs showed.

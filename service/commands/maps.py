@@ -233,7 +233,8 @@ def path(
     if picture is not None:
         from joulemap.service.pictures import route_picture
 
-        title = f"{ground.robot.name} on {costmap.stem}"
+        source = ground.lattice.provenance.get("heightmap", {}).get("source")
+        title = f"Path for {ground.robot.name}" + (f" on {source}" if source not in (None, "memory") else "")
         drawn = route_picture(ground.lattice, plan.route, plan.shortest, title=title, alternatives=plan.others)
         write_file(picture, drawn)
     output.document(found)

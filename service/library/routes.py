@@ -102,12 +102,10 @@ class PlannedRoute:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.map_drawing import blocked_everywhere, draw_ground, draw_routes, new_axes
+        from joulemap.service.map_drawing import draw_lattice_ground, draw_routes, new_axes
 
         ax = new_axes() if ax is None else ax
-        patches = draw_ground(
-            ax, self.lattice.elevation_m, self.lattice.frame, blocked=blocked_everywhere(self.lattice)
-        )
+        patches = draw_lattice_ground(ax, self.lattice)
         draw_routes(ax, self.route, self.shortest if shortest else None, alternatives=self.alternatives)
         handles = [*ax.get_legend_handles_labels()[0], *patches]
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False, fontsize=9)
@@ -247,10 +245,10 @@ class PlannedTour:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.map_drawing import OPTIMAL, blocked_everywhere, draw_ground, new_axes
+        from joulemap.service.map_drawing import OPTIMAL, draw_lattice_ground, new_axes
 
         ax = new_axes() if ax is None else ax
-        draw_ground(ax, self.lattice.elevation_m, self.lattice.frame, blocked=blocked_everywhere(self.lattice))
+        draw_lattice_ground(ax, self.lattice)
         for leg in self.legs:
             ax.plot(*leg.points[:, :2].T, color=OPTIMAL, lw=2.5, zorder=3)
         for number, (leg, stop) in enumerate(zip(self.legs, self.order, strict=True)):

@@ -246,6 +246,18 @@ def test_other_bad_requests_for_a_costmap(client: TestClient, hill_tif: bytes) -
     check_problem(
         client.post("/v1/costmaps", content=b"{", headers={"Content-Type": "application/json"}), 422, "invalid_request"
     )
+    path = "/v1/costmaps/cm-none/paths"
+    json_type = {"Content-Type": "application/json"}
+    broken = check_problem(
+        client.post(path, content=b'{"start": [1, 2],, }', headers=json_type), 422, "invalid_request"
+    )
+    assert broken["detail"].startswith("the body is no valid JSON: ")
+    assert broken["detail"].endswith(" at character 17")
+    for body, headers in ((b'{"start": [1, 2], "goal": [3, 4]}', {}), (b"[1, 2]", json_type)):
+        wrong = check_problem(client.post(path, content=body, headers=headers), 422, "invalid_request")
+        assert wrong["detail"] == "the body must be a JSON object with Content-Type: application/json"
+    empty = check_problem(client.post(path, headers=json_type), 422, "invalid_request")
+    assert empty["detail"] == "body: Field required"
     form = client.post("/v1/costmaps", files={"file": hill_tif}, data={"options": '{"model": "nonsense"}'})
     check_problem(form, 422, "invalid_model", "nonsense")
 

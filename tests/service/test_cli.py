@@ -20,6 +20,7 @@ from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.edges import price_world_path
 from joulemap.planner.lattice_io import load_lattice
 from joulemap.planner.plan import RoutePlanner
+from joulemap.service import pictures
 from joulemap.service.cli import app
 from joulemap.service.commands.console import parse_point
 from joulemap.service.problems import exit_code
@@ -127,6 +128,17 @@ def test_path_is_the_planner_s(folder: Path) -> None:
     lines = json.loads((folder / "path.geojson").read_text())["features"]
     assert [line["geometry"]["type"] for line in lines] == ["LineString", "LineString"]
     assert (folder / "path.png").read_bytes().startswith(PNG)
+
+
+def test_the_picture_of_a_path_is_named_after_robot_and_heightmap(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    titles = []
+    monkeypatch.setattr(pictures, "route_picture", lambda *_, title, **__: titles.append(title) or PNG)
+    where = ("--start", "3.5,14.5", "--goal", "36.5,15.5", "--picture", folder / "titled.png")
+    assert joulemap("path", folder / "dem.zarr", *where)[0] == 0
+    source = load_lattice(folder / "dem.zarr").provenance["heightmap"]["source"]
+    assert titles == [f"Path for crawler on {source}"]
 
 
 def test_json_to_stdout_leaves_nothing_else_there(folder: Path) -> None:

@@ -21,6 +21,7 @@ from joulemap.model.runs.files import read_calibration_runs, read_segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import evaluate_on_runs
 from joulemap.model.training.measured_runs import train_on_runs
+from joulemap.service.loop.calibration import calibrate_on_runs
 from joulemap.service.models import find_predictor
 from joulemap.service.workflows import make_cost_lattice
 
@@ -166,6 +167,33 @@ def test_a_calibration_without_effects_changes_no_prediction_and_leaves_loads_to
     np.testing.assert_array_equal(predict_segments(calibrated, waves(), ROBOT, loaded).energy_j, same.energy_j)
     charge = CalibratedPredictor(base, Correction((), (), charge=True), name="mine", version="1")
     assert np.isfinite(predict_segments(charge, waves(), ROBOT, loaded).energy_j).all()
+
+
+def test_a_forgotten_robot_file_is_a_warning_wherever_the_model_answers(tmp_path):
+    files = [drive(tmp_path, f"{k}.csv", y=2.0 + k, more=1.2 + 0.01 * k) for k in range(2)]
+    train(files, tmp_path / "mine")
+    model, other = find_predictor(tmp_path / "mine"), replace(ROBOT, name="mule", mass_kg=68.0)
+    words = (
+        "this robot is mule (68 kg), but the model mine was trained with rover-4wd (35 kg): "
+        "give that robot's file, or expect errors"
+    )
+    new = [drive(tmp_path, f"new{k}.csv", y=5.5 + 0.2 * k, more=1.1 + 0.01 * k) for k in range(2)]
+    found = {
+        robot.name: {
+            "costmap": make_cost_lattice(waves(), robot, model=tmp_path / "mine", headings=4).provenance["warnings"],
+            "evaluate": evaluate_on_runs(model, waves(), robot, new)["warnings"],
+            "calibrate": calibrate_on_runs(
+                tmp_path / "mine",
+                waves(),
+                robot,
+                read_calibration_runs(new, robot, crs=None),
+                out=tmp_path / robot.name,
+            ).document["warnings"],
+        }
+        for robot in (ROBOT, other)
+    }
+    assert all(words in said for said in found["mule"].values())
+    assert not any("trained with" in " ".join(said) for said in found[ROBOT.name].values())
 
 
 def test_evaluation_on_runs_that_trained_the_model_says_so(tmp_path):

@@ -7,6 +7,7 @@ import io
 import numpy as np
 import pytest
 from matplotlib import image as mpimage
+from matplotlib.figure import Figure
 
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import InputError
@@ -91,6 +92,23 @@ def test_both_paths_are_in_the_picture() -> None:
     assert share_of(png, SHORTEST) > 1e-3
     with_another = route_picture(heightmap, plan.route, plan.route, title="knoll", alternatives=[plan.shortest])
     assert share_of(with_another, INK) > 1.2 * share_of(png, INK)  # its line
+
+
+def test_what_is_blocked_in_some_headings_is_in_the_picture_of_a_path() -> None:
+    heightmap = rough()
+    sides = build_lattice(heightmap, Robot(max_grade_deg=50.0), PhysicsPredictor())  # the bank: too steep across only
+    free = build_lattice(heightmap, Robot(max_grade_deg=50.0, max_cross_slope_deg=50.0), PhysicsPredictor())
+    plan = RoutePlanner(free).plan((366_005.0, 4_064_485.0), (366_036.0, 4_064_484.0))
+    label = "blocked in some headings"
+    labels, pictures = [], []
+    for ground in (sides, free):
+        axes = Figure().add_subplot()
+        labels.append([patch.get_label() for patch in map_drawing.draw_lattice_ground(axes, ground)])
+        pictures.append(pixels(route_picture(ground, plan.route, plan.shortest, title="bank")))
+    assert label in labels[0]
+    assert label not in labels[1]
+    bank = [picture[60:150, 150:700].mean(axis=(0, 1)) for picture in pictures]
+    assert bank[0][0] - bank[0][1] > bank[1][0] - bank[1][1] + 0.01  # redder
 
 
 def test_a_large_map_is_averaged_not_sampled(monkeypatch: pytest.MonkeyPatch) -> None:

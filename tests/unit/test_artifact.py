@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from joulemap.model.energy.domain import Domain, steep_share
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -91,6 +93,29 @@ def test_warnings_name_the_value_and_the_limits():
     assert DOMAIN.warnings(slope(35.0), inside) == [
         "100 % of the map is steeper than the 30 degrees the network learned"
     ]
+
+
+def test_a_model_of_measured_runs_warns_about_another_robot(tmp_path):
+    runs_robot = Robot(name="fieldbot-7", mass_kg=68.0, speed_mps=0.8, rolling_resistance=0.1, idle_power_w=30.0)
+    save_artifact(tmp_path / "mine", Artifact(CompactNet(), DOMAIN, training={"robot": runs_robot.as_dict()}))
+    model, ground = load_artifact(tmp_path / "mine"), slope(10.0)
+    words = "this robot is {}, but the model mine was trained with {}: give that robot's file, or expect errors"
+    for other, now, then in (
+        ({"mass_kg": 25.0, "name": "rover"}, "rover (25 kg)", "fieldbot-7 (68 kg)"),
+        ({"rolling_resistance": 0.05}, "fieldbot-7 (rolling resistance 0.05)", "fieldbot-7 (rolling resistance 0.1)"),
+        ({"idle_power_w": 0.0}, "fieldbot-7 (0 W idle)", "fieldbot-7 (30 W idle)"),
+    ):
+        assert model.warnings(ground, replace(runs_robot, **other))[0] == words.format(now, then)
+        calibrated = CalibratedPredictor(model, Correction((), ()), name="found", version="1")
+        assert calibrated.warnings(ground, replace(runs_robot, **other))[0] == words.format(now, then)
+    legitimate = {"speed_mps": 0.5, "name": "x", "max_grade_deg": 10.0, "battery_wh": 9.0, "mass_kg": 68.0001}
+    assert model.warnings(ground, replace(runs_robot, **legitimate)) == []
+
+
+@pytest.mark.parametrize("training", [{}, {"robot": "mule"}, {"robot": {"mass_kg": None}}])
+def test_a_model_of_no_single_robot_has_no_such_warning(tmp_path, training):
+    save_artifact(tmp_path / "mine", Artifact(CompactNet(), DOMAIN, training=training))
+    assert load_artifact(tmp_path / "mine").warnings(slope(10.0), Robot(mass_kg=60.0)) == []
 
 
 def test_share_of_steep_ground():

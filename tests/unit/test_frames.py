@@ -89,6 +89,29 @@ def test_a_point_off_the_map_is_named(x: float, y: float) -> None:
         GridFrame(100.0, 500.0, 2.0, 3, 4).cell_of(x, y, name="goal")
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "hint"),
+    [
+        (4064300.0, 367000.0, "; with x and y exchanged it would lie inside"),
+        (36.72, -4.49, "; this looks like latitude and longitude in degrees; the map is in metres of EPSG:32630"),
+        (-4.49, 36.72, "; this looks like latitude and longitude in degrees; the map is in metres of EPSG:32630"),
+        (367300.0, 4064300.0, "..4064491.00"),
+        (120.0, 95.0, "..4064491.00"),
+    ],
+)
+def test_a_point_outside_says_what_may_be_mixed_up(x: float, y: float, hint: str) -> None:
+    with pytest.raises(PointError) as caught:
+        GridFrame(366966.0, 4064491.0, 1.0, 200, 200, "EPSG:32630").cell_of(x, y, name="start")
+    assert caught.value.message.endswith(hint)
+
+
+def test_small_numbers_are_metres_near_the_origin() -> None:
+    for crs in (None, "EPSG:32630"):
+        with pytest.raises(PointError) as caught:
+            GridFrame(0.0, 50.0, 1.0, 50, 50, crs).cell_of(60.0, 20.0)
+        assert "degrees" not in caught.value.message
+
+
 def test_respacing_keeps_the_corner_and_stays_inside() -> None:
     coarse = GridFrame(10.0, 20.0, 0.3, 100, 50).respaced(1.0)
     assert (coarse.west_m, coarse.north_m, coarse.shape) == (10.0, 20.0, (30, 15))

@@ -120,9 +120,12 @@ def test_saved_and_loaded_it_is_the_same(tmp_path):
 
 
 def test_what_is_not_a_lattice_is_refused(tmp_path):
-    with pytest.raises(InputError, match="not a cost lattice"):
+    with pytest.raises(InputError) as caught:
         load_lattice(tmp_path / "nowhere.zarr")
+    assert caught.value.message == f"there is no cost map {tmp_path / 'nowhere.zarr'}"
     (tmp_path / "mine").mkdir()
+    with pytest.raises(InputError, match="not a cost lattice"):
+        load_lattice(tmp_path / "mine")
     (tmp_path / "mine" / "precious.txt").write_text("keep")
     with pytest.raises(InputError, match="will not be overwritten"):
         save_lattice(build_lattice(surface(rolling), ROBOT, PhysicsPredictor()), tmp_path / "mine")
@@ -156,7 +159,7 @@ def test_settings_outside_their_limits_are_named():
     heightmap = surface(rolling)
     with pytest.raises(InputError, match=r"4\.\.360"):
         build_lattice(heightmap, ROBOT, PhysicsPredictor(), headings=3)
-    with pytest.raises(TooLargeError, match="larger spacing"):
+    with pytest.raises(TooLargeError, match=r"larger spacing than.*joulemap costmap"):
         build_lattice(heightmap, ROBOT, PhysicsPredictor(), spacing_m=0.002)
     with pytest.raises(HeightmapError, match="too small"):
         build_lattice(heightmap, ROBOT, PhysicsPredictor(), spacing_m=15.0)

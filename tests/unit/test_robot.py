@@ -79,6 +79,11 @@ def test_a_name_near_to_none_gets_the_list() -> None:
         ('name = "mule"\nmass_kg = 80 kg\n', r"robot\.toml, line 2, column \d+: "),
         ("[robot]\nmass_kg = 3\n", r"robot\.toml, line 1: robot\.robot: unknown; .*leave out the line \[robot\]"),
         ('name = "mule"\n\nmass = 3\n', r"robot\.toml, line 3: robot\.mass: unknown; did you mean mass_kg\?"),
+        (
+            'mass = 3\nname = "mule"\nvoltage = 24\n',
+            r"robot\.toml, lines 1 and 3: robot\.mass: unknown; did you mean mass_kg\?; "
+            r"robot\.voltage: unknown; did you mean nominal_voltage_v\?$",
+        ),
         ("# mass_kg\nmass_kg = -3\n", r"robot\.toml, line 2: robot\.mass_kg is -3; it must be above 0"),
     ],
 )
@@ -87,8 +92,9 @@ def test_broken_files_are_refused_with_file_and_line(tmp_path: Path, text: str, 
     path.write_text(text, encoding="utf-8")
     with pytest.raises(RobotError, match=words):
         Robot.from_toml(path)
-    with pytest.raises(RobotError, match=r"missing\.toml"):
+    with pytest.raises(RobotError) as caught:
         Robot.from_toml(tmp_path / "missing.toml")
+    assert caught.value.message == f"there is no robot file {tmp_path / 'missing.toml'}"
 
 
 def test_battery_has_what_lies_above_its_reserve() -> None:

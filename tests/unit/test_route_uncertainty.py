@@ -122,14 +122,14 @@ def test_beyond_1_and_99_percent_no_probability_is_given(energy_j, std_j, limit,
     verdicts.append(judge_along([energy_j, -10.0], Battery(1.0), std_j=[std_j, std_j]))  # at the lowest point
     for verdict in verdicts:
         assert verdict.probability == pytest.approx(limit)
-        assert f"lasts with {words}" in str(verdict)
+        assert f"probability that it lasts: {words}" in str(verdict)
 
 
 def test_a_verdict_prints_as_one_sentence_with_units() -> None:
     feasible, short = judge(1800.0, Battery(1.0, charge=0.9), std_j=360.0), judge(5400.0, Battery(1.0))
     assert repr(feasible) == (
-        "Verdict(feasible: 0.50 +- 0.10 Wh needed, 0.90 Wh available above the reserve, lasts with more than 99 %, "
-        "0.40 Wh to spare; charge at the end 40.0%)"
+        "Verdict(feasible: 0.50 +- 0.10 Wh needed, 0.90 Wh available above the reserve, "
+        "probability that it lasts: more than 99 %, 0.40 Wh to spare; charge at the end 40.0%)"
     )
     assert str(short) == "not feasible: 1.50 Wh needed, 1.00 Wh available above the reserve, 0.50 Wh short"
 
