@@ -32,7 +32,7 @@ def serve(
     """Start the **HTTP service** (Ctrl-C stops it). Its description is /openapi.json, its readiness /readyz.
 
     Everything else is set by environment variables `JOULEMAP_...`, for example `JOULEMAP_MODELS_DIR` (trained models),
-    `JOULEMAP_DATABASE_URL` and `JOULEMAP_MAX_LATTICE_VALUES` (largest cost map); page *settings* of `make docs` has all.
+    `JOULEMAP_DATABASE_URL` and `JOULEMAP_MAX_LATTICE_VALUES` (largest cost map); `make docs` makes a page of all.
 
     Example: `joulemap serve --host 0.0.0.0 --port 8080 --data-dir /var/lib/joulemap`
     """
