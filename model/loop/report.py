@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_vector
 from joulemap.model.loop.calibration import Calibration, Effect
+from joulemap.model.loop.candidates import Candidate
 from joulemap.model.loop.effects import Term
 from joulemap.model.loop.evidence import Verdict
 from joulemap.model.loop.quantities import driven_heights
@@ -58,7 +59,7 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "segments": {"fit": segments, "held_out": segments},
         "error": {
             "before": found.before,
-            "corrected": found.corrected,
+            "corrected": found.corrected if has_baseline(found) else found.before,
             "after": found.after,
             "after_planner": found.after_planner,
         },
@@ -76,6 +77,22 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "baseline_corrections": [t.as_dict() for t in (*found.shared.terms, *found.silent)],
         "model": {"before": {"name": before["name"], "version": before["version"]}, "after": after},
     }
+
+
+def has_baseline(found: Calibration) -> bool:
+    """Return whether the runs were compared with baseline runs: only then is there anything that these show.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+
+    Returns
+    -------
+    bool
+        False too where only charge was logged, of which baseline runs are not used.
+    """
+    return found.shared.residuals is not None
 
 
 def _effect(effect: Effect) -> dict[str, Any]:
@@ -114,12 +131,18 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
             "reveals": candidate.reveals,
         }
         if candidate.name not in taken:
-            row["why_not"] = _why_not(verdict, last.get(candidate.name)) if taken else _verdict_words(verdict)
+            why_not = _why_not(verdict, last.get(candidate.name)) if taken else _verdict_words(verdict)
+            row["why_not"] = why_not if _recorded(candidate) else f"not recorded; as a constant of the run: {why_not}"
         elif taken[candidate.name].shadow:
             row |= {"taken": False, "why_not": _COLLINEAR}
         out.append(row)
     first = [r for r in out if r["taken"]]
     return [*sorted(first, key=lambda r: list(taken).index(r["name"])), *(r for r in out if not r["taken"])]
+
+
+def _recorded(candidate: Candidate) -> bool:
+    """Whether a log has what the candidate depends on; the wind and the load are looked for without it, too."""
+    return any(term.formula not in ("wind_constant", "by_run") for term in candidate.variants)
 
 
 def _why_not(alone: Verdict, beside: Verdict | None) -> str:
@@ -225,12 +248,13 @@ def where_words(term: Term) -> str:
         return f"within {s['radius_m']:g} m of x {s['x']:.1f}, y {s['y']:.1f}"
     if term.formula == "place":
         return _field_words(term)
-    if term.formula == "turning" and term.settings.get("limit_radps"):
-        gentle = term.coefficients[0] / term.settings.get("share", 1.0)
-        slow = (
-            f"{gentle:.3g} {term.units[0]} up to {term.settings['limit_radps']:g} rad/s, nothing more above that rate"
+    if term.formula == "turning" and (limit := term.settings.get("limit_radps")):
+        usual, unit = term.coefficients[0], term.units[0]
+        return (
+            f"{where_words(replace(term, settings={}))}: turns slower than {limit:g} rad/s cost "
+            f"{usual / term.settings.get('share', 1.0):.3g} {unit}. Above that rate the power no longer grows, so a "
+            f"faster turn costs less per radian; the mean over all turns is {usual:.3g} {unit}"
         )
-        return f"everywhere; {slow} (the coefficient is the mean over all turns)"
     if not term.where and term.settings.get("over") == "elevation":
         low, high = driven_heights(term.settings["knots"])
         return f"at heights about those driven, {low:.1f} to {high:.1f} m; nothing at others"

@@ -5,6 +5,11 @@ Files, reports and options keep the keys; pages, messages and the command line s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+LEAST_P = 0.001
+"""The smallest p-value that the permutation tests can give, see `joulemap.model.loop.chance.SHIFTS`."""
+
 EFFECTS = {
     "acceleration": "acceleration",
     "battery": "internal resistance of the battery",
@@ -86,6 +91,93 @@ _MEANINGS = {
     "wind_measured": "drag added per unit of relative air speed",
     "words": "energy added on each class of ground",
 }
+
+
+_LEFT_OUT = {
+    "gaps": ("gap", "gaps"),
+    "stops": ("stop", "stops"),
+    "remainders": ("remainder of less than 1 m", "remainders of less than 1 m"),
+    "bent": ("where the path bends too much", "where the path bends too much"),
+    "slow": ("where the robot was much slower than usual", "where the robot was much slower than usual"),
+    "fast": ("where the robot was faster than it can drive", "where the robot was faster than it can drive"),
+    "not_positive": ("where the measured energy is not above zero", "where the measured energy is not above zero"),
+    "undriven": ("of runs that draw next to nothing", "of runs that draw next to nothing"),
+}
+"""What is not made a segment: for one, and for several."""
+
+_REPAIRS = {
+    "truncated_rows": ("incomplete last row", "incomplete last rows"),
+    "rows_without_time": ("row without a time", "rows without a time"),
+    "duplicate_stamps": ("row with a repeated time", "rows with a repeated time"),
+    "backward_stamps": ("row out of order in time", "rows out of order in time"),
+    "bad_fixes": ("position with a large stated error", "positions with a large stated error"),
+    "blank_fixes": ("row without a position", "rows without a position"),
+    "held_fixes": ("repeated position", "repeated positions"),
+    "position_jumps": ("position out of reach", "positions out of reach"),
+    "position_breaks": ("jump to another position", "jumps to another position"),
+    "current_sign_flipped": ("current whose sign was changed", "currents whose sign was changed"),
+}
+"""What is repaired or dropped in a log: for one, and for several. Blanks and spikes carry the column's name."""
+
+
+def left_out_words(counts: Mapping[str, int]) -> str:
+    """Return what of the runs is not made a segment.
+
+    Parameters
+    ----------
+    counts : mapping of str to int
+        Key, as in `Segments.left_out` -> count.
+
+    Returns
+    -------
+    str
+        Such as "16 gaps, 24 stops"; empty where nothing is left out.
+    """
+    return _count_words(counts, _LEFT_OUT)
+
+
+def repair_words(counts: Mapping[str, int]) -> str:
+    """Return what was repaired or dropped in a log.
+
+    Parameters
+    ----------
+    counts : mapping of str to int
+        Key, as in `Run.repairs` -> count.
+
+    Returns
+    -------
+    str
+        Such as "9 repeated positions, 2 voltage spikes"; empty where nothing was.
+    """
+    return _count_words(counts, _REPAIRS)
+
+
+def _count_words(counts: Mapping[str, int], table: Mapping[str, tuple[str, str]]) -> str:
+    def words(key: str, count: int) -> str:
+        if key in table:
+            return table[key][count != 1]
+        if key.startswith("blank_"):
+            return f"{'row' if count == 1 else 'rows'} without {key.removeprefix('blank_').replace('_', ' ')}"
+        plain = key.replace("_", " ")
+        return plain.removesuffix("s") if count == 1 else plain
+
+    return ", ".join(f"{count:,} {words(key, count)}" for key, count in counts.items() if count)
+
+
+def p_words(p_value: float) -> str:
+    """Return a p-value with its relation, to be written after "p".
+
+    Parameters
+    ----------
+    p_value : float
+        Of a significance test.
+
+    Returns
+    -------
+    str
+        Such as "= 0.02". A permutation test cannot find less than one of its permutations: "<= 0.001".
+    """
+    return f"<= {LEAST_P:g}" if p_value <= LEAST_P else f"= {p_value:.2g}"
 
 
 def effect_name(key: str) -> str:

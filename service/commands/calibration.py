@@ -205,15 +205,16 @@ def _next_steps(
 
 
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
-    from joulemap.service.loop.summary import collinear_words, drive_words, error_words, found_words, headline, unit_of
+    from joulemap.model.loop.words import left_out_words, p_words
+    from joulemap.service.loop.summary import collinear_words, drive_words, summary_lines, unit_of
 
-    output.say(f"[bold]{escape(headline(document))}[/]")
-    first, *rest = found_words(document)
-    for sentence in (first, *(f"  {words}" for words in rest), error_words(document)):
-        output.say(escape(sentence))
+    title, *lines = summary_lines(document)
+    output.say(f"[bold]{escape(title)}[/]")
+    for line in lines:
+        output.say(escape(line))
     for step in steps:
         output.say(f"{escape(step.purpose)}:\n  [bold]{escape(step.command)}[/]")
-    rows = {f"p of {effect['label']}": f"{effect['p_value']:.2g}" for effect in document["effects"]}
+    rows = {effect["label"]: f"p {p_words(effect['p_value'])}" for effect in document["effects"]}
     if words := collinear_words(document):
         rows["collinear"] = words
     if "test_set" in document:
@@ -221,6 +222,8 @@ def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[Ne
     rows |= _error_rows(document["error"], unit_of(document), ", held out" if document["effects"] else "")
     rows["a route"] = _route_words(document["route"])
     rows["drive next"] = drive_words(document["next_drive"])
+    if left_out := left_out_words(document["runs"]["left_out"]):
+        rows["not used"] = left_out
     output.table(rows)
     output.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
 

@@ -317,8 +317,8 @@ def train(
     output.say(f"[bold]Trained[/] {out}, version {made['version']}, {made['epochs']} epochs")
     output.table(
         {
-            "learned from": f"{made['segments']} segments of {runs_words(len(made['runs']))}",
-            "held out": f"{', '.join(made['held_out_runs'])}: {_errors_words(made['held_out'])}"
+            "learned from": f"{made['segments']:,} segments of {runs_words(len(made['runs']))}",
+            "held out": f"{_held_out_words(made)}: {_errors_words(made['held_out'])}"
             + (" (a little too low: these runs decided when to stop)" if made["stopped_by_held_out"] else ""),
             "turning": f"{made['turn_j_per_rad']:.1f} J/rad more than straight driving, used in plans too",
         }
@@ -344,6 +344,7 @@ def evaluate(
 
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs logs/*.csv`
     """
+    from joulemap.model.loop.words import left_out_words, repair_words
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.service.library import models as library
 
@@ -355,7 +356,9 @@ def evaluate(
     )
     output.table(
         {
-            "segments": f"{found['segments']} ({found['unknown']} more on unknown ground)",
+            "segments": f"{found['segments']:,} ({found['unknown']:,} more on unknown ground)",
+            "not used": left_out_words(found["left_out"]) or "nothing",
+            "repaired": repair_words(_sums(found["repairs"])) or "nothing",
             "median error": f"{found['median_relative_error']:.1%} of a segment's energy",
             "whole runs": f"{found['route_relative_error']:.1%} of a run's energy",
             "bias": f"{found['bias_j']:+.2f} J per segment (measured - predicted)",
@@ -369,7 +372,25 @@ def evaluate(
 def _coverage_words(covered: dict[str, float] | None) -> str:
     if covered is None:
         return "none: this model does not say how far off it may be"
-    return ", ".join(f"{share:.0%} in the {level} % one" for level, share in covered.items())
+    (first, share), *others = covered.items()
+    rest = "".join(f", {100 * s:.0f} % inside the {level} % interval" for level, s in others)
+    return f"{100 * share:.0f} % of the segments lie inside the {first} % interval{rest}"
+
+
+def _held_out_words(made: dict[str, Any]) -> str:
+    if set(made["held_out_runs"]) != set(made["runs"]):
+        return f"{', '.join(made['held_out_runs'])}, which the network had not seen"
+    whole = "each run" if len(made["runs"]) > 1 else "each part of the run"
+    return f"{whole} predicted by networks that had not seen it"
+
+
+def _sums(repairs: dict[str, dict[str, int]]) -> dict[str, int]:
+    """Repairs of all runs together, by key."""
+    sums: dict[str, int] = {}
+    for counts in repairs.values():
+        for key, count in counts.items():
+            sums[key] = sums.get(key, 0) + count
+    return sums
 
 
 def _errors_words(found: dict[str, Any]) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import InputError
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
-from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.run_files import RunsLike, find_run_files
 from joulemap.service.models import CALIBRATED_FOLDER, DEFAULT_MODEL
@@ -61,33 +61,34 @@ class CalibrationResult:
         return list(self.report["effects"])
 
     @property
+    def warnings(self) -> list[str]:
+        """How the map or the robot differs from what the model was trained on."""
+        return list(self.report["warnings"])
+
+    @property
     def report_html(self) -> Path:
         """The report for a browser."""
         return self.out / REPORT_HTML
 
-    def _title(self) -> str:
-        names = ", ".join(effect["name"] for effect in self.effects)
-        return f"Calibration found {names}" if names else "Calibration found nothing that the model lacks"
+    def _lines(self) -> list[str]:
+        from joulemap.service.loop.summary import summary_lines
 
-    def _rows(self) -> dict[str, str]:
-        error = self.report["error"]
-        rows = {
-            effect["name"]: f"p = {effect['p_value']:.2g}, {'used' if effect['in_plans'] else 'not used'} in plans"
-            for effect in self.effects
-        }
-        rows["mean relative error"] = (
-            f"{error['before']['mean_relative']:.1%} before, {error['after']['mean_relative']:.1%} after, of a metre"
-        )
-        return rows | {"report": str(self.report_html)}
+        warnings = [f"Warning: {words}" for words in self.warnings]
+        return [*summary_lines(self.report), *warnings, f"Report: {self.report_html}"]
 
     def __repr__(self) -> str:
-        return f"<{self._title()}>"
+        from joulemap.service.loop.summary import headline
+
+        return f"<Calibration: {headline(self.report)}>"
 
     def __str__(self) -> str:
-        return text_table(self._title(), self._rows())
+        return "\n".join(self._lines())
 
     def _repr_html_(self) -> str:
-        return html_table(self._title(), self._rows())
+        title, *lines = self._lines()
+        return (
+            f"<div><strong>{escape(title)}</strong>{''.join(f'<p>{escape(line.strip())}</p>' for line in lines)}</div>"
+        )
 
 
 def calibrate(

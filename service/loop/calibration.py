@@ -19,9 +19,9 @@ from joulemap.model.loop.calibrated import (
     Correction,
     save_calibrated,
 )
-from joulemap.model.loop.calibration import Calibration, calibrate
+from joulemap.model.loop.calibration import Calibration, Effect, calibrate
 from joulemap.model.loop.effects import turning_per_rad
-from joulemap.model.loop.report import report_document
+from joulemap.model.loop.report import has_baseline, report_document
 from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import CalibrationRuns
@@ -121,9 +121,10 @@ def calibrate_on_runs(
     test = None if runs.test is None else residuals_on(predictor, heightmap, robot, runs.test, least=1)[0]
     _report(progress, _READ)
     found = calibrate(measured, electric=electric, base=base, seed=seed, progress=_part(progress, _READ, _TRACED))
-    version, routes, why_not = None, None, "no effect was found that changes a route"
+    version, turning, routes, why_not = None, None, None, "no effect was found that changes a route"
     if found.terms:
         correction = correction_of(found, std, base_turn=planning_robot(predictor, robot).turn_j_per_rad)
+        turning = _turning_in_plans(found, correction)
         version = _write(begun, model, predictor, correction)
         after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
         driven = measured.drive.take(measured.moving)  # on ground that the map knows
@@ -144,13 +145,18 @@ def calibrate_on_runs(
             except InfeasibleError as error:  # a report all the same
                 why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
+    if turning is not None:
+        report["turning_in_plans"] = turning
     report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
     if routes is not None:
         report["map"] = routes.map_as_dict()
     if routes is not None and segments.charge:
         report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
     if test is not None:
-        report["test_set"] = {"segments": int(test.moving.sum()), "error": found.errors_on(test)}
+        error = found.errors_on(test)
+        if not has_baseline(found):
+            error["corrected"] = error["before"]
+        report["test_set"] = {"segments": int(test.moving.sum()), "error": error}
     report["runs"] = {
         "names": list(segments.runs),
         "rows": runs.rows,
@@ -250,12 +256,28 @@ def _turn_j_per_rad(found: Calibration, base_turn: float) -> float:
     base model (with slowing down, which no plan contains) or by its corrections, whichever is larger.
     """
     drive = found.residuals.drive
-    turning = [e for e in found.effects if e.term.formula.startswith("turning")]
     every = drive.unit_j * turning_per_rad(found.terms, drive)
-    if turning and found.shared.residuals is None:
+    if _turning_of(found) and found.shared.residuals is None:
         return every
-    new = [replace(e.term, coefficients=tuple(e.coefficients.tolist())) for e in turning]
-    return max(every, base_turn + drive.unit_j * turning_per_rad(new, drive))
+    return max(every, base_turn + _new_turn_j_per_rad(found))
+
+
+def _turning_of(found: Calibration) -> list[Effect]:
+    return [e for e in found.effects if e.term.formula.startswith("turning")]
+
+
+def _new_turn_j_per_rad(found: Calibration) -> float:
+    """What the effects of turning cost, without what the baseline runs show of them [J/rad]."""
+    new = [replace(e.term, coefficients=tuple(e.coefficients.tolist())) for e in _turning_of(found)]
+    return found.residuals.drive.unit_j * turning_per_rad(new, found.residuals.drive)
+
+
+def _turning_in_plans(found: Calibration, correction: Correction) -> dict[str, float] | None:
+    """What turning costs in plans altogether, and how much of it is new; None where no plan has such an effect."""
+    if not any(e.planner for e in _turning_of(found)):
+        return None
+    total = found.residuals.drive.robot.turn_j_per_rad + correction.turn_j_per_rad  # as the predictor adds them
+    return {"j_per_rad": max(total, 0.0), "new_j_per_rad": _new_turn_j_per_rad(found)}
 
 
 def _write(target: Path, model: str | Path, predictor: Predictor, correction: Correction) -> str:

@@ -10,7 +10,8 @@ from html import escape
 from typing import Any
 
 from joulemap.model.energy.metrics import LEAST_J
-from joulemap.model.loop.words import effect_name
+from joulemap.model.loop.selection import ALPHA
+from joulemap.model.loop.words import effect_name, left_out_words, p_words, repair_words
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (
@@ -134,7 +135,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _kind(cell: str) -> str:
-    return ' class="number"' if re.fullmatch(r"[-+]?[\d.,e]+( \S+){0,3}", cell) else ""
+    return ' class="number"' if re.fullmatch(r"(&lt;= )?[-+]?[\d.,e]+( \S+){0,3}", cell) else ""
 
 
 def _full(figure: str) -> str:
@@ -146,9 +147,9 @@ def _figures(figures: Sequence[str], kind: str = "figures") -> str:
 
 
 def _effects(document: Mapping[str, Any]) -> str:
-    remaining = f"{document['remaining']['p_value']:.2g}"
+    remaining = _remaining(document)
     if not document["effects"]:
-        return f"<p>None. A candidate effect of sufficient size: p = {remaining}, which is not significant.</p>"
+        return f"<p>None. {escape(remaining)}</p>"
     rows = []
     for e in document["effects"]:
         values = "<br>".join(escape(words) for words in coefficient_words(e))
@@ -157,7 +158,7 @@ def _effects(document: Mapping[str, Any]) -> str:
                 escape(e["label"]),
                 f"{values}<br>{escape(e['meaning'])}",
                 escape(e["where"]),
-                f"{e['p_value']:.2g}",
+                _number(e["p_value"]),
                 percent(e["share_of_residual_variance"], 0),
                 "yes" if e["in_plans"] else "no: needs a log",
             ]
@@ -165,11 +166,22 @@ def _effects(document: Mapping[str, Any]) -> str:
     note = (
         '<p class="note">p: p-value of a significance test that allows for all candidate effects tried. Share: of the '
         "variance of the residuals that the effect explains. In plans: whether the quantity that the effect depends on "
-        f"is known before a drive. A further effect of sufficient size: p = {remaining}.</p>"
+        f"is known before a drive. {escape(remaining)}</p>"
     )
     more = collinear_words(document)
     head = ["effect", "coefficients and their meaning", "where it acts", "p", "share", "in plans"]
     return _table(head, rows) + note + (f"<p>{escape(more)}</p>" if more else "")
+
+
+def _remaining(document: Mapping[str, Any]) -> str:
+    """What the significance test says of the candidates that were not taken."""
+    p_value, further = document["remaining"]["p_value"], "further " if document["effects"] else ""
+    if p_value <= ALPHA:
+        return (
+            f"A {further}effect may be at work: the smallest p-value of the other candidates is p {p_words(p_value)}."
+        )
+    least = f": the smallest p-value is {p_value:.2g}" if p_value < 1.0 else ""
+    return f"No {further}candidate effect that is large enough to matter is significant{least}."
 
 
 def _confounded(document: Mapping[str, Any]) -> str:
@@ -317,14 +329,11 @@ def _candidates(document: Mapping[str, Any]) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.2g}"
+    return "" if value is None else escape(p_words(value).removeprefix("= "))
 
 
 def _repairs(runs: Mapping[str, Any]) -> str:
-    def words(counts: Mapping[str, int]) -> str:
-        return escape(", ".join(f"{count} {rule.replace('_', ' ')}" for rule, count in counts.items() if count))
-
-    left_out = words(runs["left_out"])
-    note = f"<p>{runs['rows']:,} rows were read. In no segment: {left_out or 'nothing'}.</p>"
-    rows = [[escape(name), words(counts)] for name, counts in runs["repairs"].items()]
+    left_out = left_out_words(runs["left_out"])
+    note = f"<p>{runs['rows']:,} rows were read. Not used: {escape(left_out or 'nothing')}.</p>"
+    rows = [[escape(name), escape(repair_words(counts))] for name, counts in runs["repairs"].items()]
     return note + (_table(["run", "rows repaired or dropped, by reason"], rows) if rows else "")

@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from joulemap.model.loop.words import effect_name
+from joulemap.model.loop.residual import LEAST_FOLDS
+from joulemap.model.loop.words import effect_name, quantity_name
 
 _FEW = 4  # coefficients of an effect that are all written out
+_SAME = 0.005  # of what turning costs in plans: less than this is no further part of it
 _SUGGESTED = 3  # effects to look for where none was found
 _OWN_RUNS = (
     "All these runs took part in the choice of the effects. To measure the error on runs that had no part in it, "
@@ -47,6 +49,23 @@ def headline(document: Mapping[str, Any]) -> str:
     """
     names = ", ".join(effect["label"] for effect in document["effects"])
     return f"Found: {names}" if names else "No missing effect was found"
+
+
+def summary_lines(document: Mapping[str, Any]) -> list[str]:
+    """Return the whole summary, as the command line and Python print it.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        The headline, how many effects, one indented line for each, and how much better the model predicts.
+    """
+    first, *rest = found_words(document)
+    return [headline(document), first, *(f"  {words}" for words in rest), error_words(document)]
 
 
 def unit_of(document: Mapping[str, Any]) -> str:
@@ -89,16 +108,48 @@ def found_words(document: Mapping[str, Any]) -> list[str]:
     for effect in effects:
         plans = "" if effect["in_plans"] else " Plans do not contain it: it depends on what only a log records."
         meaning = f" This is the {effect['meaning']}." if effect["meaning"] else ""
-        words.append(
-            f"{_capital(effect['label'])}: {'; '.join(coefficient_words(effect))}.{meaning} It acts "
-            f"{effect['where']}.{plans}"
-        )
+        size = f"{_capital(effect['label'])}: {'; '.join(coefficient_words(effect))}.{meaning}"
+        if effect["form"] == "smooth":
+            size = f"{_curve_words(effect)}."
+        words.append(f"{size} It acts {effect['where']}.{plans}")
+    if "turning_in_plans" in document:
+        words.append(_turning_words(document))
     for name, *rivals in document["confounded"]:
         words.append(
             f"These runs cannot distinguish {effect_name(name)} from {_or(rivals)}: either may be the cause until "
             "other runs separate them."
         )
     return words
+
+
+def _curve_words(effect: Mapping[str, Any]) -> str:
+    """A fitted curve without its points: whether it rises or falls, and between which values."""
+    found, settings = effect["coefficients"], effect["settings"]
+    values = [c["value"] for c in found]
+    if not settings.get("level"):
+        values.insert(len(settings["knots"]) // 2, 0.0)  # the curve is nil at its middle point
+    steps = [after - before for before, after in zip(values, values[1:], strict=False)]
+    unit = f" {found[0]['unit']}" if found[0]["unit"] else ""
+    digits = "+.3g" if settings["of"] == "length" else "+.2f"  # J/m, else shares
+    low, high = f"{min(values):{digits}}", f"{max(values):{digits}}"
+    if all(step >= 0.0 for step in steps):
+        ends = f"rising from {low} to {high}{unit}"
+    elif all(step <= 0.0 for step in steps):
+        ends = f"falling from {high} to {low}{unit}"
+    else:
+        ends = f"between {low} and {high}{unit}"
+    return f"A fitted curve over {quantity_name(settings['over'])}, {ends}; see the figure in the report"
+
+
+def _turning_words(document: Mapping[str, Any]) -> str:
+    """What turning costs in plans: the effect found is a part of it only where there is more."""
+    turn = document["turning_in_plans"]
+    total, new = turn["j_per_rad"], turn["new_j_per_rad"]
+    volts = " (charge times the nominal voltage)" if document["target"] == "charge_as" else ""
+    words = f"In plans one radian of turning costs {total:.1f} J{volts}"
+    if total - new < _SAME * abs(total):
+        return f"{words}."
+    return f"{words}: {new:.1f} J are new, the rest is in the model already or in what the baseline runs show."
 
 
 def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
@@ -151,22 +202,43 @@ def error_words(document: Mapping[str, Any]) -> str:
         count = "one test run" if runs == 1 else f"{runs} test runs"
         where = f"On {count} that had no part in the calibration ({test['segments']:,} segments of 1 m)"
     elif document["effects"]:
-        where = "On these runs, each part of them predicted by a fit without that part"
+        where = f"On these runs, {_held_out_words(document, runs)}"
     else:
         where = "On these runs"
     relative = {state: percent(error[state]["mean_relative"]) for state in ("before", "after", "after_planner")}
     if document["model"]["after"] is None:
         return f"{where}, the mean relative error of the model is {relative['before']}. No model was written."
-    moves = "falls" if after["mean_relative"] < before["mean_relative"] else "does not fall: it goes"
-    words = (
-        f"{where}, the mean relative error {moves} from {relative['before']} to {relative['after']} (root mean square "
-        f"error from {before['rmse']:.3g} to {after['rmse']:.3g} {unit} per segment)."
-    )
+    if error["corrected"] == before:
+        moves = "falls" if after["mean_relative"] < before["mean_relative"] else "does not fall: it goes"
+        words = (
+            f"{where}, the mean relative error {moves} from {relative['before']} to {relative['after']} (root mean "
+            f"square error from {before['rmse']:.3g} to {after['rmse']:.3g} {unit} per segment)."
+        )
+    else:
+        words = f"{where}, the mean relative error is {_three_errors(document, error)}."
     if not document["effects"]:
         words += " The calibrated model contains only corrections that the baseline runs show as well."
     if plans["mean_relative"] != after["mean_relative"]:
         words += f" With what is known before a drive, as in plans, it is {relative['after_planner']}."
     return words if test or not document["effects"] else f"{words} {_OWN_RUNS}"
+
+
+def _held_out_words(document: Mapping[str, Any], runs: int) -> str:
+    """How the errors on the runs themselves were held out, as `Residuals.fold` and `Residuals.block` divide them."""
+    by_run = any(effect["form"] == "by_run" for effect in (*document["effects"], *document["collinear"]))
+    if runs < LEAST_FOLDS or by_run:
+        return "each part of a run predicted by a model fitted to the other parts"
+    return "each run predicted by a model fitted to the other runs"
+
+
+def _three_errors(document: Mapping[str, Any], error: Mapping[str, Any]) -> str:
+    """Errors of three models, so that what the baseline runs show already is not credited to the effects."""
+    states = {"before": "before", "corrected": "after correcting what the baseline runs show already"}
+    if document["effects"]:
+        states["after"] = f"with {_and([effect['label'] for effect in document['effects']])}"
+    sizes = "; ".join(f"{percent(error[key]['mean_relative'])} {words}" for key, words in states.items())
+    rmse = _and([f"{error[key]['rmse']:.3g}" for key in states])
+    return f"{sizes} (root mean square error {rmse} {unit_of(document)} per segment)"
 
 
 def error_states(error: Mapping[str, Any]) -> dict[str, str]:
@@ -290,6 +362,10 @@ def likeliest(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _or(names: Sequence[str]) -> str:
     words = [effect_name(name) for name in names]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _capital(words: str) -> str:

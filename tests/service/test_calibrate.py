@@ -14,6 +14,7 @@ from joulemap.model.runs.files import read_calibration_runs
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
 from joulemap.service.loop.summary import coefficient_words
+from joulemap.service.models import load_model, planning_robot
 from tests.reference.drives import wheel_logs
 from tests.reference.words import PRIVATE, shown
 
@@ -58,6 +59,10 @@ def test_a_report_and_a_model_are_written_and_the_model_is_never_changed(field, 
     assert said.startswith("Found: " if report["effects"] else "No missing effect was found")
     assert said.index("These runs show") < said.index("mean relative error") < said.index("joulemap suggest-drive")
     assert "drive next" in said
+    assert "corrections from the baseline runs" not in said + page  # there are none
+    for line in said.splitlines():
+        if line.strip().startswith(("joulemap costmap", "joulemap suggest-drive")):
+            assert f"--robot {field / 'robot.toml'}" in line
     if report["model"]["after"] is None:
         return
     step = next(line.strip() for line in said.splitlines() if line.strip().startswith("joulemap costmap"))
@@ -263,6 +268,9 @@ def test_wheel_speeds_stand_in_for_positions(tmp_path):
     assert found["terrain_class"]["value"] == pytest.approx(-6.0, rel=0.05)
     assert found["turning"]["value"] == pytest.approx(30.0, rel=0.1)
     assert found["turning x terrain_class"]["value"] == pytest.approx(-28.0, rel=0.1)
+    planned = planning_robot(load_model(out / "model"), Robot()).turn_j_per_rad
+    assert report["turning_in_plans"]["j_per_rad"] == pytest.approx(planned)
+    assert f"In plans one radian of turning costs {planned:.1f} J (charge times the nominal voltage)" in done.output
     assert report["error"]["after"]["rmse"] < 0.4 * report["error"]["before"]["rmse"]
     assert "8 runs, 7,200 rows" in done.output
     assert not report["next_drive"]["placed"]

@@ -21,7 +21,9 @@ def test_a_radian_costs_the_same_in_words_of_either_form():
     turned = drive.turned_abs_rad
     usual = 300.0 * (turned @ gentle) / (turned @ turned)  # least squares of what turning took on what was turned
     assert effect.coefficients[0] == pytest.approx(usual, rel=0.1)
-    assert where_words(replace(effect.term, coefficients=(usual,))).startswith("everywhere; 300 J/rad up to")
+    where = where_words(replace(effect.term, coefficients=(usual,)))
+    assert where.startswith(f"everywhere: turns slower than {limit:g} rad/s cost 300 J/rad. Above that rate")
+    assert where.endswith(f"the mean over all turns is {usual:.3g} J/rad")
     assert turning_per_rad([effect.term], drive) == pytest.approx(effect.coefficients[0], rel=1e-3)  # plans pay as much
     plain = Term("turning", "turning", ("J/rad",), {"limit_radps": limit}, {}, (10.0,))
     np.testing.assert_allclose(plain.energy(drive), 10.0 * gentle)

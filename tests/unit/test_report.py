@@ -1,20 +1,32 @@
 """What a reader of a calibration's report sees: sentences, names in the field's terms, and honest colour scales."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
+from joulemap.model.loop.chance import SHIFTS
 from joulemap.model.loop.effects import Term
 from joulemap.model.loop.report import coefficient_names, report_document, where_words
-from joulemap.model.loop.words import effect_name, quantity_name
+from joulemap.model.loop.words import LEAST_P, effect_name, left_out_words, p_words, quantity_name, repair_words
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.next_drive import next_drive
 from joulemap.service.loop.report_figures import LEAST_SPAN, change_scale
 from joulemap.service.loop.report_page import report_page
-from joulemap.service.loop.summary import NextStep, error_words, found_words, headline, likeliest
+from joulemap.service.loop.summary import (
+    NextStep,
+    error_states,
+    error_words,
+    found_words,
+    headline,
+    likeliest,
+    summary_lines,
+)
 from tests.reference.drives import ROBOT, found_in, made_up, noisy
 from tests.reference.words import PRIVATE, shown
 
@@ -80,6 +92,93 @@ def test_test_runs_are_what_the_error_is_stated_of(turning):
     assert "With what is known before a drive, as in plans, it is 50.0 %" in words
     better["after"] |= {"mean_relative": 0.6}
     assert "does not fall" in error_words(turning.document | {"test_set": {"segments": 90, "error": better}})
+
+
+def test_what_baseline_runs_show_already_is_not_credited_to_the_effects(turning):
+    before = turning.document["error"]["before"]
+    sizes = {"before": 0.124, "corrected": 0.107, "after": 0.096, "after_planner": 0.096}
+    error = {key: before | {"mean_relative": size, "rmse": 100.0 * size} for key, size in sizes.items()}
+    words = error_words(turning.document | {"error": error})
+    assert words.startswith("On these runs, each run predicted by a model fitted to the other runs, the mean relative")
+    assert "is 12.4 % before; 10.7 % after correcting what the baseline runs show already; 9.6 % with turning" in words
+    assert "(root mean square error 12.4, 10.7 and 9.6 J per segment)" in words
+    few = {key: values | {"by_run": {"a": 0.1}} for key, values in error.items()}
+    assert "each part of a run predicted by a model fitted to the other parts" in error_words(
+        turning.document | {"error": few}
+    )
+
+
+def test_without_baseline_runs_nothing_is_said_of_them():
+    rng = np.random.default_rng(12)
+    drive = made_up(rng)
+    found = found_in(drive, noisy(rng, drive, 60.0 * drive.turned_abs_rad))
+    informed = replace(found, before=found.before | {"mean_relative": 0.9})  # of a model that is given more than plans
+    error = report_document(informed, before=BEFORE, after="2")["error"]
+    assert error["corrected"] == error["before"]
+    assert "corrected" not in error_states(error)
+
+
+def test_the_whole_cost_of_turning_in_plans_is_stated(turning):
+    def said(total, new, target="energy_j"):
+        more = {"turning_in_plans": {"j_per_rad": total, "new_j_per_rad": new}, "target": target}
+        return [words for words in found_words(turning.document | more) if words.startswith("In plans")]
+
+    rest = "the rest is in the model already or in what the baseline runs show."
+    assert said(73.7, 44.3) == [f"In plans one radian of turning costs 73.7 J: 44.3 J are new, {rest}"]
+    assert said(44.3, 44.3) == ["In plans one radian of turning costs 44.3 J."]
+    assert said(44.3, 3.7, "charge_as")[0].startswith("In plans one radian of turning costs 44.3 J (charge times")
+    assert not [words for words in found_words(turning.document) if words.startswith("In plans")]
+
+
+def test_a_fitted_curve_is_summed_up_by_its_direction_and_range(turning):
+    def said(*values, level=True):
+        coefficients = [
+            {"name": f"at {v}", "value": v, "unit": "of the motion's energy", "ci95": [v, v]} for v in values
+        ]
+        settings = {"over": "grade", "knots": [-0.07, 0.0, 0.07], "of": "motion", "level": level}
+        (effect,) = turning.document["effects"]
+        curve = effect | {"form": "smooth", "coefficients": coefficients, "settings": settings, "where": "everywhere"}
+        return found_words(turning.document | {"effects": [curve]})[1]
+
+    end = "of the motion's energy; see the figure in the report. It acts everywhere."
+    assert said(-0.704, -0.1, 0.21) == f"A fitted curve over grade, rising from -0.70 to +0.21 {end}"
+    assert said(0.3, -0.1, level=False) == f"A fitted curve over grade, falling from +0.30 to -0.10 {end}"
+    assert said(0.3, 0.1, level=False) == f"A fitted curve over grade, between +0.00 and +0.30 {end}"
+
+
+def test_python_prints_the_summary_of_the_command_line(turning, tmp_path):
+    result = CalibrationResult(tmp_path, turning.document)
+    assert str(result).splitlines() == [*summary_lines(turning.document), f"Report: {tmp_path / 'report.html'}"]
+    assert str(result).startswith(
+        "Found: turning\nThese runs show one effect that the model made up lacks.\n  Turning:"
+    )
+    assert repr(result) == "<Calibration: Found: turning>"
+    assert error_words(turning.document).split("`")[0] in result._repr_html_()
+
+
+def test_counts_of_logs_are_said_in_words():
+    counts = {"gaps": 1, "stops": 24, "remainders": 34, "bent": 1234, "fast": 0}
+    assert left_out_words(counts) == (
+        "1 gap, 24 stops, 34 remainders of less than 1 m, 1,234 where the path bends too much"
+    )
+    repairs = {"held_fixes": 2, "voltage_spikes": 1, "current_left_spikes": 3, "blank_current": 5}
+    assert repair_words(repairs) == (
+        "2 repeated positions, 1 voltage spike, 3 current left spikes, 5 rows without current"
+    )
+
+
+def test_least_p_values_are_bounds(turning):
+    assert pytest.approx(1.0 / (SHIFTS + 1)) == LEAST_P
+    assert (p_words(0.001), p_words(1e-9), p_words(0.0234)) == ("<= 0.001", "<= 0.001", "= 0.023")
+    text = shown(report_page(turning, None))
+    assert "&lt;= 0.001" in text or "<= 0.001" in text
+    assert "No further candidate effect that is large enough to matter is significant" in text
+
+
+def test_what_no_log_recorded_is_said_to_be_missing(turning):
+    rows = {row["name"]: row for row in turning.document["candidates"]}
+    assert rows["wind"]["why_not"].startswith("not recorded; as a constant of the run: ")
+    assert not rows["temperature"].get("why_not", "").startswith("not recorded")  # the made-up drive has it
 
 
 def test_nothing_found_is_said_with_what_could_be_driven(nothing):
