@@ -153,10 +153,10 @@ def calibrate_on_runs(
     if routes is not None and segments.charge:
         report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
     if test is not None:
-        error = found.errors_on(test)
+        errors = found.errors_on(test)
         if not has_baseline(found):
-            error["corrected"] = error["before"]
-        report["test_set"] = {"segments": int(test.moving.sum()), "error": error}
+            errors["corrected"] = errors["before"]
+        report["test_set"] = {"segments": int(test.moving.sum()), "error": errors}
     report["runs"] = {
         "names": list(segments.runs),
         "rows": runs.rows,
