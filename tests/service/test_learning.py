@@ -21,6 +21,7 @@ from joulemap.model.runs.files import read_calibration_runs, read_segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import evaluate_on_runs
 from joulemap.model.training.measured_runs import train_on_runs
+from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop.calibration import calibrate_on_runs
 from joulemap.service.models import find_predictor
 from joulemap.service.workflows import make_cost_lattice
@@ -178,21 +179,26 @@ def test_a_forgotten_robot_file_is_a_warning_wherever_the_model_answers(tmp_path
         "give that robot's file, or expect errors"
     )
     new = [drive(tmp_path, f"new{k}.csv", y=5.5 + 0.2 * k, more=1.1 + 0.01 * k) for k in range(2)]
+    reports = {
+        robot.name: calibrate_on_runs(
+            tmp_path / "mine",
+            waves(),
+            robot,
+            read_calibration_runs(new, robot, crs=None),
+            out=tmp_path / robot.name,
+        ).document
+        for robot in (ROBOT, other)
+    }
     found = {
         robot.name: {
             "costmap": make_cost_lattice(waves(), robot, model=tmp_path / "mine", headings=4).provenance["warnings"],
             "evaluate": evaluate_on_runs(model, waves(), robot, new)["warnings"],
-            "calibrate": calibrate_on_runs(
-                tmp_path / "mine",
-                waves(),
-                robot,
-                read_calibration_runs(new, robot, crs=None),
-                out=tmp_path / robot.name,
-            ).document["warnings"],
+            "calibrate": reports[robot.name]["warnings"],
         }
         for robot in (ROBOT, other)
     }
     assert all(words in said for said in found["mule"].values())
+    assert f"Warning: {words}" in str(CalibrationResult(tmp_path / "mule", reports["mule"]))
     assert not any("trained with" in " ".join(said) for said in found[ROBOT.name].values())
 
 
