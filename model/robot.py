@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -80,10 +81,11 @@ class Robot:
     def __post_init__(self) -> None:
         for key, (low, high, low_ok) in _RANGES.items():
             value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
+            if isinstance(value, bool) or not isinstance(value, Real):
                 raise RobotError(f"robot.{key} is {value!r}; it must be a number", key=key)
-            inside = (low <= value if low_ok else low < value) and value <= high
-            if not (math.isfinite(value) and inside):
+            number = float(value)
+            inside = (low <= number if low_ok else low < number) and number <= high
+            if not (math.isfinite(number) and inside):
                 least = f"at least {low:g}" if low_ok else f"above {low:g}"
                 raise RobotError(
                     f"robot.{key} is {value}; it must be {least} and at most {_plain(high)}",
@@ -91,7 +93,7 @@ class Robot:
                     value=str(value),
                     limit=[low, high],
                 )
-            object.__setattr__(self, key, float(value))
+            object.__setattr__(self, key, number)
         if not self.name or not isinstance(self.name, str):
             raise RobotError(f"robot.name is {self.name!r}; it must be a text that is not empty", key="name")
 
@@ -259,6 +261,11 @@ class Battery:
     reserve: float = 0.0
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise InputError(f"battery: {field.name} is {value!r}; it must be a number", key=field.name)
+            object.__setattr__(self, field.name, float(value))
         if not (math.isfinite(self.capacity_wh) and self.capacity_wh > 0):
             raise InputError(
                 f"battery: capacity_wh is {self.capacity_wh}; it must be a positive number of watt hours",

@@ -122,3 +122,16 @@ def test_robots_and_batteries_print_in_words_and_units() -> None:
     )
     assert "regeneration 0.3" in words
     assert str(Battery(280.0, charge=0.6)) == "Battery of 280 Wh, charge 60 %, reserve 0 %"
+
+
+@pytest.mark.parametrize(
+    ("values", "named"), [({"charge": "60%"}, "charge is '60%'"), ({"capacity_wh": None}, "capacity_wh")]
+)
+def test_a_battery_is_made_of_numbers(values: dict[str, object], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        Battery(**({"capacity_wh": 280.0} | values))  # type: ignore[arg-type]
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    assert Battery(280, charge=np.float32(0.5)).available_j == pytest.approx(0.5 * 280 * 3600)
+    assert Robot(mass_kg=np.float32(50.0)).mass_kg == 50.0
