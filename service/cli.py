@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from joulemap.service.commands import calibration, distillation, maps, models, reproduction, services, tours
+from joulemap.service.commands import calibration, distillation, heightmaps, maps, models, reproduction, services, tours
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.console import PlainErrors
 
@@ -55,6 +55,7 @@ for _panel, _commands in (
         "Learn",
         (
             models.simulate,
+            heightmaps.heightmap,
             models.train,
             models.evaluate,
             distillation.distill,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,12 @@ from numpy.typing import ArrayLike
 from joulemap.model.errors import HeightmapError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.runs.driven_surface import MAX_GAP_M, RESOLUTION_M, SMOOTHING_M, driven_surface
 from joulemap.model.terrain.coordinate_systems import crs_name
 from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
+from joulemap.service.library.run_files import RunsLike, read_runs
 
 GroundLike = Heightmap | str | Path
 """A heightmap, or the path of its file."""
@@ -79,6 +82,64 @@ def heightmap(
     frame = GridFrame(west_m, rows * resolution_m if north_m is None else north_m, resolution_m, rows, cols)
     named = None if crs is None else crs_name(crs, None if west_m == 0.0 and north_m is None else frame.bounds)
     return Heightmap(array, replace(frame, crs=named), source="array")
+
+
+def heightmap_from_runs(
+    runs: RunsLike,
+    *,
+    resolution_m: float = RESOLUTION_M,
+    smoothing_m: float = SMOOTHING_M,
+    max_gap_m: float = MAX_GAP_M,
+    antenna_height_m: float = 0.0,
+    crs: str | None = None,
+) -> Heightmap:
+    """Make a heightmap of the positions that a robot drove over, where there is no survey.
+
+    It shows the ground as the body of the robot followed it, and only near the driven positions.
+
+    Parameters
+    ----------
+    runs : Runs, str, Path or sequence of these
+        Runs in one frame, with the column `z`. Make one heightmap for each run where each has a frame of its own.
+    resolution_m : float, optional
+        Side of a cell [m].
+    smoothing_m : float, optional
+        Waves shorter than this lose more than half their height [m].
+    max_gap_m : float, optional
+        Ground farther than this from a driven position is unknown [m].
+    antenna_height_m : float, optional
+        Height of `z` above the ground [m].
+    crs : str, optional
+        Coordinate system in metres, "EPSG:n" or WKT. Logs with `lat` and `lon` need it.
+
+    Returns
+    -------
+    Heightmap
+        NaN far from driven positions.
+
+    Raises
+    ------
+    RunsError
+        If a run has no heights.
+    HeightmapError
+        If there are too few positions.
+
+    Warns
+    -----
+    UserWarning
+        If the heights of the runs differ where they meet.
+    """
+    found = driven_surface(
+        read_runs(runs, crs=crs).runs,
+        resolution_m=resolution_m,
+        smoothing_m=smoothing_m,
+        max_gap_m=max_gap_m,
+        antenna_height_m=antenna_height_m,
+        crs=crs,
+    )
+    for warning in found.warnings:
+        warnings.warn(warning, stacklevel=2)
+    return found.heightmap
 
 
 def ground_of(ground: GroundLike) -> Heightmap:
