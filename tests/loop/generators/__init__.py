@@ -1,0 +1,1 @@
+"""Random sites, robots, drives and true energies for validation; nothing here comes from `model.loop` or `model.field`."""
