@@ -69,5 +69,5 @@ def compare(
 
 
 def _measured(heightmap: Heightmap, robot: Robot, files: Sequence[Path], site: str) -> Measured:
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
+    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, protocol="chords")
     return Measured(site, heightmap, tuple(files), segments, np.full(len(segments), np.nan))

@@ -109,7 +109,7 @@ def make_field(folder: Path, seed: int, profile: Profile) -> dict[str, Any]:
                 start_s = _HOUR_S * number
                 log = log_trace(trace, truth, rng=rng, terrain=site.ground.name, start_s=start_s)
                 file = log.write_csv(folder / f"{drive}_{number:02d}.csv")
-                _, segments = read_segments([file], robot, crs=site.survey.frame.crs)
+                _, segments = read_segments([file], robot, crs=site.survey.frame.crs, protocol="chords")
                 parts.append(_explained(trace, segments, start_s))
                 metres[drive] += driven.length_m
             explained[drive] = np.concatenate(parts)
@@ -146,7 +146,7 @@ def read_measured(
     files = _logs(folder, drive)
     if heightmap is None:
         heightmap = read_site_heightmap(folder, site, heightmap_from)
-    _, segments = read_segments(files, robot, crs=heightmap.frame.crs)
+    _, segments = read_segments(files, robot, crs=heightmap.frame.crs, protocol="chords")
     with np.load(folder / "explained.npz") as kept:
         explained = kept[drive]
     return Measured(site, heightmap, files, segments, explained)

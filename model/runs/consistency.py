@@ -35,7 +35,7 @@ def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
     if len(segments) == 0:
         rules = ", ".join(f"{count} {rule}" for rule, count in segments.left_out.items() if count)
         raise RunsError(
-            "the runs hold no segment of 1 m: did the robot move, and is its position recorded?"
+            "the runs hold no segment of 1 m: did the robot move, is its position recorded, and is `t` in s?"
             + (f" Left out: {rules}" if rules else ""),
             left_out=segments.left_out,
         )

@@ -1,13 +1,20 @@
-"""Cut runs into segments of 1 m as the paper does: p and q exactly 1 m apart in the horizontal plane.
+"""Cut runs into segments, along the track or as the paper does.
 
-A run is first divided into pieces: at gaps in its stamps or its usable positions, at position breaks, and where the
-robot is stationary. Positions are smoothed within a piece by local straight lines in time. In each piece segments
-follow one another without overlap. What is left out is counted in `Segments.left_out`:
+"track" is what calibration, training and evaluation use: every piece of track between gaps is cut into parts of equal
+arc length, about 1 m each (`joulemap.model.runs.arcs`). All that the robot drives is in them: curves, slow metres,
+turns on the spot, starts and short stops, and metres on which it feeds energy back. A stop of 2 s or more is in no
+segment.
 
-gaps, stops : divisions of a run for that reason. bent : segments whose track is much longer than their straight length.
-slow : segments that took much longer than usual in their run. remainders : ends of pieces shorter than a segment.
-not_positive : segments whose measured energy is not above zero. fast : segments faster than the robot can drive.
-undriven : segments of runs that draw next to nothing.
+"chords" is the protocol of the paper: p and q exactly 1 m apart in the horizontal plane, and what such a chord cannot
+describe is left out.
+
+What is left out is counted in `Segments.left_out`, and its metres of track are in `Segments.left_out_m`:
+
+gaps : where positions or rows are missing, with the straight distance across. stops : stationary intervals.
+remainders : pieces, or ends of pieces, too short for a segment. fast : segments faster than the robot can drive.
+undriven : segments of runs whose wheels did not roll.
+Of chords only: bent, whose track is much longer than their straight length; slow, which took much longer than usual in
+their run; not_positive, whose measured energy is not above zero.
 
 References
 ----------
@@ -17,12 +24,23 @@ Wei & Isler 2022, section V.
 from __future__ import annotations
 
 import math
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
-from joulemap.model.frames import heading_of
+from joulemap.model.frames import heading_of, wrap_angle
+from joulemap.model.runs.arcs import (
+    STILL_M,
+    STOP_S,
+    arc_headings,
+    arc_track,
+    equal_parts,
+    on_rows,
+    station_at,
+    stops_of,
+)
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import add_count
@@ -45,8 +63,15 @@ CARRIED = 3.0
 left out where the robot is known."""
 
 _ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})  # [deg]
+
+# What makes a chord; settings that the paper does not state.
 _LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
 _STATIONARY_S = 1.0
+_BENT = 1.2  # a track longer than so many lengths
+_SLOW = 3.0  # a duration longer than so many of the usual ones
+
+Protocol = Literal["track", "chords"]
+"""How a run is cut into segments."""
 
 
 def cut_segments(
@@ -54,8 +79,7 @@ def cut_segments(
     *,
     length_m: float = 1.0,
     charge: bool = False,
-    max_driven_ratio: float = 1.2,
-    max_duration_ratio: float = 3.0,
+    protocol: Protocol = "track",
     max_speed_mps: float = math.inf,
 ) -> Segments:
     """Cut a run into segments.
@@ -65,13 +89,11 @@ def cut_segments(
     run : Run
         With positions.
     length_m : float
-        Straight length of a segment [m].
+        Nominal length of a segment [m].
     charge : bool
         Integrate the current alone [A s], for logs without a voltage.
-    max_driven_ratio : float
-        A segment whose track is longer than so many times `length_m` is left out as bent.
-    max_duration_ratio : float
-        A segment that takes longer than so many times the usual duration of its run is left out as slow.
+    protocol : {"track", "chords"}
+        Along the track, so that every metre counts; or chords of exactly `length_m`, as in the paper.
     max_speed_mps : float
         A segment faster than this is left out: the robot was carried, or its positions wander.
 
@@ -83,7 +105,7 @@ def cut_segments(
     Raises
     ------
     InputError
-        If the length is not positive.
+        If the length is not positive, or there is no such protocol.
     RunsError
         If the run has no voltage and `charge` is False.
     """
@@ -91,6 +113,94 @@ def cut_segments(
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=str(length_m))
     if run.voltage_v is None and not charge:
         raise RunsError(f"run {run.name}: no voltage was recorded; ask for charge [A s] instead", run=run.name)
+    if protocol not in get_args(Protocol):
+        raise InputError(f"segments are cut along the 'track' or as 'chords', not as {protocol!r}", protocol=protocol)
+    if not (np.isfinite(run.x) & np.isfinite(run.y)).any():
+        raise RunsError(f"run {run.name}: there is no usable position", run=run.name)
+    cut = _along_the_track if protocol == "track" else _chords
+    return cut(run, length_m, charge, max_speed_mps)
+
+
+def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Segments:
+    track = arc_track(run, length_m)
+    ends, short = equal_parts(track.arc_m, track.gap, track.stop, length_m)
+    station = np.arange(track.t.size, dtype=np.float64)
+
+    def _at(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.interp(ends[:, 0], station, values), np.interp(ends[:, 1], station, values)
+
+    def _between(steps: FloatArray) -> FloatArray:
+        first, last = _at(np.cumsum(steps))
+        return last - first
+
+    t, x, y, filled, piece = track.t, track.x, track.y, on_rows(run, track), np.cumsum(track.gap, dtype=np.int64)
+    stops = track.stop & np.concatenate([[False], track.stop[:-1]]) & ~track.gap
+    stays = track.still & np.concatenate([[False], track.still[:-1]]) & ~track.gap
+    pt, qt = _at(t)
+    ps, qs = _at(track.arc_m)
+    heading = arc_headings(run, track)
+    change, _, _ = turns_between(t, heading, ends)
+    moving = np.where(stays | stops, 0.0, wrap_angle(np.diff(heading, prepend=heading[:1])))
+    _, turned_abs, gentle = turns_between(t, np.cumsum(moving), ends)
+    half_square = 0.5 * track_speeds(filled, track.rows, piece, track.interval_s, track.speed) ** 2
+    rises = np.where(track.gap | stops, 0.0, np.maximum(np.diff(half_square, prepend=0.0), 0.0))
+    kinetic_p, kinetic_q = _at(half_square)
+    dt = np.diff(t, prepend=t[0])
+    power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
+    drawn = np.diff(integral(run.t, power, t), prepend=0.0)
+    duration = qt - pt - _between(np.where(stops, dt, 0.0))
+    energy = integral(run.t, power, qt) - integral(run.t, power, pt) - _between(np.where(stops, drawn, 0.0))
+
+    middle = station_at(track.arc_m, (ps + qs) / 2)
+    before, after = (station_at(track.arc_m, (ps + qs) / 2 + side * (qs - ps) / 4) for side in (-1.0, 1.0))
+    along, across = (np.interp(after, station, way) - np.interp(before, station, way) for way in (x, y))
+    rows = np.ones(len(run), dtype=bool)
+    rows[track.rows[track.stop]] = False
+    first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
+    fast = qs - ps > max_speed_mps * duration
+    edges = np.diff(np.concatenate([[False], track.stop, [False]]).astype(int)) == 1
+    columns = {
+        "x": np.interp(middle, station, x),
+        "y": np.interp(middle, station, y),
+        "heading_rad": heading_of(along, across),
+        "energy_j": energy,
+        "duration_s": duration,
+        "driven_m": qs - ps,
+        "heading_change_rad": change,
+        "turned_abs_rad": turned_abs,
+        "gentle_turn_rad": gentle,
+        "gained_m2ps2": _between(rises),
+        "kinetic_m2ps2": kinetic_q - kinetic_p,
+        "standing_s": _between(np.where(stays & ~stops, dt, 0.0)),
+        "t0": pt,
+    }
+    left_out: dict[str, int] = {}
+    for key, count in (
+        ("gaps", int(track.gap.sum()) - 1),
+        ("stops", int(edges.sum())),
+        ("remainders", len(short)),
+        ("fast", int(fast.sum())),
+    ):
+        add_count(left_out, key, count)
+    left_out_m = {"gaps": track.gap_m, "remainders": sum(short), "fast": float((qs - ps)[fast].sum())}
+    return _segments(
+        run,
+        columns | _electric(run, first, last, rows),
+        first,
+        last,
+        np.interp(middle, station, t),
+        ~fast,
+        rows,
+        length_m=length_m,
+        charge=charge,
+        stationary=stops_of(t, track.gap, track.stop, run.t, power),
+        left_out=left_out,
+        left_out_m=left_out_m,
+        track_m=float(track.arc_m[-1]) + track.gap_m,
+    )
+
+
+def _chords(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Segments:
     left_out: dict[str, int] = {}
     good = np.flatnonzero(np.isfinite(run.x) & np.isfinite(run.y))
     t, x, y = run.t[good], run.x[good], run.y[good]
@@ -98,6 +208,7 @@ def cut_segments(
     interval = float(np.median(fresh)) if fresh.size else 0.0
     longest_gap = max(_LONGEST_GAP_S, 2.5 * interval)
     gap = np.concatenate([[True], (np.diff(t) > longest_gap) | run.breaks[good][1:]])
+    jumps = np.hypot(np.diff(x), np.diff(y))[gap[1:] & ~run.breaks[good][1:]]
     add_count(left_out, "gaps", int(gap.sum()) - 1)
     x, y, vx, vy = smooth(t, x, y, np.cumsum(gap), max(SMOOTHING_S, interval))
     speed = np.hypot(vx, vy)
@@ -114,15 +225,18 @@ def cut_segments(
         return np.interp(ends[:, 0], station, values), np.interp(ends[:, 1], station, values)
 
     (px, qx), (py, qy), (pt, qt) = _at(x), _at(y), _at(t)
-    ps, qs = _at(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))]))
+    step = np.concatenate([[0.0], np.hypot(np.diff(x), np.diff(y))])
+    ps, qs = _at(np.cumsum(step))
     turned, turned_abs, gentle = turns_between(t, track_headings(run, good, np.cumsum(gap), interval, speed), ends)
-    rises = np.maximum(np.diff(0.5 * track_speeds(run, good, np.cumsum(gap), interval, speed) ** 2, prepend=0.0), 0.0)
+    half_square = 0.5 * track_speeds(run, good, np.cumsum(gap), interval, speed) ** 2
+    rises = np.maximum(np.diff(half_square, prepend=0.0), 0.0)
     gained_p, gained_q = _at(np.cumsum(np.where(gap, 0.0, rises)))
+    kinetic_p, kinetic_q = _at(half_square)
+    standing = (speed < STILL_M / STOP_S) & ~gap
+    standing_p, standing_q = _at(np.cumsum(np.where(standing, np.diff(t, prepend=t[0]), 0.0)))
     power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
     energy = integral(run.t, power, qt) - integral(run.t, power, pt)
     first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
-    voltage = np.full(pt.size, np.nan) if run.voltage_v is None else _mean(run.voltage_v, first, last, False)
-    current, square = (_mean(values, first, last, False) for values in (run.current_a, run.current_a**2))
     columns = {
         "x": (px + qx) / 2,
         "y": (py + qy) / 2,
@@ -135,28 +249,75 @@ def cut_segments(
         "turned_abs_rad": turned_abs,
         "gentle_turn_rad": gentle,
         "gained_m2ps2": gained_q - gained_p,
-        "voltage_v": voltage,
-        "current_a": current,
-        "ripple": _ripple(square, current),
+        "kinetic_m2ps2": kinetic_q - kinetic_p,
+        "standing_s": standing_q - standing_p,
     }
-    bent = (qs - ps) > max_driven_ratio * length_m
-    slow = ~bent & ((qt - pt) * usual > max_duration_ratio * length_m)
+    bent = (qs - ps) > _BENT * length_m
+    slow = ~bent & ((qt - pt) * usual > _SLOW * length_m)
     dead = ~bent & ~slow & ~(energy > 0)
     fast = ~bent & ~dead & (qs - ps > max_speed_mps * (qt - pt))
-    for key, mask in (("bent", bent), ("slow", slow), ("not_positive", dead), ("fast", fast)):
+    divided = gap | (piece == 0) | (np.concatenate([[0], piece[:-1]]) != piece)  # by a gap or a stationary interval
+    driven = np.where(divided, 0.0, step)
+    track_m = float(np.where(gap, 0.0, step).sum())
+    left_out_m = {
+        "gaps": float(jumps.sum()),
+        "stops": track_m - float(driven.sum()),
+        "remainders": float(driven.sum() - (qs - ps).sum()),
+    }
+    for key, mask in (("bent", bent), ("slow", slow), ("not_positive", dead), ("fast", fast & ~slow)):
         add_count(left_out, key, int(mask.sum()))
-    keep = ~(bent | slow | dead | fast)
-    middle = np.clip(np.searchsorted(run.t, (pt + qt) / 2), 0, len(run) - 1)
-    return Segments(
-        **{key: np.ascontiguousarray(values[keep]) for key, values in columns.items()},
-        run=np.zeros(int(keep.sum()), dtype=np.int64),
-        runs=(run.name,),
+        left_out_m[key] = float((qs - ps)[mask].sum())
+    return _segments(
+        run,
+        columns | _electric(run, first, last, None),
+        first,
+        last,
+        (pt + qt) / 2,
+        ~(bent | slow | dead | fast),
+        None,
         length_m=length_m,
         charge=charge,
-        extras={key: _mean(values, first, last, key in _ANGLE_COLUMNS)[keep] for key, values in run.extras.items()},
-        texts={key: values[middle][keep] for key, values in run.texts.items()},
         stationary=stationary_intervals(t, x, y, piece, run.t, power, run.extras.get("speed")),
         left_out=left_out,
+        left_out_m=left_out_m,
+        track_m=track_m + left_out_m["gaps"],
+    )
+
+
+def _electric(
+    run: Run, first: NDArray[np.int64], last: NDArray[np.int64], rows: NDArray[np.bool_] | None
+) -> dict[str, FloatArray]:
+    """Mean voltage, mean current and ripple between two rows."""
+    current, square = (_mean(values, first, last, False, rows) for values in (run.current_a, run.current_a**2))
+    voltage = np.full(first.size, np.nan)
+    if run.voltage_v is not None:
+        voltage = _mean(run.voltage_v, first, last, False, rows)
+    return {"voltage_v": voltage, "current_a": current, "ripple": _ripple(square, current)}
+
+
+def _segments(
+    run: Run,
+    columns: dict[str, FloatArray],
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+    middle_s: FloatArray,
+    keep: NDArray[np.bool_],
+    rows: NDArray[np.bool_] | None,
+    *,
+    left_out_m: dict[str, float],
+    **more: Any,
+) -> Segments:
+    middle = np.clip(np.searchsorted(run.t, middle_s), 0, len(run) - 1)
+    extras = {key: _mean(column, first, last, key in _ANGLE_COLUMNS, rows) for key, column in run.extras.items()}
+    kept: dict[str, Any] = {key: np.ascontiguousarray(column[keep]) for key, column in columns.items()}
+    return Segments(
+        **kept,
+        run=np.zeros(int(keep.sum()), dtype=np.int64),
+        runs=(run.name,),
+        extras={key: column[keep] for key, column in extras.items()},
+        texts={key: column[middle][keep] for key, column in run.texts.items()},
+        left_out_m={key: metres for key, metres in left_out_m.items() if metres > 0},
+        **more,
     )
 
 
@@ -166,13 +327,19 @@ def _ripple(square: FloatArray, mean: FloatArray) -> FloatArray:
     return np.where(flows, square / np.where(flows, mean, 1.0) ** 2, 1.0)
 
 
-def _mean(values: FloatArray, first: NDArray[np.int64], last: NDArray[np.int64], angle: bool) -> FloatArray:
+def _mean(
+    values: FloatArray,
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+    angle: bool,
+    rows: NDArray[np.bool_] | None = None,
+) -> FloatArray:
     """Mean of the known samples in rows [first, last); NaN where there is none. Angles [deg] as directions, 0..360."""
     if angle:
         radians = np.radians(values)
-        sine, cosine = _mean(np.sin(radians), first, last, False), _mean(np.cos(radians), first, last, False)
+        sine, cosine = (_mean(part, first, last, False, rows) for part in (np.sin(radians), np.cos(radians)))
         return np.degrees(heading_of(sine, cosine))
-    known = np.isfinite(values)
+    known = np.isfinite(values) if rows is None else np.isfinite(values) & rows
     centre = float(values[known].mean()) if known.any() else 0.0
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, values - centre, 0.0))])
     counts = np.concatenate([[0], np.cumsum(known)])

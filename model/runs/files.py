@@ -9,7 +9,7 @@ from pathlib import Path
 
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.cutting import CARRIED, cut_segments
+from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
 from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
 from joulemap.model.runs.reader import Run, read_run
 from joulemap.model.runs.segments import Segments, concatenate, driven_only
@@ -78,6 +78,7 @@ def read_calibration_runs(
     crs: str | None,
     baseline_files: Sequence[Path] = (),
     test_files: Sequence[Path] = (),
+    protocol: Protocol = "track",
 ) -> CalibrationRuns:
     """Read runs with positions.
 
@@ -93,6 +94,8 @@ def read_calibration_runs(
         Of runs in which nothing new happens.
     test_files : sequence of Path
         Of runs for the test only.
+    protocol : {"track", "chords"}
+        As in `cut_segments`.
 
     Returns
     -------
@@ -106,7 +109,7 @@ def read_calibration_runs(
     """
 
     def _cut_one(run: Run, charge: bool) -> Segments:
-        return cut_segments(run, charge=charge, max_speed_mps=CARRIED * robot.speed_mps)
+        return cut_segments(run, charge=charge, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
 
     read = _read((files, baseline_files, test_files), lambda file, name: read_run(file, name=name, crs=crs))
     return _cut(read, _cut_one)
@@ -173,7 +176,12 @@ def _cut(read: list[list[Run]], cut: Callable[[Run, bool], Segments]) -> Calibra
 
 
 def read_segments(
-    files: Sequence[Path], robot: Robot, *, crs: str | None, charge: bool = False
+    files: Sequence[Path],
+    robot: Robot,
+    *,
+    crs: str | None,
+    charge: bool = False,
+    protocol: Protocol = "track",
 ) -> tuple[list[Run], Segments]:
     """Read runs for training: every run, and the segments of all in joules.
 
@@ -187,6 +195,8 @@ def read_segments(
         The heightmap's CRS, needed for `lat` and `lon`.
     charge : bool
         Use the charge of every run, also of those with a voltage.
+    protocol : {"track", "chords"}
+        As in `cut_segments`.
 
     Returns
     -------
@@ -204,6 +214,6 @@ def read_segments(
     parts = []
     for run in runs:
         counted = charge or run.voltage_v is None
-        cut = cut_segments(run, charge=counted, max_speed_mps=CARRIED * robot.speed_mps)
+        cut = cut_segments(run, charge=counted, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
     return runs, driven_only(concatenate(parts))

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
+from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing, station_at, stops_of
 from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import columns_there, read_table
-from joulemap.model.runs.track import TURN_LIMITS_RADPS, stationary_intervals
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
@@ -35,9 +36,6 @@ _OTHER_NAMES = {
 }
 """As in the logs of BorealTC (LaRocque et al., IROS 2024)."""
 
-_LONGEST_GAP_S = 0.75
-_STATIONARY_S = 1.0
-_STATIONARY_MPS = 0.02
 _NUMBERED = re.compile(r"[\W_]*\d*$")
 
 
@@ -153,10 +151,10 @@ def integrate(
     Notes
     -----
     Each step has the mean speeds of its two ends and is an arc, which is exact at constant speeds. Nothing is driven
-    across gaps of more than 0.75 s and steps back in time.
+    across missing rows (`joulemap.model.runs.arcs.rows_missing`) and steps back in time.
     """
     dt = np.diff(t)
-    dt = np.where((dt > 0) & (dt <= _LONGEST_GAP_S), dt, 0.0)
+    dt = np.where((dt > 0) & ~rows_missing(t, _rolled(t, np.stack([left_mps, right_mps]))), dt, 0.0)
     ahead = 0.25 * (left_mps[1:] + left_mps[:-1] + right_mps[1:] + right_mps[:-1]) * dt
     turn = 0.5 * (left_mps[1:] + left_mps[:-1] - right_mps[1:] - right_mps[:-1]) * dt / track_m
     heading = np.concatenate([[0.0], np.cumsum(turn)])
@@ -171,15 +169,16 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
     """Cut a run into segments by the distance that the wheels roll.
 
     The distance is the mean of both sides, so that turning on the spot counts too. `driven_m` is what the wheels
-    rolled, `heading_rad` where the robot points in the middle. Gaps, and stationary intervals of a second or more,
-    divide a run; ends of pieces that are shorter than a segment are left out.
+    rolled, `heading_rad` where the robot points in the middle. Every piece between missing rows is cut into equal parts
+    of about `length_m`; stops of 2 s or more are in no segment. The metres across missing rows are those at the mean
+    speed of both ends.
 
     Parameters
     ----------
     run : Run
         From `read_odometry`.
     length_m : float
-        Of a segment [m].
+        Nominal length of a segment [m].
     charge : bool
         Integrate the current alone [A s] instead of the power [J].
 
@@ -197,28 +196,35 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
         raise RunsError(f"run {run.name}: no voltage was recorded; ask for charge [A s] instead", run=run.name)
     t = run.t
     sides = np.stack([_without_blanks(run.extras[name]) for name in _SIDES])
-    rolling = np.abs(sides).mean(axis=0)
-    gap = np.diff(t) > _LONGEST_GAP_S
-    dt = np.where(gap, 0.0, np.diff(t))
-    travel = _summed(0.5 * (rolling[1:] + rolling[:-1]) * dt)
-    pieces = _pieces(t, rolling, gap)
-    starts, ends, remainders = _ends(t, travel, pieces, length_m)
-    piece = np.zeros(t.size, dtype=np.int64)
-    for number, (first, last) in enumerate(pieces, start=1):
-        piece[first : last + 1] = number
+    rolled = _rolled(t, sides)
+    missing = rows_missing(t, rolled, length_m)
+    gap = np.concatenate([[True], missing])
+    still = np.abs(sides).max(axis=0) < STILL_M / STOP_S
+    stop = _long_intervals(t, still, gap)
+    dt = np.where(missing | (stop[1:] & stop[:-1]), 0.0, np.diff(t))
+    arc = _summed(np.where(dt > 0, rolled, 0.0))
+    spans, short = equal_parts(arc, gap, stop, length_m)
+    station = np.arange(t.size, dtype=np.float64)
+    starts, ends = (np.interp(spans[:, k], station, t) for k in (0, 1))
+    middle = np.interp(station_at(arc, np.interp(spans, station, arc).mean(axis=1)), station, t)
+    row = np.clip(np.searchsorted(t, middle), 0, t.size - 1)
     heading = np.unwrap(np.radians(run.extras["heading"]))
-    step = np.diff(heading)
+    step = np.where(dt > 0, np.diff(heading), 0.0)
     speed = sides.mean(axis=0)
+    half_square = 0.5 * speed**2
     power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
     energy = _summed(0.5 * (power[1:] + power[:-1]) * dt)
-    middle = (starts + ends) / 2
-    row = np.clip(np.searchsorted(t, middle), 0, t.size - 1)
+    gap_m = float(rolled[missing].sum())
 
     def _between(cumulated: FloatArray) -> FloatArray:
         return np.interp(ends, t, cumulated) - np.interp(starts, t, cumulated)
 
     def _mean(values: FloatArray) -> FloatArray:
-        return _between(_summed(0.5 * (values[1:] + values[:-1]) * dt)) / np.maximum(ends - starts, 1e-9)
+        return _between(_summed(0.5 * (values[1:] + values[:-1]) * dt)) / np.maximum(duration, 1e-9)
+
+    duration = _between(_summed(dt))
+    counts = {"gaps": int(missing.sum()), "stops": int((np.diff(stop.astype(int), prepend=0) == 1).sum())}
+    metres = {"gaps": gap_m, "remainders": sum(short)}
 
     usable = np.isfinite(run.x)
     logged = {key: _without_blanks(values) for key, values in run.extras.items() if key not in _SIDES}
@@ -227,14 +233,16 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
         y=np.interp(middle, t[usable], run.y[usable]),
         heading_rad=np.mod(np.interp(middle, t, heading), 2.0 * np.pi),
         energy_j=_between(energy),
-        duration_s=ends - starts,
-        driven_m=np.full(starts.size, length_m),
-        heading_change_rad=_between(heading),
+        duration_s=duration,
+        driven_m=_between(arc),
+        heading_change_rad=_between(_summed(step)),
         turned_abs_rad=_between(_summed(np.abs(step))),
         gentle_turn_rad=np.stack(
             [_between(_summed(np.minimum(np.abs(step), limit * dt))) for limit in TURN_LIMITS_RADPS], axis=1
         ),
-        gained_m2ps2=_between(_summed(np.maximum(np.diff(0.5 * speed**2), 0.0))),
+        gained_m2ps2=_between(_summed(np.maximum(np.where(dt > 0, np.diff(half_square), 0.0), 0.0))),
+        kinetic_m2ps2=_between(half_square),
+        standing_s=_between(_summed(np.where(still[1:] & still[:-1], dt, 0.0))),
         voltage_v=np.full(starts.size, np.nan) if run.voltage_v is None else _mean(run.voltage_v),
         current_a=_mean(run.current_a),
         ripple=np.ones(starts.size),
@@ -246,8 +254,10 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
         extras={key: _mean(values) for key, values in logged.items()}
         | {"heading": np.degrees(np.interp(middle, t, heading)) % 360.0, "speed": _mean(speed)},
         texts={key: words[row] for key, words in run.texts.items()},
-        stationary=stationary_intervals(t, run.x, run.y, piece, t, power, rolling),
-        left_out={"remainders": remainders} if remainders else {},
+        stationary=stops_of(t, gap, stop, t, power),
+        left_out={key: count for key, count in (counts | {"remainders": len(short)}).items() if count},
+        left_out_m={key: length for key, length in metres.items() if length > 0},
+        track_m=float(arc[-1]) + gap_m,
     )
 
 
@@ -293,31 +303,18 @@ def _without_blanks(values: FloatArray) -> FloatArray:
     return np.interp(rows, rows[known], values[known]) if known.any() else np.zeros(values.size)
 
 
-def _pieces(t: FloatArray, rolling: FloatArray, gap: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first row, last row) of each stretch without a gap or a stationary interval."""
-    still = rolling < _STATIONARY_MPS
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
-    moving = np.ones(t.size, dtype=bool)
-    for first, after in zip(edges[::2], edges[1::2], strict=True):
-        if t[after - 1] - t[first] >= _STATIONARY_S:
-            moving[first:after] = False
-    fresh = np.concatenate([[True], gap | ~moving[:-1]]) & moving
-    firsts = np.flatnonzero(fresh)
-    lasts = np.flatnonzero(moving & np.concatenate([gap | ~moving[1:], [True]]))
-    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
+def _rolled(t: FloatArray, sides: FloatArray) -> FloatArray:
+    """What the wheels roll from each row to the next [m], (n - 1,): the mean of both sides, unsigned."""
+    rolling = np.abs(sides).mean(axis=0)
+    return np.asarray(0.5 * (rolling[1:] + rolling[:-1]) * np.diff(t))
 
 
-def _ends(
-    t: FloatArray, travel: FloatArray, pieces: Sequence[tuple[int, int]], length_m: float
-) -> tuple[FloatArray, FloatArray, int]:
-    """Stamps at which segments start and end, and how many pieces end in less than a segment."""
-    starts, ends = [np.empty(0)], [np.empty(0)]
-    remainders = 0
-    for first, last in pieces:
-        count = int((travel[last] - travel[first]) / length_m + 1e-9)
-        remainders += int(travel[last] - travel[first] > count * length_m + 1e-9)
-        at = travel[first] + length_m * np.arange(count + 1)
-        stamps = np.interp(at, travel[first : last + 1], t[first : last + 1])
-        starts.append(stamps[:-1])
-        ends.append(stamps[1:])
-    return np.concatenate(starts), np.concatenate(ends), remainders
+def _long_intervals(t: FloatArray, still: NDArray[np.bool_], gap: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """True in intervals without a gap that are still for `STOP_S` or more."""
+    stop = np.zeros(t.size, dtype=bool)
+    begins = np.flatnonzero(still & (gap | ~np.concatenate([[False], still[:-1]])))
+    ends = np.flatnonzero(still & (np.append(gap[1:], True) | ~np.append(still[1:], False)))
+    for first, last in zip(begins.tolist(), ends.tolist(), strict=True):
+        if t[last] - t[first] >= STOP_S:
+            stop[first : last + 1] = True
+    return stop

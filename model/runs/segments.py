@@ -14,7 +14,16 @@ from joulemap.model.runs.table import add_count
 
 FloatArray = NDArray[np.float64]
 
-_UNDRIVEN = 0.15  # of the usual current: a run that draws less was not driven
+_ROLLED_SHARE = 0.5  # wheels that slip roll more than the track; half of it is no calibration error of a wheel speed
+_WHEELS = {
+    "speed_left": 1.0,
+    "speed_right": 1.0,
+    "velL": 1.0,
+    "velR": 1.0,
+    "wheel_left_rad_s": 1.0,
+    "wheel_right_rad_s": 1.0,
+}
+"""Columns of wheel speeds -> metres per unit; no wheel has a radius above 1 m."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +33,13 @@ class Segments:
     Attributes
     ----------
     x, y : ndarray of float, (n,)
-        Centre [m].
+        Centre [m]; of segments along the track, the middle of their track.
     heading_rad : ndarray of float, (n,)
-        Of p -> q.
+        Of p -> q; of segments along the track, the direction of travel in their middle.
     energy_j : ndarray of float, (n,)
         Drawn from the battery [J], or charge [A s] if `charge`.
     duration_s : ndarray of float, (n,)
-        From p to q.
+        From p to q, without stops in between.
     driven_m : ndarray of float, (n,)
         Horizontal length of the track.
     heading_change_rad : ndarray of float, (n,)
@@ -41,6 +50,10 @@ class Segments:
         The same, where a rate of turning counts only up to each of `track.TURN_LIMITS_RADPS`.
     gained_m2ps2 : ndarray of float, (n,)
         Sum of the increases of half the squared speed between p and q [m^2/s^2]; decreases do not count.
+    kinetic_m2ps2 : ndarray of float, (n,)
+        Half the squared speed at q minus that at p [m^2/s^2].
+    standing_s : ndarray of float, (n,)
+        Of `duration_s`, the time in which the robot neither drives nor turns.
     voltage_v : ndarray of float, (n,)
         Mean; NaN where it was not recorded.
     current_a : ndarray of float, (n,)
@@ -54,7 +67,7 @@ class Segments:
     runs : tuple of str
         Names of the runs.
     length_m : float
-        Straight length of a segment.
+        Nominal length of a segment.
     charge : bool
         Whether `energy_j` is charge.
     extras : dict of str to ndarray of float, (n,)
@@ -66,6 +79,10 @@ class Segments:
         second.
     left_out : dict
         Count by reason.
+    left_out_m : dict
+        Metres by reason, as `left_out`.
+    track_m : float
+        Metres of track of all runs, with those that are left out.
     """
 
     x: FloatArray
@@ -78,6 +95,8 @@ class Segments:
     turned_abs_rad: FloatArray
     gentle_turn_rad: FloatArray
     gained_m2ps2: FloatArray
+    kinetic_m2ps2: FloatArray
+    standing_s: FloatArray
     voltage_v: FloatArray
     current_a: FloatArray
     ripple: FloatArray
@@ -90,6 +109,8 @@ class Segments:
     texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     stationary: tuple[tuple[int, float, float], ...] = ()
     left_out: dict[str, int] = field(default_factory=dict)
+    left_out_m: dict[str, float] = field(default_factory=dict)
+    track_m: float = 0.0
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -100,8 +121,23 @@ class Segments:
     def __len__(self) -> int:
         return int(self.x.size)
 
+    @property
+    def used_m(self) -> float:
+        """Metres of track in these segments."""
+        return float(self.driven_m.sum())
+
+    def coverage(self) -> dict[str, Any]:
+        """Return how much of the track is used.
+
+        Returns
+        -------
+        dict
+            JSON-able: `track_m`, metres driven; `used_m`, of these segments; `left_out_m`, metres by reason.
+        """
+        return {"track_m": self.track_m, "used_m": self.used_m, "left_out_m": dict(self.left_out_m)}
+
     def take(self, which: ArrayLike) -> Segments:
-        """Return some of the segments; `runs`, `stationary` and `left_out` stay.
+        """Return some of the segments; `runs`, `stationary` and what is said of whole runs stay.
 
         Parameters
         ----------
@@ -148,9 +184,12 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
     words = sorted({key for p in parts for key in p.texts})
     plain = [f.name for f in fields(Segments) if isinstance(getattr(parts[0], f.name), np.ndarray) and f.name != "run"]
     left_out: dict[str, int] = {}
+    left_out_m: dict[str, float] = {}
     for part in parts:
         for key, count in part.left_out.items():
             add_count(left_out, key, count)
+        for key, metres in part.left_out_m.items():
+            left_out_m[key] = left_out_m.get(key, 0.0) + metres
     return Segments(
         **{key: np.concatenate([getattr(p, key) for p in parts]) for key in plain},
         run=np.concatenate([p.run + o for p, o in zip(parts, offsets, strict=False)]),
@@ -161,14 +200,16 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
         texts={k: np.concatenate([p.texts.get(k, np.full(len(p), "")) for p in parts]) for k in words},
         stationary=tuple((r + int(o), t, e) for p, o in zip(parts, offsets, strict=False) for r, t, e in p.stationary),
         left_out=left_out,
+        left_out_m=left_out_m,
+        track_m=sum(part.track_m for part in parts),
     )
 
 
 def driven_only(segments: Segments) -> Segments:
-    """Leave out the runs that draw next to nothing.
+    """Leave out the runs in which the robot was carried.
 
-    Their median current is below 15 % of that of the median run, as of a robot on a trailer, or of a stationary
-    one whose positions wander. Their segments are counted as `undriven`. Nothing is left out of fewer than three runs.
+    These are the runs with logged wheel speeds whose wheels rolled less than half of the track. Their metres are
+    counted as `undriven`. A run without wheel speeds is kept: what it draws does not decide whether it is used.
 
     Parameters
     ----------
@@ -180,12 +221,17 @@ def driven_only(segments: Segments) -> Segments:
     Segments
         Of the runs that were driven.
     """
-    medians = {int(k): float(np.median(segments.current_a[segments.run == k])) for k in np.unique(segments.run)}
-    if len(medians) < 3:
+    wheels = [metres * np.abs(segments.extras[key]) for key, metres in _WHEELS.items() if key in segments.extras]
+    if not wheels:
         return segments
-    least = _UNDRIVEN * float(np.median(list(medians.values())))
-    still = [k for k, current in medians.items() if current < least]
-    if not still:
+    rolled = np.max(wheels, axis=0) * segments.duration_s  # NaN where a side is not known
+    members = [np.flatnonzero(segments.run == k) for k in range(len(segments.runs))]
+    carried = [m for m in members if rolled[m].sum() < _ROLLED_SHARE * segments.driven_m[m].sum()]
+    if not carried:
         return segments
-    undriven = np.isin(segments.run, still)
-    return replace(segments.take(~undriven), left_out=segments.left_out | {"undriven": int(undriven.sum())})
+    rows = np.concatenate(carried)
+    kept = segments.take(np.setdiff1d(np.arange(len(segments)), rows))
+    left_out = dict(segments.left_out)
+    add_count(left_out, "undriven", rows.size)
+    metres = segments.left_out_m.get("undriven", 0.0) + float(segments.driven_m[rows].sum())
+    return replace(kept, left_out=left_out, left_out_m=segments.left_out_m | {"undriven": metres})

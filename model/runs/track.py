@@ -48,18 +48,73 @@ def track_headings(
         Heading [rad]: the column `heading` where it agrees with the track, because a compass knows it better than
         positions do; otherwise the direction of the track.
     """
-    t, x, y = run.t[good], run.x[good], run.y[good]
+    track = direction_of_travel(run.t[good], run.x[good], run.y[good], piece, interval)
+    pointed = compass_headings(run, good, piece, interval, speed, track)
+    return track if pointed is None else pointed
+
+
+def direction_of_travel(
+    t: FloatArray, x: FloatArray, y: FloatArray, piece: NDArray[np.int64], interval: float
+) -> FloatArray:
+    """Return the direction of a track.
+
+    Parameters
+    ----------
+    t, x, y : ndarray of float, (m,)
+        Stamps [s] and positions [m].
+    piece : ndarray of int, (m,)
+        Number of the piece between gaps.
+    interval : float
+        The usual time between fixes [s].
+
+    Returns
+    -------
+    ndarray of float, (m,)
+        Heading [rad].
+    """
     _, _, vx, vy = smooth(t, x, y, piece, max(_TRACK_HEADING_S, interval))
-    track = heading_of(vx, vy)
+    return heading_of(vx, vy)
+
+
+def compass_headings(
+    run: Run,
+    good: NDArray[np.int64],
+    piece: NDArray[np.int64],
+    interval: float,
+    speed: FloatArray,
+    track: FloatArray,
+) -> FloatArray | None:
+    """Return the column `heading`, smoothed, if it agrees with the direction of the track.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    good : ndarray of int, (m,)
+        Its rows on the track.
+    piece : ndarray of int, (m,)
+        Number of the piece between gaps.
+    interval : float
+        The usual time between fixes [s].
+    speed : ndarray of float, (m,)
+        Of the track [m/s].
+    track : ndarray of float, (m,)
+        Its direction [rad].
+
+    Returns
+    -------
+    ndarray of float, (m,), or None
+        Heading [rad].
+    """
     compass = run.extras.get("heading")
     if compass is None or np.isfinite(compass[good]).mean() < 0.8:
-        return track
-    known = np.isfinite(compass)
+        return None
+    t, known = run.t[good], np.isfinite(compass)
     turns = np.unwrap(np.radians(compass[known]))
     pointed = np.interp(t, run.t[known], turns)
     clear = speed > 0.5 * float(np.quantile(speed, 0.9))
     if np.median(np.abs(wrap_angle(pointed - track)[clear])) > _COMPASS_AGREES_RAD:
-        return track
+        return None
     north, east, _, _ = smooth(t, np.cos(pointed), np.sin(pointed), piece, max(SMOOTHING_S, interval))
     return heading_of(east, north)
 

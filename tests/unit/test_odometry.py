@@ -1,7 +1,5 @@
 """Wheel speeds into tracks: arcs in closed form, turns on the spot, and the real Husky where it lies beside."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -43,10 +41,10 @@ def test_a_straight_log_becomes_a_run_for_the_segments(tmp_path):
     run = read_odometry(file, Odometry(1.0, terrain_from_name=True))
     segments = cut_segments(run, charge=True)
     travelled = cut_travel(run, charge=True)
-    assert len(segments) >= 14
-    assert len(travelled) == 15  # 199 steps at 6.5 Hz and 0.5 m/s are 15.3 m
     for each in (segments, travelled):
-        np.testing.assert_allclose(each.energy_j, 6.0 * 2.0, rtol=1e-3)  # both magnitudes, 2 s per metre
+        assert len(each) == 15
+        np.testing.assert_allclose(each.driven_m, 0.5 * 199 / 6.5 / 15, rtol=1e-3)  # 199 steps at 6.5 Hz are 15.3 m
+        np.testing.assert_allclose(each.energy_j, 6.0 * 199 / 6.5 / 15, rtol=1e-3)  # both magnitudes
         np.testing.assert_allclose(each.turned_abs_rad, 0.0, atol=1e-6)
         assert set(each.texts["terrain"]) == {"snow"}
     ground = flat_heightmap([run])
@@ -59,9 +57,11 @@ def test_turning_on_the_spot_is_wheel_travel(tmp_path):
     assert np.nanmax(np.abs(run.x)) == 0.0
     segments = cut_travel(run, charge=True)
     assert len(segments) == 6  # 30.6 s at 0.2 m/s
-    np.testing.assert_allclose(segments.heading_change_rad, 0.4 / 0.8 * 5.0, rtol=1e-6)  # 5 s per metre
-    np.testing.assert_allclose(segments.gentle_turn_rad[:, 0], 0.05 * 5.0, rtol=1e-6)
-    np.testing.assert_allclose(segments.energy_j, 6.0 * 5.0, rtol=1e-6)
+    each_s = 199 / 6.5 / 6
+    np.testing.assert_allclose(segments.heading_change_rad, 0.4 / 0.8 * each_s, rtol=1e-6)
+    np.testing.assert_allclose(segments.gentle_turn_rad[:, 0], 0.05 * each_s, rtol=1e-6)
+    np.testing.assert_allclose(segments.energy_j, 6.0 * each_s, rtol=1e-6)
+    np.testing.assert_array_equal(segments.standing_s, 0.0)
     np.testing.assert_allclose(segments.extras["speed"], 0.0, atol=1e-12)
 
 
@@ -70,7 +70,7 @@ def test_energy_is_integrated_where_a_voltage_was_logged(tmp_path):
     run = read_odometry(write(tmp_path / "a.csv", straight, straight, voltage=np.full(200, 24.0)), Odometry(1.0))
     segments = cut_travel(run)
     assert not segments.charge
-    np.testing.assert_allclose(segments.energy_j, 24.0 * 6.0 * 2.0, rtol=1e-6)
+    np.testing.assert_allclose(segments.energy_j, 24.0 * 6.0 * 199 / 6.5 / 15, rtol=1e-6)
     with pytest.raises(RunsError, match="no voltage"):
         cut_travel(read_odometry(write(tmp_path / "b.csv", straight, straight), Odometry(1.0)))
 
@@ -80,12 +80,28 @@ def test_the_ground_is_read_from_a_name():
     assert {name: terrain_in_name(name) for name in names} == names
 
 
-def test_stands_divide_a_run(tmp_path):
-    speed = np.concatenate([np.full(45, 0.5), np.zeros(30), np.full(45, 0.5)])
-    segments = cut_travel(read_odometry(write(tmp_path / "a.csv", speed, speed), Odometry(1.0)), charge=True)
-    assert len(segments) == 6
-    assert segments.duration_s.max() == pytest.approx(2.0, rel=0.01)
-    assert segments.left_out == {"remainders": 2}
+def test_a_long_stop_is_in_no_segment_and_a_short_one_is(tmp_path):
+    for seconds, stops in ((4.6, 1), (1.5, 0)):
+        speed = np.concatenate([np.full(45, 0.5), np.zeros(round(6.5 * seconds)), np.full(45, 0.5)])
+        segments = cut_travel(read_odometry(write(tmp_path / "a.csv", speed, speed), Odometry(1.0)), charge=True)
+        assert len(segments) == 7  # 6.85 m, the fourth with the stop in its middle
+        assert segments.used_m == pytest.approx(segments.track_m) == pytest.approx(0.5 * 89 / 6.5)
+        assert segments.left_out.get("stops", 0) == len(segments.stationary) == stops
+        longer = segments.duration_s.max() - np.median(segments.duration_s)
+        assert longer == pytest.approx(0.0 if stops else seconds, abs=0.35)
+        assert segments.standing_s.sum() == pytest.approx(0.0 if stops else seconds, abs=0.2)
+        np.testing.assert_allclose(segments.energy_j, 6.0 * segments.duration_s)
+
+
+def test_nothing_is_said_of_missing_rows(tmp_path):
+    speed = np.full(200, 0.5)
+    file = write(tmp_path / "a.csv", speed, speed)
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(lines[:100] + lines[130:]))  # 31 steps of 0.154 s are 2.38 m
+    segments = cut_travel(read_odometry(file, Odometry(1.0)), charge=True)
+    assert segments.left_out == {"gaps": 1}
+    assert segments.left_out_m["gaps"] == pytest.approx(0.5 * 31 / 6.5)
+    assert segments.used_m + segments.left_out_m["gaps"] == pytest.approx(segments.track_m)
 
 
 def test_what_is_missing_is_named(tmp_path):
@@ -118,4 +134,5 @@ def test_real_odometry_is_metres_long(real_data):
     assert {"SNOW", "ASPHALT", "FLOORING"} <= set(run.texts["terrain"])
     segments = cut_travel(run, charge=True)
     assert len(segments) == pytest.approx(250, abs=30)
-    assert math.isclose(segments.driven_m.sum(), len(segments))
+    assert segments.used_m == pytest.approx(len(segments), rel=0.01)
+    assert segments.used_m >= 0.99 * segments.track_m
