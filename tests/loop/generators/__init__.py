@@ -1,1 +1,1 @@
-"""Random sites, robots, drives and true energies for validation; nothing here comes from `model.loop` or `model.field`."""
+"""Random sites, robots, drives and true energies for validation, without a formula of `model.loop` or `model.field`."""

@@ -150,7 +150,7 @@ class _Day:
         rng = np.random.default_rng(of_day)
         weather = self.config.weather
         mean = rng.uniform(*weather.day_degc)
-        wind_from, shift = rng.uniform(0.0, 2 * np.pi, 2)
+        wind_from = rng.uniform(0.0, 2 * np.pi)
         region = region_of(self.site, rng)
         spread = np.linspace(0.0, 1.0, max(runs, 2))
         order, cargo_order = rng.permutation(max(runs, 2)), rng.permutation(max(runs, 2))
@@ -181,7 +181,7 @@ class _Day:
             )
             name = f"run_{k + 1:02d}.csv"
             stamp = 1e6 + self.day * _DAY_S + clock
-            logger = Logger(self.config.log, shift, stamp, weather.wind_logged)
+            logger = Logger(self.config.log, stamp, weather.wind_logged)
             power = factor * true_power_w(scene, effects, inertia=self.config.inertia)
             logs.append(logger.log(name, scene, power, np.random.default_rng(log_seed)))
             if effects:

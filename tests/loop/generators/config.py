@@ -116,8 +116,8 @@ class LogConfig:
     ----------
     gps_sd_m : (float, float)
         Standard deviation of each logged coordinate, white, drawn for every run [m].
-    shift_m : float
-        Distance by which all logged positions miss the map, in a random direction [m].
+    shift_m : (float, float)
+        By how much all logged positions miss the map to the east and to the north [m].
     lag_s : float
         Delay of the ammeter [s].
     current_sd : float
@@ -127,7 +127,7 @@ class LogConfig:
     """
 
     gps_sd_m: Range = (0.01, 0.02)
-    shift_m: float = 0.0
+    shift_m: Range = (0.0, 0.0)
     lag_s: float = 0.0
     current_sd: float = 0.01
     innocent: bool = True

@@ -1,4 +1,4 @@
-"""What an undeclared effect is: a force, a power, a change of the drive or of the log, and the answers that are right."""
+"""What a hidden effect is: a force, a power, a change of the drive or the log, and which answers are right."""
 
 from __future__ import annotations
 
@@ -91,6 +91,8 @@ class HiddenEffect:
         Whether it is to be expected on another site.
     between : bool
         Whether it is constant, or nearly, within a run: what it takes to find it is runs, not metres.
+    either_sign : bool
+        Whether the common sign of the coefficients is a convention.
     """
 
     size: float
@@ -102,6 +104,7 @@ class HiddenEffect:
     why_none: ClassVar[str] = ""
     transfers: ClassVar[bool] = True
     between: ClassVar[bool] = False
+    either_sign: ClassVar[bool] = False
 
     def force_n(self, scene: Scene) -> FloatArray | float:
         """Force that resists the motion [N], (n,)."""
@@ -123,9 +126,9 @@ class HiddenEffect:
         """Settings under which the effect can be observed."""
         return config
 
-    def coefficient(self, robot: TrueRobot) -> float | None:
-        """True coefficient in `unit`; None where there is none."""
-        return None
+    def coefficients(self, robot: TrueRobot) -> tuple[float, ...]:
+        """True coefficients in `unit`; none where no one number says it."""
+        return ()
 
     def is_named_by(self, answer: str) -> bool:
         """Whether an answer (name and label) is a right one."""

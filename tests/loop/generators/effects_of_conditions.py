@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ class Breeze(HiddenEffect):
     """Air drag in a wind that the log has."""
 
     kind = "breeze"
-    right = (r"wind",)
+    right: ClassVar[tuple[str, ...]] = (r"wind",)
     why_none = "depends on the relative speed that a candidate chooses"
 
     def force_n(self, scene: Scene) -> FloatArray:
@@ -107,9 +108,9 @@ class Cargo(HiddenEffect):
     unit = "kg/kg"
     between = True
 
-    def coefficient(self, robot: TrueRobot) -> float:
+    def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Mass per logged mass."""
-        return 1.0
+        return (1.0,)
 
     def force_n(self, scene: Scene) -> FloatArray:
         """Rolling resistance and climb of the load."""
@@ -142,13 +143,13 @@ class Heater(HiddenEffect):
     right = (r"aux_2",)
     unit = "W"
 
-    def coefficient(self, robot: TrueRobot) -> float:
+    def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Power [W]."""
-        return 0.4 * self.size * (robot.idle_power_w + robot.rolling_n * robot.speed_mps / robot.efficiency)
+        return (0.4 * self.size * (robot.idle_power_w + robot.rolling_n * robot.speed_mps / robot.efficiency),)
 
     def load_w(self, scene: Scene, force_n: FloatArray) -> FloatArray:
         """Power while it is on."""
-        return self.coefficient(scene.robot) * scene.conditions.heater
+        return self.coefficients(scene.robot)[0] * scene.conditions.heater
 
 
 CONDITIONS = (Breeze, SteadyWind, StiffGrease, WarmGears, Cargo, SoftTires, Heater)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from tests.loop.generators.config import CaseConfig
 from tests.loop.generators.effect import HiddenEffect
 from tests.loop.generators.robots import TrueRobot
@@ -16,10 +18,11 @@ class LateMeter(HiddenEffect):
     right = (r"(^|[^a-z])lag", r"delay", r"(^|[^a-z])late($|[^a-z])", r"clock offset")
     unit = "s"
     transfers = False
+    either_sign = True
 
-    def coefficient(self, robot: TrueRobot) -> float:
+    def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Delay [s]."""
-        return self.size * (0.5 + self.draw[0])
+        return (self.size * (0.5 + self.draw[0]),)
 
     def arranged(self, config: CaseConfig) -> CaseConfig:
         """The delay."""
@@ -33,14 +36,20 @@ class WrongDatum(HiddenEffect):
     right = (r"regist", r"shift", r"datum", r"map offset", r"offset of")
     unit = "m"
     transfers = False
+    either_sign = True
 
-    def coefficient(self, robot: TrueRobot) -> float:
-        """Distance [m]."""
-        return self.size * (1.0 + self.draw[0])
+    def coefficients(self, robot: TrueRobot) -> tuple[float, float]:
+        """Shift of the logged positions to the east and to the north [m]."""
+        return self._shift()
 
     def arranged(self, config: CaseConfig) -> CaseConfig:
         """The shift."""
-        return replace(config, log=replace(config.log, shift_m=self.size * (1.0 + self.draw[0])))
+        east, north = self._shift()
+        return replace(config, log=replace(config.log, shift_m=(east, north)))
+
+    def _shift(self) -> tuple[float, float]:
+        distance, direction = self.size * (1.0 + self.draw[0]), 2 * np.pi * self.draw[1]
+        return float(distance * np.sin(direction)), float(distance * np.cos(direction))
 
 
 LOGS = (LateMeter, WrongDatum)

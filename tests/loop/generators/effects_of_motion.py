@@ -53,13 +53,13 @@ class EachRadian(HiddenEffect):
     right = _TURN
     unit = "J/rad"
 
-    def coefficient(self, robot: TrueRobot) -> float:
+    def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Energy from the battery [J/rad]."""
-        return self.size * robot.rolling_n / robot.efficiency
+        return (self.size * robot.rolling_n / robot.efficiency,)
 
     def load_w(self, scene: Scene, force_n: FloatArray) -> FloatArray:
         """Energy per radian times yaw rate."""
-        return self.coefficient(scene.robot) * np.abs(scene.motion.yaw_rate)
+        return self.coefficients(scene.robot)[0] * np.abs(scene.motion.yaw_rate)
 
 
 class FastDrag(HiddenEffect):
@@ -116,13 +116,13 @@ class WindingHeat(HiddenEffect):
     right = (r"copper", r"square", r"resistance of the battery", r"battery", r"force", r"grade", r"climb", r"pitch")
     unit = "W/N2"
 
-    def coefficient(self, robot: TrueRobot) -> float:
+    def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Power per force squared [W/N^2]."""
-        return 0.25 * self.size * robot.speed_mps / robot.rolling_n
+        return (0.25 * self.size * robot.speed_mps / robot.rolling_n,)
 
     def load_w(self, scene: Scene, force_n: FloatArray) -> FloatArray:
         """c F^2."""
-        return self.coefficient(scene.robot) * force_n**2
+        return self.coefficients(scene.robot)[0] * force_n**2
 
 
 class PowerCeiling(HiddenEffect):

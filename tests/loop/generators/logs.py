@@ -59,8 +59,6 @@ class Logger:
     ----------
     config : LogConfig
         Settings.
-    shift_rad : float
-        Direction in which all positions of a case are shifted.
     begins_s : float
         Stamp of the first row.
     wind_logged : bool
@@ -68,7 +66,6 @@ class Logger:
     """
 
     config: LogConfig
-    shift_rad: float
     begins_s: float
     wind_logged: bool
 
@@ -83,8 +80,8 @@ class Logger:
         forward = np.sign(motion.speed_mps + 1e-9)
         numbers = {
             "t": self.begins_s + motion.t,
-            "x": motion.x + config.shift_m * np.sin(self.shift_rad) + sd * rng.standard_normal(n),
-            "y": motion.y + config.shift_m * np.cos(self.shift_rad) + sd * rng.standard_normal(n),
+            "x": motion.x + config.shift_m[0] + sd * rng.standard_normal(n),
+            "y": motion.y + config.shift_m[1] + sd * rng.standard_normal(n),
             "z": motion.z + 2.0 * sd * rng.standard_normal(n),
             "voltage": voltage,
             "current": late / voltage * (1.0 + config.current_sd * rng.standard_normal(n)),

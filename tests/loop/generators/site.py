@@ -43,7 +43,8 @@ class Site:
     @classmethod
     def drawn(cls, config: SiteConfig, rng: np.random.Generator) -> Site:
         """Draw a site whose slope has the root mean square that the settings ask for."""
-        length = np.exp(rng.uniform(*np.log(config.wave_m), config.waves))
+        shortest, longest = config.wave_m
+        length = shortest * (longest / shortest) ** rng.random(config.waves)
         direction, phase = rng.uniform(0.0, 2 * np.pi, (2, config.waves))
         number = 2 * np.pi / length
         amplitude = rng.normal(size=config.waves) * length**0.8  # longer waves are higher
