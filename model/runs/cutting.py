@@ -12,7 +12,8 @@ What is left out is counted in `Segments.left_out`, and its metres of track are 
 
 gaps : where positions or rows are missing, with the straight distance across. stops : stationary intervals.
 remainders : pieces, or ends of pieces, too short for a segment. fast : segments faster than the robot can drive.
-undriven : segments of runs whose wheels did not roll.
+undriven : the other segments of runs in which the robot was carried: most metres are too fast, or its wheels did not
+roll. What the robot draws does not decide.
 Of chords only: bent, whose track is much longer than their straight length; slow, which took much longer than usual in
 their run; not_positive, whose measured energy is not above zero.
 
@@ -62,6 +63,7 @@ CARRIED = 3.0
 """A robot that is faster than so many times its declared speed is carried, or its positions wander: such segments are
 left out where the robot is known."""
 
+_CARRIED_SHARE = 0.5  # of the metres of a run: most of it
 _ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})  # [deg]
 
 # What makes a chord; settings that the paper does not state.
@@ -111,8 +113,6 @@ def cut_segments(
     """
     if not (math.isfinite(length_m) and length_m > 0):
         raise InputError(f"the length of a segment must be positive, got {length_m} m", length_m=str(length_m))
-    if run.voltage_v is None and not charge:
-        raise RunsError(f"run {run.name}: no voltage was recorded; ask for charge [A s] instead", run=run.name)
     if protocol not in get_args(Protocol):
         raise InputError(f"segments are cut along the 'track' or as 'chords', not as {protocol!r}", protocol=protocol)
     if not (np.isfinite(run.x) & np.isfinite(run.y)).any():
@@ -146,7 +146,7 @@ def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: flo
     rises = np.where(track.gap | stops, 0.0, np.maximum(np.diff(half_square, prepend=0.0), 0.0))
     kinetic_p, kinetic_q = _at(half_square)
     dt = np.diff(t, prepend=t[0])
-    power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
+    power = run.drawn(charge=charge)
     drawn = np.diff(integral(run.t, power, t), prepend=0.0)
     duration = qt - pt - _between(np.where(stops, dt, 0.0))
     energy = integral(run.t, power, qt) - integral(run.t, power, pt) - _between(np.where(stops, drawn, 0.0))
@@ -174,22 +174,30 @@ def _along_the_track(run: Run, length_m: float, charge: bool, max_speed_mps: flo
         "standing_s": _between(np.where(stays & ~stops, dt, 0.0)),
         "t0": pt,
     }
+    too_fast_m = float((qs - ps)[fast].sum())
+    carried = ~fast & (too_fast_m > _CARRIED_SHARE * float((qs - ps).sum()))
     left_out: dict[str, int] = {}
     for key, count in (
         ("gaps", int(track.gap.sum()) - 1),
         ("stops", int(edges.sum())),
         ("remainders", len(short)),
         ("fast", int(fast.sum())),
+        ("undriven", int(carried.sum())),
     ):
         add_count(left_out, key, count)
-    left_out_m = {"gaps": track.gap_m, "remainders": sum(short), "fast": float((qs - ps)[fast].sum())}
+    left_out_m = {
+        "gaps": track.gap_m,
+        "remainders": sum(short),
+        "fast": too_fast_m,
+        "undriven": float((qs - ps)[carried].sum()),
+    }
     return _segments(
         run,
         columns | _electric(run, first, last, rows),
         first,
         last,
         np.interp(middle, station, t),
-        ~fast,
+        ~(fast | carried),
         rows,
         length_m=length_m,
         charge=charge,
@@ -234,7 +242,7 @@ def _chords(run: Run, length_m: float, charge: bool, max_speed_mps: float) -> Se
     kinetic_p, kinetic_q = _at(half_square)
     standing = (speed < STILL_M / STOP_S) & ~gap
     standing_p, standing_q = _at(np.cumsum(np.where(standing, np.diff(t, prepend=t[0]), 0.0)))
-    power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
+    power = run.drawn(charge=charge)
     energy = integral(run.t, power, qt) - integral(run.t, power, pt)
     first, last = np.searchsorted(run.t, pt), np.searchsorted(run.t, qt, side="right")
     columns = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -10,6 +11,7 @@ from pathlib import Path
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
+from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
 from joulemap.model.runs.reader import Run, read_run
 from joulemap.model.runs.segments import Segments, concatenate, driven_only
@@ -79,6 +81,7 @@ def read_calibration_runs(
     baseline_files: Sequence[Path] = (),
     test_files: Sequence[Path] = (),
     protocol: Protocol = "track",
+    currents: Currents = "auto",
 ) -> CalibrationRuns:
     """Read runs with positions.
 
@@ -96,6 +99,8 @@ def read_calibration_runs(
         Of runs for the test only.
     protocol : {"track", "chords"}
         As in `cut_segments`.
+    currents : {"auto", "signed", "magnitude"}
+        How the currents of several motors are summed (`joulemap.model.runs.electric`).
 
     Returns
     -------
@@ -111,7 +116,11 @@ def read_calibration_runs(
     def _cut_one(run: Run, charge: bool) -> Segments:
         return cut_segments(run, charge=charge, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
 
-    read = _read((files, baseline_files, test_files), lambda file, name: read_run(file, name=name, crs=crs))
+    read = _read(
+        (files, baseline_files, test_files),
+        lambda file, name, how: read_run(file, name=name, crs=crs, currents=how),
+        currents,
+    )
     return _cut(read, _cut_one)
 
 
@@ -121,6 +130,7 @@ def read_odometry_runs(
     *,
     baseline_files: Sequence[Path] = (),
     test_files: Sequence[Path] = (),
+    currents: Currents = "auto",
 ) -> tuple[CalibrationRuns, Heightmap]:
     """Read runs without positions, whose wheel speeds are integrated, and make flat ground for them.
 
@@ -134,6 +144,8 @@ def read_odometry_runs(
         Of runs in which nothing new happens.
     test_files : sequence of Path
         Of runs for the test only.
+    currents : {"auto", "signed", "magnitude"}
+        As in `read_calibration_runs`.
 
     Returns
     -------
@@ -145,22 +157,45 @@ def read_odometry_runs(
     RunsError
         As `read_calibration_runs`.
     """
-    read = _read((files, baseline_files, test_files), lambda file, name: read_odometry(file, odometry, name=name))
+    read = _read(
+        (files, baseline_files, test_files),
+        lambda file, name, how: read_odometry(file, odometry, name=name, currents=how),
+        currents,
+    )
     runs = _cut(read, lambda run, charge: cut_travel(run, charge=charge))
     return replace(runs, placed=False), flat_heightmap([run for some in read for run in some])
 
 
-def _read(files: Sequence[Sequence[Path]], read: Callable[[Path, str], Run]) -> list[list[Run]]:
-    """The runs of each sequence of files; no two different files have the same name."""
+def _read(
+    files: Sequence[Sequence[Path]], read: Callable[[Path, str, Currents], Run], currents: Currents
+) -> list[list[Run]]:
+    """The runs of each sequence of files; no two different files have the same name.
+
+    One robot has one kind of ammeter: where single runs read the signs of their currents differently, the reading of
+    most rows is that of all.
+    """
     if not files[0]:
         raise RunsError("there is no run to read: no file has such a name")
     names = iter(distinct_names([file for some in files for file in some]))
-    return [[read(file, next(names)) for file in some] for some in files]
+    named = [[(file, next(names)) for file in some] for some in files]
+    runs = [[read(file, name, currents) for file, name in some] for some in named]
+    rows: Counter[Currents] = Counter()
+    for run in (run for some in runs for run in some):
+        if run.currents is not None:
+            rows[run.currents] += len(run)
+    usual = rows.most_common(1)[0][0] if rows else currents
+    return [
+        [
+            run if run.currents in (None, usual) else read(file, name, usual)
+            for run, (file, name) in zip(some, told, strict=True)
+        ]
+        for some, told in zip(runs, named, strict=True)
+    ]
 
 
 def _cut(read: list[list[Run]], cut: Callable[[Run, bool], Segments]) -> CalibrationRuns:
     every = [run for some in read for run in some]
-    without = [run.name for run in every if run.voltage_v is None]
+    without = [run.name for run in every if not run.has_energy]
     if without and len(without) < len(every):
         raise RunsError(
             f"{len(without)} of {len(every)} runs have no voltage (the first is {without[0]}): calibrate them "
@@ -182,6 +217,7 @@ def read_segments(
     crs: str | None,
     charge: bool = False,
     protocol: Protocol = "track",
+    currents: Currents = "auto",
 ) -> tuple[list[Run], Segments]:
     """Read runs for training: every run, and the segments of all in joules.
 
@@ -197,6 +233,8 @@ def read_segments(
         Use the charge of every run, also of those with a voltage.
     protocol : {"track", "chords"}
         As in `cut_segments`.
+    currents : {"auto", "signed", "magnitude"}
+        How the currents of several motors are summed (`joulemap.model.runs.electric`).
 
     Returns
     -------
@@ -208,12 +246,10 @@ def read_segments(
     RunsError
         If there is no file, or one is no run.
     """
-    if not files:
-        raise RunsError("there is no run to read: no file has such a name")
-    runs = [read_run(file, name=name, crs=crs) for file, name in zip(files, distinct_names(files), strict=True)]
+    (runs,) = _read((files,), lambda file, name, how: read_run(file, name=name, crs=crs, currents=how), currents)
     parts = []
     for run in runs:
-        counted = charge or run.voltage_v is None
+        counted = charge or not run.has_energy
         cut = cut_segments(run, charge=counted, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
     return runs, driven_only(concatenate(parts))

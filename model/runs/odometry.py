@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing, station_at, stops_of
+from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import columns_there, read_table
@@ -64,12 +65,12 @@ class Odometry:
             raise InputError(f"the track must be positive, got {self.track_m} m", track_m=str(self.track_m))
 
 
-def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = None) -> Run:
+def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = None, currents: Currents = "auto") -> Run:
     """Read a log of wheel speeds (CSV or Parquet) as a run that starts at (0, 0) and heads north.
 
-    Its columns are t [s], speed_left and speed_right [m/s], and current or several current_* [A], whose magnitudes are
-    summed; optionally voltage [V] and any others. Columns named as in BorealTC (velL, curL, ...) are known too. The
-    rules of `joulemap.model.runs.reader` apply. The columns heading [deg] and speed [m/s] are added.
+    Its columns are t [s], speed_left and speed_right [m/s], and current, several current_* [A] or power [W]; optionally
+    voltage [V] and any others. Columns named as in BorealTC (velL, curL, ...) are known too. The rules of
+    `joulemap.model.runs.reader` apply. The columns heading [deg] and speed [m/s] are added.
 
     Parameters
     ----------
@@ -79,6 +80,8 @@ def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = No
         How wheel speeds become a track.
     name : str, optional
         Of the run; without it, that of the file.
+    currents : {"auto", "signed", "magnitude"}
+        As in `read_run`.
 
     Returns
     -------
@@ -110,7 +113,7 @@ def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = No
     terrain = terrain_in_name(name) if odometry.terrain_from_name else None
     if terrain is not None and "terrain" not in texts:
         texts["terrain"] = np.full(x.size, terrain)
-    return run_of(numbers | {"x": x, "y": y} | motion, texts, name=name, repairs=repairs)
+    return run_of(numbers | {"x": x, "y": y} | motion, texts, name=name, repairs=repairs, currents=currents)
 
 
 def terrain_in_name(name: str) -> str | None:
@@ -192,8 +195,6 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
     RunsError
         If the run has no voltage and `charge` is False.
     """
-    if run.voltage_v is None and not charge:
-        raise RunsError(f"run {run.name}: no voltage was recorded; ask for charge [A s] instead", run=run.name)
     t = run.t
     sides = np.stack([_without_blanks(run.extras[name]) for name in _SIDES])
     rolled = _rolled(t, sides)
@@ -212,7 +213,7 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
     step = np.where(dt > 0, np.diff(heading), 0.0)
     speed = sides.mean(axis=0)
     half_square = 0.5 * speed**2
-    power = run.current_a if charge or run.voltage_v is None else run.current_a * run.voltage_v
+    power = run.drawn(charge=charge)
     energy = _summed(0.5 * (power[1:] + power[:-1]) * dt)
     gap_m = float(rolled[missing].sum())
 

@@ -12,11 +12,15 @@ Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key i
    1.5 s [held_fixes]; and, of the rest, stretches of up to 5 s (2.5 s at an end) that the robot can have reached only
    by a jump [position_jumps]. A jump to where the log then stays is kept as a break, which no segment spans
    [position_breaks].
-5. A voltage or current is a spike if it differs from the median of the eleven samples around it by more than six times
+5. If wheel speeds of both sides are logged, blanks of the position are filled by dead reckoning between the fixes at
+   their ends, where it meets them to half a metre [reckoned_positions].
+6. A voltage or current is a spike if it differs from the median of the eleven samples around it by more than six times
    their spread plus a share of the run's median, a quarter for voltage and one for current [voltage_spikes,
    current_spikes]. Spikes and blanks [blank_voltage, blank_current] are replaced by straight lines in time.
-6. If a single current is mostly negative, it counts discharge as negative, and its sign is changed
-   [current_sign_flipped].
+7. If a single current or power is mostly negative, it counts discharge as negative, and its sign is changed
+   [current_sign_flipped, power_sign_flipped]. The currents of several motors are summed with the sign of power; where
+   their signs are those of directions, wheel speeds give them that of power [currents_signed_by_wheels], or magnitudes
+   are summed [currents_as_magnitudes]; see `joulemap.model.runs.electric`.
 
 Dropped rows and long blanks leave gaps, which `joulemap.model.runs.segments` does not bridge.
 """
@@ -29,10 +33,11 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from joulemap.model.errors import RunsError
+from joulemap.model.runs.electric import Currents, electric
 from joulemap.model.runs.fixes import positions, usable_fixes
+from joulemap.model.runs.reckoning import fill_by_wheels
 from joulemap.model.runs.table import LEAST_ROWS, add_count, columns_there, read_table
 
 FloatArray = NDArray[np.float64]
@@ -52,7 +57,7 @@ class Run:
     x, y : ndarray of float, (n,)
         Position [m] in the heightmap's CRS, NaN where the fix is not used.
     current_a : ndarray of float, (n,)
-        Current [A], positive while the battery discharges.
+        Current [A], positive while the battery discharges; NaN if only power was recorded.
     voltage_v : ndarray of float, (n,), optional
         Voltage [V]; None if it was not recorded.
     extras : dict of str to ndarray of float, (n,)
@@ -63,6 +68,10 @@ class Run:
         True where the position jumped between this row and the one before.
     repairs : dict
         Count by rule.
+    power_w : ndarray of float, (n,), optional
+        Power [W] drawn from the battery, where it was recorded itself.
+    currents : {"signed", "magnitude"}, optional
+        How the currents of several motors were summed; None where the log leaves no choice.
     """
 
     name: str
@@ -75,6 +84,8 @@ class Run:
     texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     breaks: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     repairs: dict[str, int] = field(default_factory=dict)
+    power_w: FloatArray | None = None
+    currents: Currents | None = None
 
     def __post_init__(self) -> None:
         if self.breaks.size != self.t.size:
@@ -83,12 +94,45 @@ class Run:
     def __len__(self) -> int:
         return int(self.t.size)
 
+    @property
+    def has_energy(self) -> bool:
+        """Whether energy is known, and not charge alone."""
+        return self.power_w is not None or self.voltage_v is not None
 
-def read_run(path: str | Path, *, name: str | None = None, crs: str | None = None) -> Run:
+    def drawn(self, *, charge: bool = False) -> FloatArray:
+        """Return what is drawn from the battery.
+
+        Parameters
+        ----------
+        charge : bool
+            The current instead of the power.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Power [W], or current [A].
+
+        Raises
+        ------
+        RunsError
+            If that is not known.
+        """
+        if charge:
+            if np.isnan(self.current_a).all():
+                raise RunsError(f"run {self.name}: power was recorded and no current, so its charge is not known")
+            return self.current_a
+        if self.power_w is not None:
+            return self.power_w
+        if self.voltage_v is None:
+            raise RunsError(f"run {self.name}: no voltage was recorded; ask for charge [A s] instead", run=self.name)
+        return self.current_a * self.voltage_v
+
+
+def read_run(path: str | Path, *, name: str | None = None, crs: str | None = None, currents: Currents = "auto") -> Run:
     """Read a run from a file in CSV or Parquet.
 
-    It needs the columns `t` [s], `x` and `y` [m] (or `lat` and `lon` [deg] with the map's `crs`), and `current` or
-    several `current_*` [A]. `voltage` [V] and any other column are optional.
+    It needs the columns `t` [s], `x` and `y` [m] (or `lat` and `lon` [deg] with the map's `crs`), and `current`,
+    several `current_*` [A] or `power` [W]. `voltage` [V] and any other column are optional.
 
     Parameters
     ----------
@@ -98,6 +142,8 @@ def read_run(path: str | Path, *, name: str | None = None, crs: str | None = Non
         Of the run; without it, that of the file.
     crs : str, optional
         The heightmap's CRS, needed for `lat` and `lon`.
+    currents : {"auto", "signed", "magnitude"}
+        How the currents of several motors are summed (`joulemap.model.runs.electric`).
 
     Returns
     -------
@@ -114,10 +160,10 @@ def read_run(path: str | Path, *, name: str | None = None, crs: str | None = Non
         content = path.read_bytes()
     except OSError as error:
         raise RunsError(f"run {path}: {error}", path=str(path)) from error
-    return parse_run(content, name=name or path.name, crs=crs)
+    return parse_run(content, name=name or path.name, crs=crs, currents=currents)
 
 
-def parse_run(content: str | bytes, *, name: str, crs: str | None = None) -> Run:
+def parse_run(content: str | bytes, *, name: str, crs: str | None = None, currents: Currents = "auto") -> Run:
     """Read a run from a text in CSV, or from the bytes of a file.
 
     Parameters
@@ -127,6 +173,8 @@ def parse_run(content: str | bytes, *, name: str, crs: str | None = None) -> Run
     name : str
         Of the run.
     crs : str, optional
+        As in `read_run`.
+    currents : {"auto", "signed", "magnitude"}
         As in `read_run`.
 
     Returns
@@ -141,7 +189,7 @@ def parse_run(content: str | bytes, *, name: str, crs: str | None = None) -> Run
     """
     repairs: dict[str, int] = {}
     numbers, texts = read_table(content, name, repairs)
-    return run_of(numbers, texts, name=name, crs=crs, repairs=repairs)
+    return run_of(numbers, texts, name=name, crs=crs, repairs=repairs, currents=currents)
 
 
 def run_of(
@@ -151,6 +199,7 @@ def run_of(
     name: str,
     crs: str | None = None,
     repairs: dict[str, int] | None = None,
+    currents: Currents = "auto",
 ) -> Run:
     """Make a run of columns that are read already.
 
@@ -166,6 +215,8 @@ def run_of(
         As in `read_run`.
     repairs : dict, optional
         What was counted while they were read.
+    currents : {"auto", "signed", "magnitude"}
+        As in `read_run`.
 
     Returns
     -------
@@ -184,14 +235,15 @@ def run_of(
     numbers = {key: values[rows] for key, values in numbers.items()}
     texts = {key: values[rows] for key, values in texts.items()}
     t = numbers.pop("t")
-    current, voltage = _electric(numbers, t, name, repairs)
+    current, voltage, power, how = electric(numbers, t, name, repairs, currents)
     x, y = positions(numbers, name=name, crs=crs)
     x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
+    x, y = fill_by_wheels(t, x, y, breaks, numbers, repairs)
     if np.isfinite(x).sum() < 2:
         raise RunsError(
             f"run {name}: no usable position is left after the rules for bad fixes", run=name, repairs=repairs
         )
-    return Run(name, t, x, y, current, voltage, numbers, texts, breaks, repairs)
+    return Run(name, t, x, y, current, voltage, numbers, texts, breaks, repairs, power, how)
 
 
 def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[np.int64]:
@@ -214,52 +266,6 @@ def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[
             row=row,
         )
     return kept
-
-
-def _electric(
-    numbers: dict[str, FloatArray], t: FloatArray, name: str, repairs: dict[str, int]
-) -> tuple[FloatArray, FloatArray | None]:
-    """Current [A] and voltage [V] without spikes and blanks; takes their columns out of `numbers`."""
-    parts = sorted(key for key in numbers if key.startswith("current_"))
-    if "current" in numbers:
-        current = numbers.pop("current")
-        if np.isfinite(current).any() and np.nanmedian(current) < 0:
-            current = -current
-            add_count(repairs, "current_sign_flipped", 1)
-    elif parts:
-        current = np.sum([np.abs(numbers.pop(key)) for key in parts], axis=0)
-    else:
-        raise RunsError(
-            f"run {name}: there is neither a column 'current' nor any 'current_*'{columns_there(numbers)}",
-            run=name,
-            column="current",
-        )
-    voltage = numbers.pop("voltage", None)
-    if voltage is not None and not np.isfinite(voltage).any():
-        voltage = None
-    current = _without_spikes(t, current, 1.0, "current", name, repairs)
-    if voltage is not None:
-        voltage = _without_spikes(t, voltage, 0.25, "voltage", name, repairs)
-    return current, voltage
-
-
-def _without_spikes(
-    t: FloatArray, values: FloatArray, share: float, key: str, name: str, repairs: dict[str, int]
-) -> FloatArray:
-    blank = ~np.isfinite(values)
-    if blank.mean() > 0.5:
-        raise RunsError(
-            f"run {name}, column {key!r}: {int(blank.sum())} of {t.size} cells are blank", run=name, column=key
-        )
-    add_count(repairs, f"blank_{key}", int(blank.sum()))
-    filled = np.interp(t, t[~blank], values[~blank])
-    middle = median_filter(filled, 11, mode="nearest")
-    away = np.abs(filled - middle)
-    spread = 1.4826 * median_filter(away, 11, mode="nearest")
-    spikes = away > 6.0 * spread + share * abs(float(np.median(filled)))
-    add_count(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
-    good = ~(spikes | blank)
-    return np.interp(t, t[good], values[good])
 
 
 @njit(cache=True)

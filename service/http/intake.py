@@ -163,7 +163,7 @@ def read_sent_run(
             limit_km=limits.km,
         )
     cut = cut_segments if odometry is None else cut_travel
-    segments = cut(run, charge=run.voltage_v is None)
+    segments = cut(run, charge=not run.has_energy)
     if len(segments) == 0:
         raise RunsError(
             f"run {name} contains no segment of 1 m: did the robot move, and is its position recorded?",
@@ -175,7 +175,7 @@ def read_sent_run(
         "name": name,
         "rows": len(run),
         "seconds": float(run.t[-1] - run.t[0]),
-        "target": "charge_as" if run.voltage_v is None else "energy_j",
+        "target": "energy_j" if run.has_energy else "charge_as",
         "columns": sorted([*run.extras, *run.texts]),
         "segments": len(segments),
         "repairs": run.repairs,

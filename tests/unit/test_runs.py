@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from joulemap.model.errors import RunsError
+from joulemap.model.errors import InputError, RunsError
 from joulemap.model.runs.reader import _longest_increasing, parse_run, read_run
 
 
@@ -131,11 +131,73 @@ def test_a_climb_is_no_spike():
     assert run.repairs == {}
 
 
-def test_motor_currents_are_summed_by_magnitude():
-    run = parse(log(current=None, voltage=None, current_left=["1.5"] * 60, current_right=["-2.5"] * 60))
-    np.testing.assert_allclose(run.current_a, 4.0)
-    assert run.voltage_v is None
-    assert "current_left" not in run.extras
+def motors(left, right, **more):
+    """A log of two motors' currents."""
+    sides = {"current_left": [str(v) for v in left], "current_right": [str(v) for v in right]}
+    return log(len(left), current=None, **sides, **more)
+
+
+def test_a_motor_that_feeds_back_is_not_counted_as_consumption():
+    left, right = np.full(60, 9.0), np.where(np.arange(60) < 30, 4.0, -3.0)  # the inner side of a long turn
+    run = parse(motors(left, right))
+    assert run.repairs == {}
+    np.testing.assert_allclose(run.current_a, left + right)
+    assert parse(motors(left, right), currents="magnitude").repairs == {"currents_as_magnitudes": 1}
+    np.testing.assert_allclose(parse(motors(left, right), currents="magnitude").current_a, left + np.abs(right))
+    other = {"left_current": left, "right_current": right}
+    named = parse(log(60, current=None, **{key: [str(v) for v in values] for key, values in other.items()}))
+    np.testing.assert_allclose(named.current_a, left + right)
+    assert named.extras.keys() == {}.keys()
+
+
+def test_motors_mounted_as_mirror_images_are_summed_by_magnitude():
+    left, right = np.full(60, 4.0), np.full(60, -3.0)  # ahead, as on the Cuadriga
+    run = parse(motors(left, right))
+    assert run.repairs == {"currents_as_magnitudes": 1}
+    np.testing.assert_allclose(run.current_a, 7.0)
+    np.testing.assert_allclose(parse(motors(left, right), currents="signed").current_a, 1.0)
+    shuttle = np.where(np.arange(60) < 30, 5.0, -5.0)  # the sign of the direction: ahead and back again
+    np.testing.assert_allclose(parse(motors(shuttle, shuttle)).current_a, 10.0)
+
+
+def test_wheel_speeds_give_a_current_the_sign_of_power():
+    ahead = np.where(np.arange(60) < 40, 1.0, -1.0)  # ahead, and back again
+    wheels = {f"wheel_{side}_rad_s": [str(v) for v in ahead] for side in ("left", "right")}
+    power = np.where(np.arange(60) % 20 < 12, 5.0, -1.0)  # of each motor: brakes at the end of every part
+    mirrored = parse(motors(power * ahead, -power * ahead, **wheels))
+    assert mirrored.repairs["currents_signed_by_wheels"] == 1
+    np.testing.assert_allclose(mirrored.current_a, 2.0 * power)
+    of_power = parse(motors(power, power, **wheels))
+    assert "currents_signed_by_wheels" not in of_power.repairs
+    np.testing.assert_allclose(of_power.current_a, 2.0 * power)
+    with pytest.raises(InputError, match="auto, signed, magnitude"):
+        parse(motors(power, power), currents="sum")
+
+
+def test_a_total_current_keeps_its_sign_beside_sides():
+    run = parse(log(current=["2.0"] * 30 + ["-1.0"] * 30, current_left=["1.0"] * 60))
+    assert run.current_a.min() == -1.0
+    assert "current_left" in run.extras
+
+
+def test_power_is_taken_as_it_is():
+    power = np.where(np.arange(60) < 50, 40.0, -10.0)
+    column = {"power": [str(v) for v in power], "current": None}
+    bare = parse(log(**column, voltage=None))
+    assert bare.has_energy
+    np.testing.assert_allclose(bare.drawn(), power)
+    assert np.isnan(bare.current_a).all()
+    with pytest.raises(RunsError, match="no current, so its charge is not known"):
+        bare.drawn(charge=True)
+    beside = parse(log(**column))  # 28 V
+    np.testing.assert_allclose(beside.current_a, power / 28.0)
+    np.testing.assert_allclose(beside.drawn(), power)
+    both = parse(log(power=column["power"]))
+    np.testing.assert_allclose(both.current_a, 2.0)
+    np.testing.assert_allclose(both.drawn(), power)
+    charging = parse(log(power=[str(-v) for v in power], current=None))
+    assert charging.repairs == {"power_sign_flipped": 1}
+    np.testing.assert_allclose(charging.drawn(), power)
 
 
 def test_discharge_counted_negative_is_turned_round():
@@ -226,7 +288,7 @@ def test_stamps_before_zero_are_stamps_and_other_columns_may_hold_anything():
     [
         (log(t=None), "no column 't'"),
         (log(x=None), "neither 'x' and 'y' nor 'lat' and 'lon'"),
-        (log(current=None), "neither a column 'current' nor any 'current_"),
+        (log(current=None), "neither a column 'current', nor any 'current_"),
         (log(current=["2.0"] * 7 + ["two"] + ["2.0"] * 52), "column 'current', row 9: 'two' is not a number"),
         (log(current=[""] * 60), "60 of 60 cells are blank"),
         (log(n=3), "3 rows are too few"),

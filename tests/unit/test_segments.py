@@ -313,13 +313,20 @@ def test_a_length_must_be_positive():
 
 def test_a_robot_that_is_carried_does_not_drive():
     t = np.arange(0.0, 60.0, 0.1)
-    speed = np.where(t < 30.0, 0.5, 4.0)  # driven for half a minute, then carried at a run
-    x = np.concatenate([[0.0], np.cumsum(speed[:-1] * 0.1)])
-    run = Run("carried", t, x, np.zeros_like(x), np.where(t < 30.0, 3.0, 0.5), np.full_like(t, 24.0))
-    driven = cut_segments(run, max_speed_mps=1.5)
-    assert driven.left_out["fast"] == pytest.approx(119, abs=1)
+
+    def moved(seconds: float) -> Run:
+        speed = np.where(t < seconds, 0.5, 4.0)  # driven, then carried at a run
+        x = np.concatenate([[0.0], np.cumsum(speed[:-1] * 0.1)])
+        return Run("carried", t, x, np.zeros_like(x), np.full_like(t, 3.0), np.full_like(t, 24.0))
+
+    driven = cut_segments(moved(56.0), max_speed_mps=1.5)
+    assert driven.left_out["fast"] == pytest.approx(16, abs=1)
     assert driven.left_out_m["fast"] + driven.used_m == pytest.approx(driven.track_m)
-    assert len(driven) == pytest.approx(15, abs=1)
+    assert len(driven) == pytest.approx(28, abs=1)
+    mostly_carried = cut_segments(moved(30.0), max_speed_mps=1.5)  # 15 of 134 m are slow: a car at a crossing
+    assert len(mostly_carried) == 0
+    assert mostly_carried.left_out_m["undriven"] == pytest.approx(15.0, abs=1.0)
+    assert sum(mostly_carried.left_out_m.values()) == pytest.approx(mostly_carried.track_m)
 
 
 def test_a_run_whose_wheels_stand_was_carried_whatever_it_draws():

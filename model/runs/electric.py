@@ -1,0 +1,174 @@
+"""What a log says of power: current and voltage, the currents of several motors, or power itself; without spikes.
+
+The currents of several motors are summed with their sign where it is that of power, so that a motor which feeds energy
+back counts as that. In some logs the sign is the direction of rotation instead, and opposite for the two sides, whose
+motors are mounted as mirror images. Energy is conserved: what the motors together feed back over a run is little beside
+what they take. So of all readings of the signs the one is believed in which least is fed back:
+
+- the sign is that of power: the currents are summed as they are;
+- the sign is that of the rotation, the same or opposite on some sides: each current is given the sign of power by the
+  logged speed of its wheels. Without wheel speeds, magnitudes are summed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from joulemap.model.errors import InputError, RunsError
+from joulemap.model.runs.reckoning import sides_of
+from joulemap.model.runs.table import add_count, columns_there
+
+FloatArray = NDArray[np.float64]
+
+Currents = Literal["auto", "signed", "magnitude"]
+"""How the currents of several motors are summed."""
+
+_SIDES = ("left_current", "right_current")
+_MOST_MOTORS = 8  # of more, not all readings of the signs are tried
+_MOST_FED_BACK = 0.5  # going up and down again with an efficiency of 0.7 each way gives half of it back
+
+
+def electric(
+    numbers: dict[str, FloatArray],
+    t: FloatArray,
+    name: str,
+    repairs: dict[str, int],
+    currents: Currents = "auto",
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None, Currents | None]:
+    """Return current, voltage and power without spikes and blanks, and take their columns out of `numbers`.
+
+    Parameters
+    ----------
+    numbers : dict of str to ndarray of float, (n,)
+        Columns of a log: `power`, or `current`, or several `current_*` (also `left_current` and `right_current`);
+        `voltage` is optional.
+    t : ndarray of float, (n,)
+        Stamps [s].
+    name : str
+        Of the run, for messages.
+    repairs : dict
+        Counts by rule, which are added to.
+    currents : {"auto", "signed", "magnitude"}
+        How several currents are summed; "auto" as described above.
+
+    Returns
+    -------
+    tuple of (ndarray of float, ndarray of float or None, ndarray of float or None, str or None)
+        Current [A], NaN where only power was logged; voltage [V] and power [W], None where they were not logged, (n,)
+        each; and how several currents of which some are negative were summed, None where the log leaves no choice.
+
+    Raises
+    ------
+    RunsError
+        If there is neither a power nor a current, or one is mostly blank.
+    InputError
+        If there is no such way to sum currents.
+    """
+    if currents not in get_args(Currents):
+        raise InputError(f"currents are summed as {', '.join(get_args(Currents))}, not {currents!r}", currents=currents)
+    power = _logged(numbers, "power", repairs)
+    if power is not None:
+        power = _without_spikes(t, power, 1.0, "power", name, repairs)
+    voltage = numbers.pop("voltage", None)
+    if voltage is not None and not np.isfinite(voltage).any():
+        voltage = None
+    if voltage is not None:
+        voltage = _without_spikes(t, voltage, 0.25, "voltage", name, repairs)
+    parts = sorted(key for key in numbers if key.startswith("current_") or key in _SIDES)
+    current, how = _logged(numbers, "current", repairs), None
+    if current is None and parts:
+        current, how = _summed({key: numbers.pop(key) for key in parts}, numbers, repairs, currents)
+    if current is not None:
+        return _without_spikes(t, current, 1.0, "current", name, repairs), voltage, power, how
+    if power is None:
+        raise RunsError(
+            f"run {name}: there is neither a column 'current', nor any 'current_*', nor 'power'"
+            f"{columns_there(numbers)}",
+            run=name,
+            column="current",
+        )
+    if voltage is None:
+        return np.full(t.size, np.nan), None, power, None
+    return np.where(voltage > 0, power / np.where(voltage > 0, voltage, 1.0), 0.0), voltage, power, None
+
+
+def _logged(numbers: dict[str, FloatArray], key: str, repairs: dict[str, int]) -> FloatArray | None:
+    """A total, positive while the battery discharges."""
+    values = numbers.pop(key, None)
+    if values is not None and np.isfinite(values).any() and np.nanmedian(values) < 0:
+        add_count(repairs, f"{key}_sign_flipped", 1)
+        return -values
+    return values
+
+
+def _summed(
+    parts: dict[str, FloatArray], numbers: Mapping[str, FloatArray], repairs: dict[str, int], currents: Currents
+) -> tuple[FloatArray, Currents | None]:
+    """The sum, and how it was made where that is a matter of choice."""
+    every = np.stack(list(parts.values()))  # (motors, rows)
+    if not (every < 0).any():
+        return every.sum(axis=0), None
+    if currents == "auto":
+        signs = np.array([(1, *rest) for rest in product((1, -1), repeat=min(len(parts), _MOST_MOTORS) - 1)])
+        if len(parts) > _MOST_MOTORS:
+            signs = np.ones((1, len(parts)))
+        wheels = _wheels_of(parts, numbers)
+        if wheels is not None:
+            turned = every * np.sign(wheels)
+            resting = np.where(wheels == 0, np.abs(every), 0.0)  # at rest nothing is fed back
+            readings = [every, *(sign[:, None] * turned + resting for sign in np.vstack([signs, -signs]))]
+            found = min(readings, key=_fed_back)
+            if found is not every:
+                add_count(repairs, "currents_signed_by_wheels", 1)
+            return found.sum(axis=0), None
+        least = min(signs, key=lambda sign: _fed_back(sign[:, None] * every))
+        plain = (least > 0).all() and _fed_back(every)[0] < _MOST_FED_BACK
+        currents = "signed" if plain else "magnitude"
+    if currents == "signed":
+        return every.sum(axis=0), currents
+    add_count(repairs, "currents_as_magnitudes", 1)
+    return np.abs(every).sum(axis=0), currents
+
+
+def _fed_back(every: FloatArray) -> tuple[float, float]:
+    """Charge that goes into the battery over that which comes out: of all motors together, and of each by itself."""
+
+    def _share(current: FloatArray) -> float:
+        taken = float(np.nansum(np.maximum(current, 0.0)))
+        return -float(np.nansum(np.minimum(current, 0.0))) / taken if taken > 0 else np.inf
+
+    return _share(every.sum(axis=0)), _share(every)
+
+
+def _wheels_of(parts: Mapping[str, FloatArray], numbers: Mapping[str, FloatArray]) -> FloatArray | None:
+    """The wheel speed of each current, (motors, rows); None unless all currents name a side whose speed is logged."""
+    sides = sides_of(numbers)
+    named = [[side for side, word in enumerate(("left", "right")) if word in key] for key in parts]
+    if sides is None or any(len(found) != 1 for found in named):
+        return None
+    return np.stack([sides[found[0]] for found in named])
+
+
+def _without_spikes(
+    t: FloatArray, values: FloatArray, share: float, key: str, name: str, repairs: dict[str, int]
+) -> FloatArray:
+    blank = ~np.isfinite(values)
+    if blank.mean() > 0.5:
+        raise RunsError(
+            f"run {name}, column {key!r}: {int(blank.sum())} of {t.size} cells are blank", run=name, column=key
+        )
+    add_count(repairs, f"blank_{key}", int(blank.sum()))
+    filled = np.interp(t, t[~blank], values[~blank])
+    middle = median_filter(filled, 11, mode="nearest")
+    away = np.abs(filled - middle)
+    spread = 1.4826 * median_filter(away, 11, mode="nearest")
+    spikes = away > 6.0 * spread + share * abs(float(np.median(filled)))
+    add_count(repairs, f"{key}_spikes", int((spikes & ~blank).sum()))
+    good = ~(spikes | blank)
+    return np.interp(t, t[good], values[good])
