@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.loop.calibrate import Effect, calibrate
 from joulemap.model.loop.residuals_of_runs import residuals_on
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, cut_segments
@@ -46,15 +47,12 @@ class Answer:
         What it states.
     p_value : float
         As reported.
-    structure : bool
-        Whether it is structure without a form.
     """
 
     name: str
     label: str
     coefficients: tuple[Stated, ...] = ()
     p_value: float = float("nan")
-    structure: bool = False
 
     @property
     def words(self) -> str:
@@ -70,21 +68,19 @@ class Found(Protocol):
         """What was named, in the order of the report."""
 
     @property
-    def before(self) -> float:
-        """Mean relative error of the base model on the new runs."""
+    def stated(self) -> float:
+        """Mean relative error that the report states for runs that had no part in the fit."""
 
-    @property
-    def after(self) -> float:
-        """Mean relative error of the calibrated model on runs that had no part in the fit."""
-
-    def error_on(self, site: Site, logs: Sequence[Log]) -> float:
-        """Mean relative error of the calibrated model on other logs."""
+    def error_on(self, site: Site, logs: Sequence[Log], *, state: str = "after") -> float:
+        """Mean relative error on other logs, of the base model ("before") or of the calibrated one ("after")."""
 
 
 class Calibrator(Protocol):
     """What is tested."""
 
-    def __call__(self, site: Site, robot: Robot, new: Sequence[Log], base: Sequence[Log]) -> Found:
+    def __call__(
+        self, site: Site, robot: Robot, new: Sequence[Log], base: Sequence[Log], *, cross_validate: bool = False
+    ) -> Found:
         """Calibrate `physics` with a declared robot on new runs, given baseline runs or none."""
 
 
@@ -117,22 +113,20 @@ class _Found:
 
     @property
     def answers(self) -> tuple[Answer, ...]:
-        return tuple(_answer(effect) for effect in self.found.effects if not getattr(effect, "shadow", False))
+        return tuple(_answer(effect) for effect in self.found.effects)
 
     @property
-    def before(self) -> float:
-        return float(self.found.before["mean_relative"])
+    def stated(self) -> float:
+        return float(self.found.errors["after"]["mean_relative"])
 
-    @property
-    def after(self) -> float:
-        return float(self.found.after["mean_relative"])
-
-    def error_on(self, site: Site, logs: Sequence[Log]) -> float:
+    def error_on(self, site: Site, logs: Sequence[Log], *, state: str = "after") -> float:
         residuals = residuals_on(PhysicsPredictor(), site.heightmap, self.robot, segments_of(logs, self.robot))[0]
-        return float(self.found.errors_on(residuals)["after"]["mean_relative"])
+        return float(self.found.errors_on(residuals)[state]["mean_relative"])
 
 
-def joulemap(site: Site, robot: Robot, new: Sequence[Log], base: Sequence[Log]) -> Found:
+def joulemap(
+    site: Site, robot: Robot, new: Sequence[Log], base: Sequence[Log], *, cross_validate: bool = False
+) -> Found:
     """What `joulemap calibrate --model physics` finds, without its files.
 
     Parameters
@@ -143,27 +137,25 @@ def joulemap(site: Site, robot: Robot, new: Sequence[Log], base: Sequence[Log]) 
         As declared.
     new, base : sequence of Log
         New runs, and baseline runs or none.
+    cross_validate : bool
+        Repeat the whole procedure without each run, for the error that the report states.
 
     Returns
     -------
     Found
         The result.
     """
-    from joulemap.model.loop.calibration import calibrate
-
     predictor = PhysicsPredictor()
     measured, electric, _ = residuals_on(predictor, site.heightmap, robot, segments_of(new, robot))
     before = residuals_on(predictor, site.heightmap, robot, segments_of(base, robot))[0] if base else None
-    return _Found(calibrate(measured, electric=electric, base=before), robot)
+    return _Found(calibrate(measured, electric=electric, base=before, cross_validate=cross_validate), robot)
 
 
-def _answer(effect: Any) -> Answer:
-    from joulemap.model.loop.words import effect_name
-
+def _answer(effect: Effect) -> Answer:
     term = effect.term
-    units = list(term.units) + [""] * len(effect.coefficients)
+    unit = term.form.unit.format(E="J")
     stated = tuple(
-        Stated(float(v), float(lo), float(hi), u)
-        for v, lo, hi, u in zip(effect.coefficients, effect.low, effect.high, units, strict=False)
+        Stated(float(value), float(low), float(high), unit)
+        for value, low, high in zip(term.coefficients, effect.low, effect.high, strict=True)
     )
-    return Answer(term.name, effect_name(term.name), stated, float(effect.p_value), term.name.startswith("learned:"))
+    return Answer(term.form.name, term.form.label, stated, float(effect.p_value))

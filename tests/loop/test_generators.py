@@ -136,6 +136,14 @@ def test_a_case_is_made_again_from_its_seed_and_written_as_files(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["base", "dem.tif", "new", "other_site", "robot.toml", "twins"]
 
 
+def test_runs_for_the_test_are_spread_over_the_day():
+    config = CaseConfig(new_runs=6, test_runs=3, base_runs=0, drive=replace(DriveConfig(), length_m=20.0))
+    case = make_case(config, 1, drawn_effects("heater", 1))
+    assert [log.name[4:6] for log in case.test.logs] == ["02", "05", "08"]
+    assert [log.name[4:6] for log in case.new.logs] == ["01", "03", "04", "06", "07", "09"]
+    assert [log.name for log in case.test.twins] == [log.name for log in case.test.logs]
+
+
 def test_logs_become_metres():
     case = make_case(CaseConfig(new_runs=2, base_runs=0), 1)
     segments = segments_of(case.new.logs, case.declared)

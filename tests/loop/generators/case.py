@@ -44,6 +44,13 @@ class Place:
     logs: tuple[Log, ...]
     twins: tuple[Log, ...]
 
+    def part(self, count: int, *, test: bool) -> Place:
+        """The `count` logs for the test, spread evenly over the day, or the others."""
+        n = len(self.logs)
+        chosen = {int((k + 0.5) * n / count) for k in range(count)}
+        mine = [k for k in range(n) if (k in chosen) == test]
+        return Place(self.site, tuple(self.logs[k] for k in mine), tuple(self.twins[k] for k in mine))
+
 
 @dataclass(frozen=True, eq=False)
 class Case:
@@ -63,6 +70,8 @@ class Case:
         Runs of an earlier day without any effect.
     new : Place
         Runs with the effects.
+    test : Place
+        Further runs of the same day, for the errors only; may be empty.
     other : Place, optional
         Runs on another site with the effects, but for those that stay on the first site or in its logs.
     """
@@ -73,6 +82,7 @@ class Case:
     declared: Robot
     base: tuple[Log, ...]
     new: Place
+    test: Place
     other: Place | None
 
     def write(self, folder: Path) -> None:
@@ -80,7 +90,7 @@ class Case:
         folder.mkdir(parents=True, exist_ok=True)
         self.new.site.write(folder / "dem.tif")
         write_robot(folder / "robot.toml", self.declared)
-        parts = {"base": self.base, "new": self.new.logs, "twins": self.new.twins}
+        parts = {"base": self.base, "new": self.new.logs, "twins": self.new.twins, "test": self.test.logs}
         if self.other is not None:
             parts["other_site"] = self.other.logs
             (folder / "other_site").mkdir(exist_ok=True)
@@ -121,13 +131,15 @@ def make_case(config: CaseConfig, seed: int, effects: Sequence[HiddenEffect] = (
         second = Site.drawn(config.site, of_other)
         away = _Day(replace(config, log=plain), second, robot, home=False, day=5, new=True)
         other = away.place(config.other_runs, parts[6], effects, plain)
+    day = new.place(config.new_runs + config.test_runs, parts[5], effects, plain)
     return Case(
         seed=seed,
         effects=tuple(effects),
         robot=robot,
         declared=robot.declared(config.robot, of_owner),
         base=base.place(config.base_runs, parts[4], (), plain).logs,
-        new=new.place(config.new_runs, parts[5], effects, plain),
+        new=day.part(config.test_runs, test=False),
+        test=day.part(config.test_runs, test=True),
         other=other,
     )
 

@@ -206,7 +206,9 @@ class CaseConfig:
     Attributes
     ----------
     new_runs, base_runs, other_runs : int
-        Numbers of runs; `base_runs` may be 0.
+        Numbers of runs; `base_runs` and `other_runs` may be 0.
+    test_runs : int
+        Runs of the new day that take no part in the calibration, spread evenly over the day.
     inertia : bool
         Whether speeding up takes kinetic energy, as it does. Without it nothing depends on the acceleration.
     """
@@ -220,4 +222,5 @@ class CaseConfig:
     new_runs: int = 6
     base_runs: int = 6
     other_runs: int = 0
+    test_runs: int = 0
     inertia: bool = True

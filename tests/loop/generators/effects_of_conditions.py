@@ -129,6 +129,7 @@ class SoftTires(HiddenEffect):
     right = (r"drift", r"clock", r"odometer", r"(^|[^a-z])time", r"hour", r"since the first")
     why_none = "a share of the rolling resistance; candidates may state it per metre"
     transfers = False
+    between = True
 
     def force_n(self, scene: Scene) -> FloatArray | float:
         """Rolling resistance that grows by 18 % an hour."""
