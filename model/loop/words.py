@@ -96,12 +96,12 @@ _MEANINGS = {
 _LEFT_OUT = {
     "gaps": ("gap", "gaps"),
     "stops": ("stop", "stops"),
-    "remainders": ("remainder of less than 1 m", "remainders of less than 1 m"),
+    "remainders": ("piece too short for a segment", "pieces too short for a segment"),
     "bent": ("where the path bends too much", "where the path bends too much"),
     "slow": ("where the robot was much slower than usual", "where the robot was much slower than usual"),
     "fast": ("where the robot was faster than it can drive", "where the robot was faster than it can drive"),
     "not_positive": ("where the measured energy is not above zero", "where the measured energy is not above zero"),
-    "undriven": ("of runs that draw next to nothing", "of runs that draw next to nothing"),
+    "undriven": ("of a run in which the robot was carried", "of runs in which the robot was carried"),
 }
 """What is not made a segment: for one, and for several."""
 
@@ -116,6 +116,10 @@ _REPAIRS = {
     "position_jumps": ("position out of reach", "positions out of reach"),
     "position_breaks": ("jump to another position", "jumps to another position"),
     "current_sign_flipped": ("current whose sign was changed", "currents whose sign was changed"),
+    "power_sign_flipped": ("power whose sign was changed", "powers whose sign was changed"),
+    "currents_as_magnitudes": ("run whose motor currents are summed as magnitudes",) * 2,
+    "currents_signed_by_wheels": ("run whose motor currents are signed by the wheel speeds",) * 2,
+    "reckoned_positions": ("position from wheel speeds", "positions from wheel speeds"),
 }
 """What is repaired or dropped in a log: for one, and for several. Blanks and spikes carry the column's name."""
 

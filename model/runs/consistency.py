@@ -33,7 +33,12 @@ def check_runs(segments: Segments, heightmap: Heightmap, robot: Robot) -> None:
         needs on level ground.
     """
     if len(segments) == 0:
-        rules = ", ".join(f"{count} {rule}" for rule, count in segments.left_out.items() if count)
+        metres = segments.left_out_m
+        rules = ", ".join(
+            f"{count} {rule}" + (f" ({metres[rule]:.1f} m)" if rule in metres else "")
+            for rule, count in segments.left_out.items()
+            if count
+        )
         raise RunsError(
             "the runs hold no segment of 1 m: did the robot move, is its position recorded, and is `t` in s?"
             + (f" Left out: {rules}" if rules else ""),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -235,3 +235,23 @@ def driven_only(segments: Segments) -> Segments:
     add_count(left_out, "undriven", rows.size)
     metres = segments.left_out_m.get("undriven", 0.0) + float(segments.driven_m[rows].sum())
     return replace(kept, left_out=left_out, left_out_m=segments.left_out_m | {"undriven": metres})
+
+
+def coverage_words(coverage: Mapping[str, Any]) -> str:
+    """Return how much of the track is used, in words.
+
+    Parameters
+    ----------
+    coverage : mapping
+        Of `Segments.coverage`.
+
+    Returns
+    -------
+    str
+        Such as "459 of 491 m (93.6 %); left out: 32 m gaps".
+    """
+    track_m, used_m = coverage["track_m"], coverage["used_m"]
+    share = f" ({used_m / track_m:.1%})".replace("%", " %") if track_m > 0 else ""
+    left_out = sorted(coverage["left_out_m"].items(), key=lambda item: -item[1])
+    reasons = ", ".join(f"{metres:,.0f} m {key.replace('_', ' ')}" for key, metres in left_out if metres >= 0.5)
+    return f"{used_m:,.0f} of {track_m:,.0f} m{share}" + (f"; left out: {reasons}" if reasons else "")

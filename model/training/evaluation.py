@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from joulemap.model.energy.metrics import relative_errors
+from joulemap.model.energy.metrics import LEAST_J, relative_errors
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import LEVELS, Spread
 from joulemap.model.errors import InputError
@@ -34,8 +34,10 @@ def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[
     Returns
     -------
     dict
-        JSON-able: segments; mean_relative_error and median_relative_error, as `metrics.relative_errors`; rmse_j;
-        bias_j, the mean of measured - predicted; route_relative_errors, |sum e_hat - sum e| / sum e of every whole run;
+        JSON-able: segments; mean_relative_error and median_relative_error, as `metrics.relative_errors`; rmse_j and
+        mean_absolute_error_j; error_share, the sum of |errors| over that of |energies|, which stays finite where a
+        segment takes no energy; bias_j, the mean of measured - predicted; rmse_j_by_run
+        and mean_absolute_error_j_by_run; route_relative_errors, |sum e_hat - sum e| / sum e of every whole run;
         and route_relative_error, their mean.
 
     Raises
@@ -48,16 +50,22 @@ def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[
         raise InputError("there is no segment to judge by")
     relative = relative_errors(predicted, energy)
     residual = energy - predicted
-    by_run = {}
+    by_run, rmse_by_run, absolute_by_run = {}, {}, {}
     for one in np.unique(run):
         mine = np.asarray(run) == one
+        rmse_by_run[str(one)] = float(np.sqrt(np.mean(residual[mine] ** 2)))
+        absolute_by_run[str(one)] = float(np.abs(residual[mine]).mean())
         by_run[str(one)] = float(abs(residual[mine].sum()) / max(abs(energy[mine].sum()), 1e-9))
     return {
         "segments": int(energy.size),
         "mean_relative_error": float(relative.mean()),
         "median_relative_error": float(np.median(relative)),
         "rmse_j": float(np.sqrt(np.mean(residual**2))),
+        "mean_absolute_error_j": float(np.abs(residual).mean()),
+        "error_share": float(np.abs(residual).sum() / max(np.abs(energy).sum(), LEAST_J)),
         "bias_j": float(residual.mean()),
+        "rmse_j_by_run": rmse_by_run,
+        "mean_absolute_error_j_by_run": absolute_by_run,
         "route_relative_error": float(np.mean(list(by_run.values()))),
         "route_relative_errors": by_run,
     }
@@ -109,7 +117,9 @@ def evaluate_on_runs(
     dict
         JSON-able. The numbers of `errors`, with runs named; `coverage`, the share of segments inside the predicted 50,
         80 and 90 % intervals (None where the model has none); `unknown`, the number of segments on unknown ground;
-        `repairs` and `left_out`, what was repaired in the logs and what was not made a segment, by rule;
+        `repairs` and `left_out`, what was repaired in the logs and what was not made a segment, by rule; `metres`, as
+        `Segments.coverage`;
+        `used`, metres of track as `Segments.coverage` returns them;
         `seen_in_training`, those of the runs that the model was trained with; `warnings`, which say so in words.
 
     Raises
@@ -124,7 +134,8 @@ def evaluate_on_runs(
     said = predict_segments(predictor, heightmap, robot, segments)
     known = np.isfinite(said.energy_j)
     found = errors(said.energy_j[known], segments.energy_j[known], segments.run[known])
-    by_run = {segments.runs[int(k)]: value for k, value in found.pop("route_relative_errors").items()}
+    for key in ("route_relative_errors", "rmse_j_by_run", "mean_absolute_error_j_by_run"):
+        found[key] = {segments.runs[int(k)]: value for k, value in found[key].items()}
     covered = None
     if said.std_j is not None:
         covered = coverage(segments.energy_j[known], said.energy_j[known], said.std_j[known], predictor.spread)
@@ -134,9 +145,10 @@ def evaluate_on_runs(
         **found,
         "coverage": covered,
         "unknown": int((~known).sum()),
-        "route_relative_errors": by_run,
         "repairs": {run.name: run.repairs for run in runs if run.repairs},
         "left_out": segments.left_out,
+        "metres": segments.coverage(),
+        "used": segments.coverage(),
         "seen_in_training": seen,
         "warnings": [*warnings, *predictor.warnings(heightmap, robot)],
     }

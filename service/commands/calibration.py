@@ -28,6 +28,7 @@ from joulemap.service.words import energy_words, runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
+    from joulemap.model.runs.electric import Currents
     from joulemap.model.runs.files import CalibrationRuns
     from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.service.loop.summary import NextStep
@@ -45,6 +46,24 @@ OdometryTrack = Annotated[
 ]
 TerrainFromName = Annotated[
     bool, typer.Option("--terrain-from-name", help="With `--odometry`: the file snow_02.csv was driven on snow.")
+]
+
+
+def _currents(text: str) -> str:
+    ways = ("auto", "signed", "magnitude")
+    if text not in ways:
+        raise typer.BadParameter(f"{text!r} is none of {', '.join(ways)}")
+    return text
+
+
+SumOfCurrents = Annotated[
+    Any,
+    typer.Option(
+        "--currents",
+        parser=_currents,
+        metavar="auto|signed|magnitude",
+        help="How the currents of several motors are summed: with their sign, without it, or as the log tells.",
+    ),
 ]
 
 
@@ -67,6 +86,7 @@ def calibrate(
     ] = None,
     odometry: OdometryTrack = None,
     terrain_from_name: TerrainFromName = False,
+    currents: SumOfCurrents = "auto",
     start: Annotated[
         Any,
         typer.Option(
@@ -95,7 +115,15 @@ def calibrate(
         raise typer.BadParameter("--start and --goal go together")
     output, began, driven_by = Output(json_file), time.perf_counter(), robot_of(robot)
     read, ground = _read(
-        runs, baseline_runs, heightmap, driven_by, odometry, terrain_from_name, reading, test_runs=test_runs
+        runs,
+        baseline_runs,
+        heightmap,
+        driven_by,
+        odometry,
+        terrain_from_name,
+        reading,
+        test_runs=test_runs,
+        currents=currents,
     )
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
@@ -109,6 +137,7 @@ def calibrate(
             progress=report,
         )
     asked = _options(model, heightmap, robot, runs, baseline_runs, odometry, terrain_from_name, reading)
+    asked += [] if currents == "auto" else ["--currents", currents]
     steps = _next_steps(made.document, out, heightmap, robot, reading, asked)
     write_file(out / "report.json", json_text(made.document).encode())
     write_file(out / "report.html", report_page(made, ground, steps=steps).encode())
@@ -132,6 +161,7 @@ def _read(
     reading: Reading,
     *,
     test_runs: list[str] | None = None,
+    currents: Currents = "auto",
 ) -> tuple[CalibrationRuns, Heightmap]:
     """The runs that the options name, and the map or level ground that they were driven on."""
     from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
@@ -145,7 +175,7 @@ def _read(
     test = find_runs(test_runs or [])
     test_files = {file.resolve() for file in test}
     files = [file for file in find_runs(runs) if file.resolve() not in test_files]
-    more = {"baseline_files": find_runs(baseline_runs or []), "test_files": test}
+    more: dict[str, Any] = {"baseline_files": find_runs(baseline_runs or []), "test_files": test, "currents": currents}
     if odometry is not None:
         return read_odometry_runs(files, Odometry(odometry, terrain_from_name), **more)
     assert heightmap is not None
@@ -206,6 +236,7 @@ def _next_steps(
 
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
     from joulemap.model.loop.words import left_out_words, p_words
+    from joulemap.model.runs.segments import coverage_words
     from joulemap.service.loop.summary import collinear_words, drive_words, summary_lines, unit_of
 
     title, *lines = summary_lines(document)
@@ -222,6 +253,7 @@ def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[Ne
     rows |= _error_rows(document["error"], unit_of(document), ", held out" if document["effects"] else "")
     rows["a route"] = _route_words(document["route"])
     rows["drive next"] = drive_words(document["next_drive"])
+    rows["track used"] = coverage_words(document["runs"]["coverage"])
     if left_out := left_out_words(document["runs"]["left_out"]):
         rows["not used"] = left_out
     output.table(rows)
@@ -273,6 +305,7 @@ def suggest_drive(
     baseline_runs: BaselineRuns = None,
     odometry: OdometryTrack = None,
     terrain_from_name: TerrainFromName = False,
+    currents: SumOfCurrents = "auto",
     json_file: JsonFile = None,
     *,
     reading: Reading,
@@ -286,7 +319,9 @@ def suggest_drive(
     from joulemap.service.loop.summary import drive_words
 
     output, driven_by = Output(json_file), robot_of(robot)
-    read, ground = _read(runs, baseline_runs, heightmap, driven_by, odometry, terrain_from_name, reading)
+    read, ground = _read(
+        runs, baseline_runs, heightmap, driven_by, odometry, terrain_from_name, reading, currents=currents
+    )
     with progress_bar("Calibrating") as report:
         found = suggest_next_drive(
             model, ground, driven_by, read, effect=effect, length_m=length, progress=report

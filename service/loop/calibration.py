@@ -162,6 +162,7 @@ def calibrate_on_runs(
         "rows": runs.rows,
         "repairs": runs.repairs,
         "left_out": segments.left_out,
+        "coverage": segments.coverage(),
     }
     report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)

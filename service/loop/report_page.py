@@ -12,6 +12,7 @@ from typing import Any
 from joulemap.model.energy.metrics import LEAST_J
 from joulemap.model.loop.selection import ALPHA
 from joulemap.model.loop.words import effect_name, left_out_words, p_words, repair_words
+from joulemap.model.runs.segments import coverage_words
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (
@@ -334,6 +335,7 @@ def _number(value: float | None) -> str:
 
 def _repairs(runs: Mapping[str, Any]) -> str:
     left_out = left_out_words(runs["left_out"])
-    note = f"<p>{runs['rows']:,} rows were read. Not used: {escape(left_out or 'nothing')}.</p>"
+    used = f" Track used: {escape(coverage_words(runs['coverage']))}." if "coverage" in runs else ""
+    note = f"<p>{runs['rows']:,} rows were read.{used} Not used: {escape(left_out or 'nothing')}.</p>"
     rows = [[escape(name), escape(repair_words(counts))] for name, counts in runs["repairs"].items()]
     return note + (_table(["run", "rows repaired or dropped, by reason"], rows) if rows else "")

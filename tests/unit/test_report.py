@@ -159,7 +159,7 @@ def test_python_prints_the_summary_of_the_command_line(turning, tmp_path):
 def test_counts_of_logs_are_said_in_words():
     counts = {"gaps": 1, "stops": 24, "remainders": 34, "bent": 1234, "fast": 0}
     assert left_out_words(counts) == (
-        "1 gap, 24 stops, 34 remainders of less than 1 m, 1,234 where the path bends too much"
+        "1 gap, 24 stops, 34 pieces too short for a segment, 1,234 where the path bends too much"
     )
     repairs = {"held_fixes": 2, "voltage_spikes": 1, "current_left_spikes": 3, "blank_current": 5}
     assert repair_words(repairs) == (

@@ -12,7 +12,7 @@ from joulemap.model.loop.drive import describe_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import Run
-from joulemap.model.runs.segments import concatenate, driven_only
+from joulemap.model.runs.segments import concatenate, coverage_words, driven_only
 from joulemap.model.terrain.heightmap import Heightmap
 
 
@@ -345,3 +345,12 @@ def test_a_run_whose_wheels_stand_was_carried_whatever_it_draws():
     assert found.runs == ("a", "b", "c")
     unknown = replace(parts[2], extras={})
     assert len(driven_only(unknown)) == len(unknown)
+
+
+def test_what_is_used_is_said_in_metres():
+    run = line()
+    x = run.x.copy()
+    x[200:260] = np.nan  # 3 m
+    coverage = cut_segments(replace(run, x=x)).coverage()
+    assert coverage_words(coverage) == "27 of 30 m (89.8 %); left out: 3 m gaps"
+    assert coverage_words(cut_segments(run).coverage()) == "30 of 30 m (100.0 %)"
