@@ -123,7 +123,8 @@ def table_of(rows: Sequence[Row]) -> str:
         ]
         lines.append("| " + " | ".join(cells_of_row) + " |")
     lines.append(
-        f"\nSomething is named in {wrong} of {tried} cases ({wrong / max(tried, 1):.1%}); {over} cells are above 5 %."
+        f"\nSomething is named in {wrong} of {tried} cases ({wrong / max(tried, 1):.1%}); {over} cells are above 5 %; "
+        f"{len(rows) - tried} cases failed."
     )
     return "\n".join(lines)
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from scipy.stats import binomtest
 
 from tests.loop.calibrator import joulemap
@@ -21,7 +22,7 @@ from tests.loop.generators.config import CaseConfig, NoiseConfig, RobotConfig
 from tests.loop.generators.hidden import KINDS, drawn_effects
 from tests.loop.parallel import Row, rows_of
 
-SIZES = (0.125, 0.25, 0.5, 1.0, 2.0)
+SIZES = (0.03, 0.06, 0.125, 0.25, 0.5, 1.0)
 RUNS = (4, 6, 8, 12, 16, 24)
 SPREADS = (0.02, 0.05, 0.10)
 
@@ -39,7 +40,8 @@ def try_power(key: str) -> Row:
     answers = joulemap(case.new.site, case.declared, case.new.logs, case.base).answers
     right = [case.effects[0].is_named_by(answer.words) for answer in answers]
     named = [answer.name for answer in answers]
-    return {"named": named, "found": any(right), "said": ", ".join(named) or "nothing"}
+    said = ", ".join(named) or "nothing"
+    return {"named": named, "found": any(right), "said": said, "share": case.new.extra_share / float(size)}
 
 
 def curve(rows: Sequence[Row], place: int, head: str) -> str:
@@ -47,11 +49,12 @@ def curve(rows: Sequence[Row], place: int, head: str) -> str:
     parts = [row["key"].split(":") for row in rows]
     values = sorted({part[place] for part in parts}, key=float)
     lines = [
-        f"| effect | run-to-run spread | base runs | cases | {' | '.join(f'{head} {v}' for v in values)} |",
-        "|---" * (4 + len(values)) + "|",
+        f"| effect | energy at size 1 | run-to-run spread | base runs | cases "
+        f"| {' | '.join(f'{head} {v}' for v in values)} |",
+        "|---" * (5 + len(values)) + "|",
     ]
     for group in sorted({(part[0], float(part[3]), int(part[4])) for part in parts}):
-        cells, counts = [], []
+        cells, counts, shares = [], [], []
         for value in values:
             mine = [
                 row
@@ -59,9 +62,11 @@ def curve(rows: Sequence[Row], place: int, head: str) -> str:
                 if (part[0], float(part[3]), int(part[4])) == group and part[place] == value and "error" not in row
             ]
             counts.append(len(mine))
+            shares += [row["share"] for row in mine]
             cells.append(_share(mine))
         lines.append(
-            f"| {group[0]} | {group[1]:.0%} | {group[2]} | {min(counts)} to {max(counts)} | {' | '.join(cells)} |"
+            f"| {group[0]} | {np.median(shares) if shares else 0.0:+.1%} | {group[1]:.0%} | {group[2]} "
+            f"| {min(counts)} to {max(counts)} | {' | '.join(cells)} |"
         )
     return "\n".join(lines)
 

@@ -1,12 +1,15 @@
 """The generators: energies from closed forms, variation as asked for, and answers that are judged as declared."""
 
+import ast
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.readers import read_heightmap
+from tests.loop import generators
 from tests.loop.blind import fits_of
 from tests.loop.calibrator import Answer, Stated, segments_of
 from tests.loop.generators.case import make_case
@@ -23,6 +26,15 @@ STEADY = DriveConfig(length_m=120.0, stops_per_100m=0.0, speed_factor=(1.0, 1.0)
 LEVEL = CaseConfig(
     site=replace(FLAT, grade_rms=1e-9), drive=STEADY, log=EXACT, noise=QUIET, new_runs=1, base_runs=1, other_runs=1
 )
+
+
+def test_the_generators_know_neither_the_calibration_nor_the_models_nor_the_simulated_field():
+    folder = Path(generators.__file__).parent
+    trees = [ast.parse(file.read_text(encoding="utf-8")) for file in folder.glob("*.py")]
+    every = [node.module or "" for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    named = {module for module in every if module.startswith("joulemap")}
+    allowed = {"frames", "robot", "terrain.heightmap", "terrain.writers"}
+    assert named == {f"joulemap.model.{name}" for name in allowed}
 
 
 def energy_j(log):

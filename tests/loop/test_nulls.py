@@ -46,4 +46,4 @@ def test_the_table_counts_cases_that_name_anything():
     rows = [{"key": key, "s": 1.0, "named": named} for key, named in zip(keys, ([], ["wind"], [], []), strict=True)]
     rows[3] = {"key": keys[3], "s": 1.0, "error": "ValueError: no"}
     assert "| walk | yes | 6 | flat | 3 | 1 | 33% (1% to 91%) | wind 1 | 1 | 1.0 |" in table_of(rows)
-    assert "1 of 3 cases (33.3%); 1 cells are above 5 %" in table_of(rows)
+    assert "1 of 3 cases (33.3%); 1 cells are above 5 %; 1 cases failed." in table_of(rows)

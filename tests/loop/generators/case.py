@@ -44,6 +44,15 @@ class Place:
     logs: tuple[Log, ...]
     twins: tuple[Log, ...]
 
+    @property
+    def extra_share(self) -> float:
+        """Energy that the effects take, as a share of the energy without them."""
+        with_it, without = (
+            sum(float(log.numbers["voltage"] @ log.numbers["current"]) for log in logs)
+            for logs in (self.logs, self.twins)
+        )
+        return with_it / without - 1.0
+
     def part(self, count: int, *, test: bool) -> Place:
         """The `count` logs for the test, spread evenly over the day, or the others."""
         n = len(self.logs)
