@@ -16,6 +16,7 @@ from safetensors.torch import load, save
 from joulemap.model.energy.architectures import ARCHITECTURES, find_architecture
 from joulemap.model.energy.architectures.contract import Network
 from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
 
@@ -38,8 +39,8 @@ class Artifact:
         Rows and columns of its input; 0 is replaced by the architecture's usual size.
     spread : Spread
         Its errors on runs that it had not seen.
-    turn_j_per_rad : float
-        Energy of turning in its runs, beyond straight driving [J/rad].
+    costs : DriveCosts
+        Of turning, time and speeding up in its runs, beyond straight driving.
     training : mapping
         JSON-able facts: seed, data_hash, runs and run_hashes, held_out (errors on whole runs that were not trained on),
         command, started_from.
@@ -49,7 +50,7 @@ class Artifact:
     domain: Domain
     size: int = 0
     spread: Spread = field(default_factory=Spread)
-    turn_j_per_rad: float = 0.0
+    costs: DriveCosts = field(default_factory=DriveCosts)
     training: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -93,7 +94,7 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
         "network": find_architecture(artifact.architecture).config_of(artifact.net),
         "domain": artifact.domain.as_dict(),
         "spread": artifact.spread.as_dict(),
-        "turn_j_per_rad": artifact.turn_j_per_rad,
+        "drive_costs": artifact.costs.as_dict(),
         "training": dict(artifact.training),
     }
     (folder / CONFIG_FILE).unlink(missing_ok=True)
@@ -150,8 +151,7 @@ def read_artifact(folder: str | Path) -> Artifact:
     except (RuntimeError, SafetensorError) as error:
         raise ModelError(f"the weights of {folder} do not fit its network: {error}") from error
     domain, spread = Domain.from_dict(config.get("domain") or {}), Spread.from_dict(config.get("spread") or {})
-    turn = float(config.get("turn_j_per_rad", 0.0))
-    return Artifact(net.eval(), domain, size, spread, turn, config.get("training") or {})
+    return Artifact(net.eval(), domain, size, spread, _costs_of(config), config.get("training") or {})
 
 
 def load_artifact(folder: str | Path, *, name: str | None = None) -> Learned:
@@ -206,8 +206,15 @@ def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str
         size=artifact.size,
         name=name,
         spread=artifact.spread,
-        turn_j_per_rad=artifact.turn_j_per_rad,
+        costs=artifact.costs,
     )
+
+
+def _costs_of(config: Mapping[str, Any]) -> DriveCosts:
+    """Costs of driving; models of version 0.1 know that of turning alone."""
+    if "drive_costs" in config:
+        return DriveCosts.from_dict(dict(config["drive_costs"]))
+    return DriveCosts(turn_j_per_rad=float(config.get("turn_j_per_rad", 0.0)))
 
 
 def _read_config(folder: Path) -> dict[str, Any]:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT_KEYS = ("mass_kg", "width_m", "length_m", "wheel_radius_m", "speed_mps", "rolling_resistance")
@@ -46,8 +48,11 @@ class Domain:
         Logged load on top of the robot's mass [kg]. A model accounts for a logged load inside this range, and beyond it
         only when a calibration has found an effect of it.
     turned_rad : float
-        Mean turn of its own straight segments [rad]: nobody drives perfectly straight, and the energy of these small
-        turns is in the model's prices.
+        Mean turn per segment that is in the model's prices [rad]: of models of version 0.1, which learned from straight
+        segments alone, and nobody drives perfectly straight.
+    driven : dict of str to (float, float)
+        What the runs of a training on measured runs showed, without the lowest and the highest hundredth: "speed_mps",
+        "turn_rad_per_m", "turn_radps", "grade_deg" (uphill positive). Empty where the model learned from no such runs.
     """
 
     robot: dict[str, tuple[float, float]]
@@ -55,6 +60,7 @@ class Domain:
     max_slope_deg: float
     payload_kg: tuple[float, float] = (0.0, 0.0)
     turned_rad: float = 0.0
+    driven: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the ranges, JSON-able."""
@@ -89,6 +95,7 @@ class Domain:
                 float(values["max_slope_deg"]),
                 (float(least), float(most)),
                 float(values.get("turned_rad", 0.0)),
+                {str(k): (float(v[0]), float(v[1])) for k, v in (values.get("driven") or {}).items()},
             )
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise ModelError(f"the model does not say what it learned from: {error!r}") from error
@@ -104,7 +111,7 @@ class Domain:
         Returns
         -------
         Domain
-            With the `turned_rad` of this one.
+            With the `turned_rad` and `driven` of the other one: costs of driving are fitted to its runs alone.
         """
         robot = dict(self.robot)
         for key, (low, high) in other.robot.items():
@@ -115,7 +122,8 @@ class Domain:
             max(self.resolution_m[1], other.resolution_m[1]),
         )
         payload = min(self.payload_kg[0], other.payload_kg[0]), max(self.payload_kg[1], other.payload_kg[1])
-        return Domain(robot, resolution, max(self.max_slope_deg, other.max_slope_deg), payload, self.turned_rad)
+        steepest = max(self.max_slope_deg, other.max_slope_deg)
+        return Domain(robot, resolution, steepest, payload, other.turned_rad, dict(other.driven))
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         """Return one sentence for every value outside the ranges, with the value and the limits.
@@ -140,6 +148,13 @@ class Domain:
             if not low * (1.0 - _TOLERANCE) <= value <= high * (1.0 + _TOLERANCE):
                 label = "idle power / (speed x weight)" if key == "hotel_over_weight" else key
                 found.append(f"{label} = {value:.3g} is outside the {low:.3g}..{high:.3g} the network learned")
+        if "speed_mps" in self.driven:
+            low, high = self.driven["speed_mps"]
+            if not low * (1.0 - _TOLERANCE) <= robot.speed_mps <= high * (1.0 + _TOLERANCE):
+                found.append(
+                    f"speed_mps = {robot.speed_mps:.3g} is outside the {low:.3g}..{high:.3g} m/s of the runs that the "
+                    "model was trained with"
+                )
         low, high = self.resolution_m
         if not low * (1.0 - _TOLERANCE) <= heightmap.resolution_m <= high * (1.0 + _TOLERANCE):
             found.append(
@@ -205,8 +220,8 @@ class Learned(ABC):
         What the predictor says of itself, JSON-able.
     spread : Spread, optional
         Its errors on held-out runs.
-    turn_j_per_rad : float, optional
-        Energy of turning in its runs, beyond straight driving [J/rad].
+    costs : DriveCosts, optional
+        Of turning, time and speeding up in its runs, beyond straight driving.
     """
 
     def __init__(
@@ -216,12 +231,12 @@ class Learned(ABC):
         provenance: Mapping[str, Any],
         *,
         spread: Spread | None = None,
-        turn_j_per_rad: float = 0.0,
+        costs: DriveCosts | None = None,
     ) -> None:
         self.name = name
         self.domain = domain
         self.spread = spread or Spread()
-        self.turn_j_per_rad = turn_j_per_rad
+        self.costs = costs or DriveCosts()
         self._provenance = dict(provenance)
 
     def provenance(self) -> dict[str, Any]:
@@ -259,9 +274,29 @@ class Learned(ABC):
         Returns
         -------
         Robot
-            With more `turn_j_per_rad`.
+            With another `turn_j_per_rad`.
         """
-        return replace(robot, turn_j_per_rad=robot.turn_j_per_rad + self.turn_j_per_rad)
+        turn = robot.turn_j_per_rad + self.costs.planned_turn_j_per_rad(robot)
+        return replace(robot, turn_j_per_rad=max(turn, 0.0))
+
+    def drive_energy_j(self, robot: Robot, segments: Segments) -> NDArray[np.float64]:
+        """Return what measured segments cost beyond going straight ahead at the declared speed.
+
+        Parameters
+        ----------
+        robot : Robot
+            As its file declares it.
+        segments : Segments
+            Measured.
+
+        Returns
+        -------
+        ndarray of float64, (n,)
+            Energy [J], to be added to the price of the ground: the declared cost of turning and the model's own costs.
+        """
+        usual = self.costs.planned_turn_j_per_rad(robot) * self.domain.turned_rad
+        declared = robot.turn_j_per_rad * segments.turned_abs_rad
+        return np.asarray(declared + self.costs.energy_j(robot, segments) - usual)
 
     def traction_per_m(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,9 @@ from joulemap.model.terrain.heightmap import Heightmap
 FloatArray = NDArray[np.float64]
 
 MAX_TURN_RAD = 0.25
-"""Segments that turn by more are no examples: turning has a price of its own (`turn_j_per_rad`)."""
+"""Segments that turn by more are no examples of straight driving: turning has a price of its own."""
+
+_USUAL = {"driven_m": 1.0, "beside_j": 0.0}  # of segments that go 1 m straight ahead
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,10 @@ class Examples:
         Energy drawn from the battery [J].
     run : ndarray of int64, (n,)
         The run a segment belongs to: whole runs are held out.
+    driven_m : ndarray of float32, (n,)
+        Length of the track [m], by which a network's answer for 1 m is multiplied.
+    beside_j : ndarray of float32, (n,)
+        Energy that is known beside the network [J]: of turning, time and speeding up.
     """
 
     inputs: NDArray[np.float32]
@@ -65,17 +71,22 @@ class Examples:
     voltage_v: NDArray[np.float32]
     energy_j: NDArray[np.float32]
     run: NDArray[np.int64]
+    driven_m: NDArray[np.float32] = field(default_factory=lambda: np.ones(0, dtype=np.float32))
+    beside_j: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
 
     def __post_init__(self) -> None:
         n = len(self.inputs)
-        for field in fields(self):
-            dtype = np.int64 if field.name == "run" else np.float32
-            values = np.ascontiguousarray(getattr(self, field.name), dtype=dtype)
+        for name, usual in _USUAL.items():
+            if n and not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(n, usual, dtype=np.float32))
+        for item in fields(self):
+            dtype = np.int64 if item.name == "run" else np.float32
+            values = np.ascontiguousarray(getattr(self, item.name), dtype=dtype)
             if len(values) != n:
-                raise InputError(f"{n} segments need as many {field.name}, got {len(values)}")
-            if field.name != "run" and not np.isfinite(values).all():
-                raise InputError(f"{field.name} of some segments is not finite: leave those segments out")
-            object.__setattr__(self, field.name, values)
+                raise InputError(f"{n} segments need as many {item.name}, got {len(values)}")
+            if item.name != "run" and not np.isfinite(values).all():
+                raise InputError(f"{item.name} of some segments is not finite: leave those segments out")
+            object.__setattr__(self, item.name, values)
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -97,10 +108,12 @@ class Examples:
 
     @property
     def data_hash(self) -> str:
-        """SHA-256 of all arrays, 16 hex digits: it identifies the data that a model was made from."""
+        """SHA-256 of all arrays but usual `driven_m` and `beside_j`, 16 hex digits: the data a model was made from."""
         digest = hashlib.sha256()
-        for field in fields(self):
-            digest.update(np.ascontiguousarray(getattr(self, field.name)).tobytes())
+        for item in fields(self):
+            values = np.ascontiguousarray(getattr(self, item.name))
+            if item.name not in _USUAL or (values != _USUAL[item.name]).any():
+                digest.update(values.tobytes())
         return digest.hexdigest()[:16]
 
     def domain(self, *, max_slope_deg: float | None = None) -> Domain:
@@ -141,6 +154,8 @@ def cut_examples(
     architecture: str = DEFAULT_ARCHITECTURE,
     size: int | None = None,
     turned_rad: ArrayLike = 0.0,
+    driven_m: ArrayLike = 1.0,
+    beside_j: ArrayLike = 0.0,
 ) -> Examples:
     """Make examples of measured 1 m segments.
 
@@ -169,6 +184,10 @@ def cut_examples(
     turned_rad : array_like, (n,), optional
         Angle [rad] by which the world, ground and motion, is turned clockwise: the same energy, seen from another
         direction. For architectures whose inputs are not cut along the heading.
+    driven_m : array_like, (n,), optional
+        Length of the track [m].
+    beside_j : array_like, (n,), optional
+        Energy that is known beside the network [J].
 
     Returns
     -------
@@ -181,13 +200,14 @@ def cut_examples(
         If the architecture is unknown.
     """
     kind = find_architecture(architecture)
-    arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run, payload_kg, turned_rad)
+    arrays = np.broadcast_arrays(x, y, heading_rad, energy_j, run, payload_kg, turned_rad, driven_m, beside_j)
     xs, ys, heading, energy = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in arrays[:4])
     runs = np.ascontiguousarray(arrays[4], dtype=np.int64).ravel()
     turned = np.asarray(arrays[6], dtype=np.float64).ravel()
     grade = tan_grade(heightmap, xs, ys, heading)
     inputs = kind.cut_inputs(heightmap, xs, ys, heading, size=kind.input_size(size), turned_rad=turned)
-    known = np.isfinite(inputs[:, 0, 0]) & np.isfinite(grade) & np.isfinite(energy)
+    driven, beside = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in arrays[7:])
+    known = np.isfinite(inputs[:, 0, 0]) & np.isfinite(grade) & np.isfinite(energy) & np.isfinite(beside)
     n = int(known.sum())
 
     def _same(value: float) -> NDArray[np.float32]:
@@ -209,6 +229,8 @@ def cut_examples(
         _same(robot.nominal_voltage_v),
         _kept(energy),
         runs[known],
+        _kept(driven),
+        _kept(beside),
     )
 
 

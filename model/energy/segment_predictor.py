@@ -10,6 +10,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.examples import cut_examples
 from joulemap.model.energy.tensors import ExampleTensors
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
@@ -45,8 +46,8 @@ class SegmentPredictor(Learned):
         What the model is called.
     spread : Spread, optional
         Its errors on held-out runs.
-    turn_j_per_rad : float, optional
-        Energy of turning beyond straight driving [J/rad].
+    costs : DriveCosts, optional
+        Of turning, time and speeding up, beyond straight driving.
     """
 
     def __init__(
@@ -59,9 +60,9 @@ class SegmentPredictor(Learned):
         size: int,
         name: str,
         spread: Spread | None = None,
-        turn_j_per_rad: float = 0.0,
+        costs: DriveCosts | None = None,
     ) -> None:
-        super().__init__(name, domain, provenance, spread=spread, turn_j_per_rad=turn_j_per_rad)
+        super().__init__(name, domain, provenance, spread=spread, costs=costs)
         self.architecture = architecture
         self.device = architecture.device()
         self.net = net.to(self.device).eval()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,7 +56,7 @@ class ExampleTensors:
         Heights [m].
     features : Tensor, (n, 8)
         `FEATURES` of the robot.
-    heading, grade, weight, rolling, hotel, regeneration, voltage, measured : Tensor, (n,)
+    heading, grade, weight, rolling, hotel, regeneration, voltage, measured, driven, beside : Tensor, (n,)
         The columns of `Examples`, in their units.
     """
 
@@ -76,6 +76,8 @@ class ExampleTensors:
         self.regeneration = placed(examples.regeneration)
         self.voltage = placed(examples.voltage_v)
         self.measured = placed(examples.energy_j)
+        self.driven = placed(examples.driven_m)
+        self.beside = placed(examples.beside_j)
         self._derived: dict[str, Tensor] = {}
 
     def derived(self, key: str, make: Callable[[Examples], NDArray[np.float32]]) -> Tensor:
@@ -145,12 +147,13 @@ class ExampleTensors:
         Returns
         -------
         NetworkOutput
-            Of the B examples.
+            Of the B examples: what the network says of a metre times the metres driven, and what is known beside it.
         """
         architecture = find_architecture(net.architecture)
-        return architecture.answer(
+        straight = architecture.answer(
             net, self, part, leak=leak, quarter_turns=quarter_turns, mirror=mirror, jitter=jitter
         )
+        return replace(straight, energy=straight.energy * self.driven[part] + self.beside[part])
 
 
 def predicted(net: Network, examples: Examples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -31,7 +31,8 @@ class Prediction:
     traction_per_m : ndarray of float, (n,)
         Of the declared robot, before any calibration [J/m].
     turning_j : ndarray of float, (n,)
-        The part of the energy for turning, without the effects of a calibration [J].
+        The part of the energy beyond straight driving at the declared speed: turning and, of a network that was trained
+        on runs, time and speeding up. Without the effects of a calibration [J].
     """
 
     energy_j: FloatArray
@@ -81,7 +82,7 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
     """Predict segments that are driven at the robot's declared speed along the length of their track.
 
-    A network's own cost of turning counts from the turn that its straight segments had, whose cost is in its prices.
+    Turning, time and speeding up cost what was fitted to the runs of a network, beside what it says of the ground.
 
     Parameters
     ----------
@@ -107,10 +108,10 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
     if isinstance(predictor, CalibratedPredictor):  # its effects use more of a log than a plan could
         energy = predictor.segment_energy(segments, heightmap, robot)
         return Prediction(energy, std, traction, np.zeros(len(segments)))
-    turned = np.abs(segments.heading_change_rad)
-    turning = robot.turn_j_per_rad * turned
     if isinstance(base, Learned):
-        turning = turning + base.turn_j_per_rad * (turned - base.domain.turned_rad)
+        turning = base.drive_energy_j(robot, segments)
+    else:
+        turning = robot.turn_j_per_rad * segments.turned_abs_rad
     return Prediction(robot.price_per_m(traction * factor) * segments.driven_m + turning, std, traction, turning)
 
 

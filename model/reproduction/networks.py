@@ -24,7 +24,8 @@ from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.reproduction.measured import Measured
 from joulemap.model.reproduction.profiles import STRATEGIES, Profile
 from joulemap.model.robot import Robot
-from joulemap.model.training.measured_runs import CHECKPOINT, train_on_runs
+from joulemap.model.training.fold_fits import CHECKPOINT
+from joulemap.model.training.measured_runs import train_on_runs
 from joulemap.model.training.optimisation import TrainingOptions, train_network
 
 FloatArray = NDArray[np.float64]
@@ -73,6 +74,7 @@ def trained_compact(
             start_from=start_from,
             seed=seed,
             epochs=epochs,
+            protocol="chords",
             resume=True,
         )
     return load_predictor(out)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.architectures import find_architecture
 from joulemap.model.energy.artifact import Artifact, load_artifact, predictor_of, read_artifact, save_artifact
-from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
+from joulemap.model.energy.domain import Learned
+from joulemap.model.energy.examples import Examples, concatenate, cut_examples
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import InputError, ModelError
@@ -251,7 +252,7 @@ def distil_on_runs(
             held_out_runs=unseen,
         )
     rng = np.random.default_rng(seed)
-    measured = _measured(heightmap, robot, segments, rng)
+    measured = _measured(knows, heightmap, robot, segments, rng)
     taught = ask_teacher(knows, heightmap, robot, count=answers, rng=rng, progress=lambda done: report(_ASKING * done))
     examples = concatenate([measured, taught])
     result = train_network(
@@ -263,7 +264,8 @@ def distil_on_runs(
         options=replace(DISTILLING, epochs=epochs or DISTILLING.epochs),
         progress=lambda done: report(_ASKING + (1.0 - _ASKING) * done),
     )
-    student = Artifact(result.net, parent.domain.joined(examples.domain()), turn_j_per_rad=learned.turn_j_per_rad)
+    shown = replace(examples.domain(), turned_rad=learned.domain.turned_rad, driven=learned.domain.driven)
+    student = Artifact(result.net, parent.domain.joined(shown), costs=learned.costs)
     answers_of = predictor_of(student, {}, name=out.name)
     judged = segments.take(np.flatnonzero(np.isin(segments.run, held)))
     said = predict_segments(answers_of, heightmap, robot, judged)
@@ -296,25 +298,28 @@ def distil_on_runs(
     return replace(found, version=save_artifact(out, replace(student, training=training)))
 
 
-def _measured(heightmap: Heightmap, robot: Robot, segments: Segments, rng: np.random.Generator) -> Examples:
-    """The straight segments, as driven and with the world turned by random angles."""
-    straight = segments.take(np.flatnonzero(np.abs(segments.heading_change_rad) < MAX_TURN_RAD))
-    payload = np.nan_to_num(straight.extras.get("payload", np.zeros(len(straight))))
+def _measured(
+    knows: Learned, heightmap: Heightmap, robot: Robot, segments: Segments, rng: np.random.Generator
+) -> Examples:
+    """All segments, as driven and with the world turned by random angles; what costs beside the ground is known."""
+    payload = np.nan_to_num(segments.extras.get("payload", np.zeros(len(segments))))
     copies = find_architecture(STUDENT).training.copies
-    turns = [np.zeros(len(straight)), *rng.uniform(0.0, 2.0 * np.pi, (copies - 1, len(straight)))]
+    turns = [np.zeros(len(segments)), *rng.uniform(0.0, 2.0 * np.pi, (copies - 1, len(segments)))]
     return concatenate(
         [
             cut_examples(
                 heightmap,
                 robot,
-                straight.x,
-                straight.y,
-                straight.heading_rad,
-                straight.energy_j,
-                run=straight.run,
+                segments.x,
+                segments.y,
+                segments.heading_rad,
+                segments.energy_j,
+                run=segments.run,
                 payload_kg=payload,
                 architecture=STUDENT,
                 turned_rad=turned,
+                driven_m=segments.driven_m,
+                beside_j=knows.drive_energy_j(robot, segments),
             )
             for turned in turns
         ]

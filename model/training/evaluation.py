@@ -147,7 +147,6 @@ def evaluate_on_runs(
         "unknown": int((~known).sum()),
         "repairs": {run.name: run.repairs for run in runs if run.repairs},
         "left_out": segments.left_out,
-        "metres": segments.coverage(),
         "used": segments.coverage(),
         "seen_in_training": seen,
         "warnings": [*warnings, *predictor.warnings(heightmap, robot)],

@@ -9,6 +9,7 @@ import pytest
 
 from joulemap.model.energy.artifact import read_artifact
 from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import InputError, ModelError, RunsError
@@ -23,7 +24,7 @@ from joulemap.model.training.evaluation import evaluate_on_runs
 from joulemap.model.training.measured_runs import train_on_runs
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop.calibration import calibrate_on_runs
-from joulemap.service.models import find_predictor
+from joulemap.service.models import find_predictor, planning_robot
 from joulemap.service.workflows import make_cost_lattice
 
 ROBOT = Robot(rolling_resistance=0.1)
@@ -139,20 +140,24 @@ def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
     train([drive(tmp_path, "run.csv", y=4.0)], tmp_path / "model")
     config = tmp_path / "model" / "config.json"
     values = json.loads(config.read_text())
-    config.write_text(json.dumps(values | {"turn_j_per_rad": 7.0}))
+    costs = {"turn_j_per_rad": 4.0, "slow_turn_j_per_rad": [6.0] + 6 * [0.0], "slow_share": [0.5] + 6 * [1.0]}
+    config.write_text(json.dumps(values | {"drive_costs": costs}))
     declared = Robot(turn_j_per_rad=2.0)
     lattice = make_cost_lattice(waves(), declared, model=tmp_path / "model", headings=8)
-    assert lattice.robot.turn_j_per_rad == 9.0
+    assert lattice.robot.turn_j_per_rad == 2.0 + 4.0 + 0.5 * 6.0
+    del values["drive_costs"]  # as version 0.1 wrote it
+    config.write_text(json.dumps(values | {"turn_j_per_rad": 7.0}))
+    assert planning_robot(find_predictor(tmp_path / "model"), declared).turn_j_per_rad == 9.0
 
 
 def test_what_straight_segments_turn_is_in_the_prices_already(tmp_path):
     """Of two models that differ in turning alone, that with 50 J/rad from 0.1 rad on says 50 (|turn| - 0.1) more."""
     plain, turning = load_predictor("default"), load_predictor("default")
-    turning.turn_j_per_rad, turning.domain = 50.0, replace(turning.domain, turned_rad=0.1)
+    turning.costs, turning.domain = DriveCosts(turn_j_per_rad=50.0), replace(turning.domain, turned_rad=0.1)
     segments = read_segments([drive(tmp_path, "run.csv", y=4.0)], ROBOT, crs=None)[1]
-    segments = replace(segments, heading_change_rad=np.linspace(-0.4, 0.4, len(segments)))
+    segments = replace(segments, turned_abs_rad=np.linspace(0.0, 0.4, len(segments)))
     one, other = (predict_segments(p, waves(), ROBOT, segments).energy_j for p in (plain, turning))
-    np.testing.assert_allclose(other - one, 50.0 * (np.abs(segments.heading_change_rad) - 0.1), atol=1e-9)
+    np.testing.assert_allclose(other - one, 50.0 * (segments.turned_abs_rad - 0.1), atol=1e-9)
 
 
 def test_a_calibration_without_effects_changes_no_prediction_and_leaves_loads_to_effects(tmp_path):

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from joulemap.model.energy.domain import Domain, Learned
+    from joulemap.model.energy.drive_costs import DriveCosts
     from joulemap.model.energy.examples import Examples, FloatArray
     from joulemap.model.energy.uncertainty import Spread
     from joulemap.model.terrain.heightmap import Heightmap
@@ -242,6 +243,27 @@ class Architecture(ABC, Generic[Net]):
             net.load_state_dict(start_from.state_dict())
         return net
 
+    def adapted(self, net: Net, *, level: float, climb: float, shape: float) -> Net:
+        """Return a network whose traction differs by what a regression found, before it is fine-tuned.
+
+        Parameters
+        ----------
+        net : Network
+            Of this architecture; it is not changed.
+        level : float
+            More traction over the weight.
+        climb : float
+            More traction over the weight and the tangent of the slope.
+        shape : float
+            Share by which the part for the shape of the ground grows; -1 takes it away.
+
+        Returns
+        -------
+        Network
+            By default the same one: training must then learn all of it.
+        """
+        return net
+
     def device(self) -> torch.device:
         """Return where networks of this architecture are trained and asked: the processor."""
         return CPU
@@ -292,7 +314,7 @@ class Architecture(ABC, Generic[Net]):
         size: int,
         name: str,
         spread: Spread,
-        turn_j_per_rad: float,
+        costs: DriveCosts,
     ) -> Learned:
         """Make a predictor of a trained network.
 
@@ -310,17 +332,15 @@ class Architecture(ABC, Generic[Net]):
             What the model is called.
         spread : Spread
             Its errors on held-out runs.
-        turn_j_per_rad : float
-            Energy of turning beyond straight driving [J/rad].
+        costs : DriveCosts
+            Of turning, time and speeding up, beyond straight driving.
 
         Returns
         -------
         Learned
             By default one that asks for every segment by itself.
         """
-        return SegmentPredictor(
-            self, net, domain, provenance, size=size, name=name, spread=spread, turn_j_per_rad=turn_j_per_rad
-        )
+        return SegmentPredictor(self, net, domain, provenance, size=size, name=name, spread=spread, costs=costs)
 
 
 def check_start(architecture: Architecture[Any], start_from: Network | None) -> None:

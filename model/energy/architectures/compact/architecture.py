@@ -16,6 +16,7 @@ from joulemap.model.energy.architectures.compact.net import CompactConfig, Compa
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
 from joulemap.model.energy.architectures.contract import Architecture, TrainingDefaults
 from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.examples import Examples, FloatArray
 from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput
 from joulemap.model.energy.uncertainty import LEAST_SHARE, Spread
@@ -111,6 +112,12 @@ class Compact(Architecture[CompactNet]):
             net.set_feature_ranges(examples.features.min(axis=0), examples.features.max(axis=0))
         return net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
+    def adapted(
+        self, net: CompactNet, *, level: float, climb: float, shape: float
+    ) -> CompactNet:  # numpydoc ignore=PR01,RT03
+        """Return a network with another traction, as `Architecture.adapted`."""
+        return net.adapted(level=level, climb=climb, shape=shape)
+
     def predictor(
         self,
         net: CompactNet,
@@ -120,10 +127,10 @@ class Compact(Architecture[CompactNet]):
         size: int,
         name: str,
         spread: Spread,
-        turn_j_per_rad: float,
+        costs: DriveCosts,
     ) -> CompactPredictor:  # numpydoc ignore=PR01,RT03
         """Make a predictor that answers for whole maps in dense passes."""
-        return CompactPredictor(net, domain, provenance, name=name, spread=spread, turn_j_per_rad=turn_j_per_rad)
+        return CompactPredictor(net, domain, provenance, name=name, spread=spread, costs=costs)
 
 
 def _tracks(examples: Examples) -> NDArray[np.float32]:

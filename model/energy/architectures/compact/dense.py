@@ -21,6 +21,7 @@ from joulemap.model.energy.architectures.compact.net import (
 from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
 from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade, tan_grade_lattice
 from joulemap.model.energy.robot_features import robot_features
 from joulemap.model.energy.uncertainty import Spread, segment_std
@@ -57,8 +58,8 @@ class CompactPredictor(Learned):
         What the model is called.
     spread : Spread, optional
         Its errors on held-out runs.
-    turn_j_per_rad : float, optional
-        Energy of turning beyond straight driving [J/rad].
+    costs : DriveCosts, optional
+        Of turning, time and speeding up, beyond straight driving.
     """
 
     def __init__(
@@ -69,9 +70,9 @@ class CompactPredictor(Learned):
         *,
         name: str,
         spread: Spread | None = None,
-        turn_j_per_rad: float = 0.0,
+        costs: DriveCosts | None = None,
     ) -> None:
-        super().__init__(name, domain, provenance, spread=spread, turn_j_per_rad=turn_j_per_rad)
+        super().__init__(name, domain, provenance, spread=spread, costs=costs)
         self.net = net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def traction_and_std(

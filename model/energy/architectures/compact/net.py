@@ -12,6 +12,7 @@ answers of all its cells in one pass.
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -232,6 +233,27 @@ class CompactNet(Network):
         with torch.no_grad():
             self.feature_low.copy_(torch.minimum(low_t, high_t - 1e-3))
             self.feature_high.copy_(high_t)
+
+    def adapted(self, *, level: float, climb: float, shape: float) -> CompactNet:
+        """Return a copy whose traction over the weight is (a mu + (c + climb) tan theta) + (1 + shape) r + level.
+
+        Parameters
+        ----------
+        level, climb, shape : float
+            As `Architecture.adapted`.
+
+        Returns
+        -------
+        CompactNet
+            The copy.
+        """
+        other = deepcopy(self)
+        with torch.no_grad():
+            other.gains.bias[1].add_(climb)
+            for parameter in other.rest.parameters():
+                parameter.mul_(1.0 + shape)
+            other.rest.bias.add_(level / _REST_SCALE)
+        return other
 
     def read_robot(self, features: Tensor) -> RobotCode:
         """Turn the robot's features into scales, shifts and gains.

@@ -1,0 +1,127 @@
+"""Sites: maps, the runs that were driven on each of them, and the robot that drove there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import InputError, RunsError
+from joulemap.model.robot import Robot
+from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.cutting import Protocol
+from joulemap.model.runs.files import distinct_names, read_segments
+from joulemap.model.runs.reader import Run
+from joulemap.model.runs.segments import Segments, concatenate
+from joulemap.model.terrain.heightmap import Heightmap
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A map and the runs on it.
+
+    Attributes
+    ----------
+    heightmap : Heightmap
+        The ground, in the frame of the runs.
+    files : tuple of Path
+        The runs; at least one.
+    robot : Robot
+        That drove here. Robots of several sites may differ in size.
+    """
+
+    heightmap: Heightmap
+    files: tuple[Path, ...]
+    robot: Robot
+
+
+@dataclass(frozen=True, eq=False)
+class SiteRuns:
+    """The runs of several sites, cut into segments.
+
+    Attributes
+    ----------
+    sites : tuple of Site
+        In the order in which they were given.
+    runs : tuple of Run
+        Of all sites, each with a name that no other has.
+    segments : Segments
+        Of all runs; places are in the frame of their own site.
+    site : ndarray of int, (n,)
+        Site of each segment.
+    """
+
+    sites: tuple[Site, ...]
+    runs: tuple[Run, ...]
+    segments: Segments
+    site: NDArray[np.int64]
+
+    def on(self, number: int) -> NDArray[np.int64]:
+        """Return which segments lie on a site.
+
+        Parameters
+        ----------
+        number : int
+            Of the site.
+
+        Returns
+        -------
+        ndarray of int
+            Their indices.
+        """
+        return np.flatnonzero(self.site == number)
+
+
+def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protocol = "track") -> SiteRuns:
+    """Read the runs of several sites, and check that each was driven on its map.
+
+    Parameters
+    ----------
+    sites : sequence of Site
+        At least one.
+    charge : bool, optional
+        As `read_segments`.
+    protocol : {"track", "chords"}, optional
+        As `read_segments`.
+
+    Returns
+    -------
+    SiteRuns
+        All runs, in the order of the sites.
+
+    Raises
+    ------
+    InputError
+        If there is no site, or a run is given twice.
+    RunsError
+        If a log cannot be read, or does not fit its map and robot.
+    """
+    if not sites:
+        raise InputError("there is no site: give a heightmap and its runs")
+    files = [file for site in sites for file in site.files]
+    places = [file.resolve() for file in files]
+    twice = next((file for k, file in enumerate(files) if places[k] in places[:k]), None)
+    if twice is not None:
+        raise InputError(f"the run {twice} is given twice: a run belongs to one map", run=str(twice))
+    names = iter(distinct_names(files))
+    runs: list[Run] = []
+    parts: list[Segments] = []
+    for site in sites:
+        mine = [next(names) for _ in site.files]
+        try:
+            found, segments = read_segments(
+                site.files, site.robot, crs=site.heightmap.frame.crs, charge=charge, protocol=protocol
+            )
+            segments = replace(segments, runs=tuple(mine))
+            check_runs(segments, site.heightmap, site.robot)
+        except RunsError as error:
+            if len(sites) == 1:
+                raise
+            raise RunsError(f"{error.message} (site {site.heightmap.source})", **error.context) from error
+        runs += [replace(run, name=name) for run, name in zip(found, mine, strict=True)]
+        parts.append(segments)
+    number = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    return SiteRuns(tuple(sites), tuple(runs), concatenate(parts), number)

@@ -1,0 +1,263 @@
+"""The costs of turning, time and speeding up in measured runs: a robust, bounded regression on all metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from joulemap.model.energy.drive_costs import DriveCosts
+from joulemap.model.robot import Robot
+from joulemap.model.runs.segments import Segments
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
+
+FloatArray = NDArray[np.float64]
+
+_HUBER = 1.345
+"""Residuals beyond so many standard deviations count linearly: 95 % efficient for normal ones. Source: Huber 1981."""
+_PASSES = 10  # of reweighting; the coefficients no longer move in their third digit
+_LEAST_SHARE = 0.2  # of the mean energy: the least that a segment's variance grows with
+SHIPPED_RUN_SHARE = 0.186
+"""Standard deviation of the level of a run over the rolling resistance: that of the shipped network on other sites.
+Source: `spread.run_share` of model/weights/config.json."""
+_ARM_M = 0.5
+"""Turning energy per radian over the weight [m], as a prior standard deviation: a friction coefficient of 1 at half a
+metre from the centre of rotation."""
+_MOST_SPEED_UP = 2.0
+"""Most energy of speeding up over the kinetic energy gained: half of what the motors draw is lost."""
+
+
+@dataclass(frozen=True, eq=False)
+class CostRows:
+    """What the regression reads of n segments.
+
+    Attributes
+    ----------
+    segments : Segments
+        Measured.
+    robots : tuple of Robot
+        That drove.
+    robot : ndarray of int, (n,)
+        Which of them drove a segment.
+    traction_per_m : ndarray of float, (n,)
+        Of the network that a training starts from, or of equation 5 [J/m].
+    shape_per_m : ndarray of float, (n,)
+        The part of it that the network reads from the shape of the ground, beyond rolling and climbing [J/m].
+    tan_grade : ndarray of float, (n,)
+        Tangent of the slope along the motion.
+    """
+
+    segments: Segments
+    robots: tuple[Robot, ...]
+    robot: NDArray[np.int64]
+    traction_per_m: FloatArray
+    shape_per_m: FloatArray
+    tan_grade: FloatArray
+
+    def take(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> CostRows:
+        """Return some of the rows.
+
+        Parameters
+        ----------
+        which : ndarray of bool or int
+            A mask or indices.
+
+        Returns
+        -------
+        CostRows
+            In the order of `which`.
+        """
+        return CostRows(
+            self.segments.take(which),
+            self.robots,
+            self.robot[which],
+            self.traction_per_m[which],
+            self.shape_per_m[which],
+            self.tan_grade[which],
+        )
+
+    def of_robot(self, attribute: str) -> FloatArray:
+        """Return an attribute of the robot of each row.
+
+        Parameters
+        ----------
+        attribute : str
+            Of `Robot`.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Its values.
+        """
+        return np.array([float(getattr(robot, attribute)) for robot in self.robots])[self.robot]
+
+
+@dataclass(frozen=True)
+class CostFit:
+    """The result of the regression.
+
+    Attributes
+    ----------
+    costs : DriveCosts
+        Of turning, time and speeding up.
+    level : float
+        What the traction lacks on level ground, over the weight: the rolling resistance that was not declared.
+    climb : float
+        What it lacks over the weight and the tangent of the slope.
+    shape : float
+        What it lacks of the network's part for the shape of the ground, over that part; -1 where the part says nothing.
+    """
+
+    costs: DriveCosts
+    level: float
+    climb: float
+    shape: float
+
+    def predict_j(self, rows: CostRows) -> FloatArray:
+        """Predict rows that were not fitted.
+
+        Parameters
+        ----------
+        rows : CostRows
+            Of the same robots.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J]; NaN on unknown ground.
+        """
+        columns, names, known_j = _design(rows)
+        mass = self.costs.mass_kg
+        value = {
+            "level": self.level,
+            "climb": self.climb,
+            "shape": self.shape,
+            "turn": self.costs.turn_j_per_rad / mass,
+            "slower": self.costs.driving_w or 0.0,
+            "speed_up": self.costs.speed_up_kg / mass,
+        }
+        slow = self.costs.slow_turn_j_per_rad
+        value |= {_slow_name(limit): cost / mass for limit, cost in zip(TURN_LIMITS_RADPS, slow, strict=True)}
+        return known_j + columns @ np.array([value[name] for name in names])
+
+
+def fit_costs(rows: CostRows) -> CostFit:
+    """Fit the costs of a drive together with the level of the traction.
+
+    Parameters
+    ----------
+    rows : CostRows
+        All metres, curves and short halts included.
+
+    Returns
+    -------
+    CostFit
+        Costs of the first robot; those of others are in proportion to their mass.
+
+    Notes
+    -----
+    energy = price(traction + level * weight + climb * weight * tan grade + shape * its part for the shape) * driven
+    + idle * (time - driven / speed) + driving_w * slower
+    + turn * turned + sum over limits of slow_turn * turned as far as slower than the limit + speed_up_kg * gained.
+    The cost of turning is thus a concave function of the rate. Residuals have a variance
+    in proportion to the energy and count by Huber's loss. Bounds are physical: no energy comes from turning or speeding
+    up, no power below zero, no rolling resistance below zero, and speeding up costs at most twice the kinetic energy.
+    Normal priors keep what the runs do not show near what is declared. Runs differ in level by a random effect, which
+    predictions of other runs do not have.
+    """
+    known = np.isfinite(rows.traction_per_m + rows.shape_per_m + rows.tan_grade) & np.isfinite(rows.segments.energy_j)
+    rows = rows.take(known)
+    names, found = _fit(rows)
+    value = dict(zip(names, found.tolist(), strict=True))
+    mass = rows.robots[0].mass_kg
+    turned = float(rows.segments.turned_abs_rad.sum())
+    slow = rows.segments.gentle_turn_rad.sum(axis=0) / max(turned, 1e-9)
+    costs = DriveCosts(
+        turn_j_per_rad=round(mass * value["turn"], 3),
+        slow_turn_j_per_rad=tuple(round(mass * value[_slow_name(limit)], 3) for limit in TURN_LIMITS_RADPS),
+        slow_share=tuple(round(float(share), 4) for share in slow),
+        driving_w=round(value["slower"], 3),
+        speed_up_kg=round(mass * value["speed_up"], 3),
+        mass_kg=mass,
+    )
+    return CostFit(costs, value["level"], value["climb"], value["shape"])
+
+
+def _fit(rows: CostRows) -> tuple[list[str], FloatArray]:
+    """Names and coefficients."""
+    columns, names, known_j = _design(rows)
+    low, high, centre, spread = _priors(rows, names)
+    terms = len(names)
+    runs = np.unique(rows.segments.run)
+    if runs.size > 1:  # a level of its own for each run
+        own = columns[:, [names.index("level")]] * (rows.segments.run[:, None] == runs)
+        columns = np.concatenate([columns, own], axis=1)
+        deviation = SHIPPED_RUN_SHARE * float(np.mean(rows.of_robot("rolling_resistance")))
+        low, high = np.append(low, np.full(runs.size, -np.inf)), np.append(high, np.full(runs.size, np.inf))
+        centre, spread = np.append(centre, np.zeros(runs.size)), np.append(spread, np.full(runs.size, deviation))
+    rest = rows.segments.energy_j - known_j
+    found = np.clip(centre, low, high)
+    for _ in range(_PASSES):
+        predicted = known_j + columns @ found
+        root = 1.0 / np.sqrt(_scale_j(predicted, rows.segments.energy_j))
+        scaled = np.abs(rows.segments.energy_j - predicted) * root
+        sigma = max(1.4826 * float(np.median(scaled)), 1e-9)
+        weight = root / sigma * np.sqrt(np.minimum(1.0, _HUBER * sigma / np.maximum(scaled, 1e-12)))
+        design = np.concatenate([columns * weight[:, None] * spread, np.eye(spread.size)])
+        target = np.concatenate([(rest - columns @ centre) * weight, np.zeros(spread.size)])
+        bounds = (low - centre) / spread, (high - centre) / spread
+        found = centre + spread * lsq_linear(design, target, bounds=bounds).x
+    return names, found[:terms]
+
+
+def _design(rows: CostRows) -> tuple[FloatArray, list[str], FloatArray]:
+    """Columns (n, terms), their names, and the energy that is known without them (n,)."""
+    s = rows.segments
+    mass, weight = rows.of_robot("mass_kg"), rows.of_robot("weight_n")
+    idle, speed = rows.of_robot("idle_power_w"), rows.of_robot("speed_mps")
+    share = rows.of_robot("regeneration")
+    driving = rows.traction_per_m > 0.0
+    traction = np.where(driving, rows.traction_per_m, share * rows.traction_per_m)
+    counts_m = s.driven_m * np.where(driving, 1.0, share)
+    known_j = idle * s.duration_s + traction * s.driven_m + rows.of_robot("turn_j_per_rad") * s.turned_abs_rad
+    terms = {
+        "level": weight * counts_m,
+        "climb": weight * rows.tan_grade * counts_m,
+        "shape": rows.shape_per_m * counts_m,
+        "turn": mass * s.turned_abs_rad,
+        "slower": s.duration_s - s.standing_s - s.driven_m / speed,
+        "speed_up": mass * s.gained_m2ps2,
+    }
+    terms |= {_slow_name(limit): mass * s.gentle_turn_rad[:, k] for k, limit in enumerate(TURN_LIMITS_RADPS)}
+    return np.stack(list(terms.values()), axis=1), list(terms), known_j
+
+
+def _priors(rows: CostRows, names: list[str]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """(low, high, centre, standard deviation) of every coefficient; those of turning and speeding up are per kg."""
+    first = rows.robots[0]
+    arm = _ARM_M * first.weight_n / first.mass_kg
+    mu = float(np.mean(rows.of_robot("rolling_resistance")))
+    usual_w = float(np.mean(rows.of_robot("weight_n") * rows.of_robot("speed_mps"))) * mu + first.idle_power_w
+    declared = -min(robot.turn_j_per_rad / robot.mass_kg for robot in rows.robots)
+    idle = -min(robot.idle_power_w for robot in rows.robots)
+    table = {
+        "level": (-mu, np.inf, 0.0, max(mu, 0.05)),
+        "climb": (-1.0, 1.0, 0.0, 0.3),
+        "shape": (-1.0, 1.0, 0.0, 0.5),
+        "turn": (declared, np.inf, 0.0, arm),
+        "slower": (idle, np.inf, 0.0, max(usual_w, 1.0)),
+        "speed_up": (0.0, _MOST_SPEED_UP, 1.0, 1.0),
+    }
+    table |= {_slow_name(limit): (0.0, np.inf, 0.0, arm) for limit in TURN_LIMITS_RADPS}
+    return tuple(np.array(column, dtype=np.float64) for column in zip(*(table[name] for name in names), strict=True))  # type: ignore[return-value]
+
+
+def _slow_name(limit: float) -> str:
+    return f"turn up to {limit:g} rad/s"
+
+
+def _scale_j(predicted_j: FloatArray, energy_j: FloatArray) -> FloatArray:
+    """What the variance of a segment is in proportion to [J], (n,)."""
+    return np.maximum(predicted_j, _LEAST_SHARE * float(np.mean(energy_j)))

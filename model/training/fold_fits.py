@@ -1,0 +1,403 @@
+"""Fits of networks and costs to measured runs, each without some whole runs, which it then predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.architectures.contract import Architecture, Network
+from joulemap.model.energy.artifact import Artifact, predictor_of
+from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.drive_costs import DriveCosts
+from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
+from joulemap.model.energy.grade import tan_grade
+from joulemap.model.energy.shape_regression import shape_features
+from joulemap.model.energy.uncertainty import FEWEST, LEAST_SHARE
+from joulemap.model.errors import InputError
+from joulemap.model.loop.prediction import predict_segments
+from joulemap.model.runs.segments import Segments
+from joulemap.model.runs.sites import SiteRuns
+from joulemap.model.training.baselines import baseline_predictions
+from joulemap.model.training.cost_regression import CostFit, CostRows, fit_costs
+from joulemap.model.training.evaluation import errors
+from joulemap.model.training.optimisation import TrainingOptions, averaged, choose_held_out, train_network
+
+FloatArray = NDArray[np.float64]
+
+CHECKPOINT = "training.pt"
+FOLDS = 5
+"""Parts into which the runs are divided for cross-fitting, whole runs at a time."""
+NOT_TUNED = "the same without fine-tuning"
+"""Name of the network to start from with fitted costs, among the simple models."""
+_STRETCHES = 4  # parts of a single run, each then held out whole
+_SHOWN = 0.01  # of the segments beyond either end of a range: one odd segment in a hundred widens none
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What fits say of segments that they had not seen, in driving order.
+
+    Attributes
+    ----------
+    index : ndarray of int, (n,)
+        Which segments of the training.
+    segments : Segments
+        The same.
+    energy_j : ndarray of float, (n,)
+        Predicted; NaN on unknown ground.
+    std_j : ndarray of float, (n,), optional
+        Its standard deviation [J].
+    traction_per_m : ndarray of float, (n,)
+        Of the ground [J/m].
+    costs : DriveCosts
+        Of all runs: what the model keeps.
+    """
+
+    index: NDArray[np.int64]
+    segments: Segments
+    energy_j: FloatArray
+    std_j: FloatArray | None
+    traction_per_m: FloatArray
+    costs: DriveCosts
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Where the ground is known, (n,)."""
+        return np.isfinite(self.energy_j)
+
+
+class FoldFits:
+    """The examples of one training, and the two ways to fit a network to them.
+
+    Parameters
+    ----------
+    measured : SiteRuns
+        The runs.
+    kind : Architecture
+        Of the network.
+    patch_size : int
+        Rows and columns of its input.
+    start : Network, optional
+        To fine-tune.
+    parent : Artifact, optional
+        The model that `start` is from.
+    out : Path
+        Where states of the training are kept until it ends.
+    seed : int
+        Of everything that is drawn.
+    straight : bool
+        Learn from straight segments alone, without costs beside the network but that of turning.
+    """
+
+    def __init__(
+        self,
+        measured: SiteRuns,
+        kind: Architecture[Any],
+        patch_size: int,
+        start: Network | None,
+        parent: Artifact | None,
+        out: Path,
+        seed: int,
+        *,
+        straight: bool,
+    ) -> None:
+        self.measured, self.kind, self.patch_size, self.start = measured, kind, patch_size, start
+        self.out, self.seed, self.straight = out, seed, straight
+        self.part = _parts(measured.segments)
+        self.examples, self._index, self.known = self._cut()
+        self.domain = self._domain(parent)
+        self._rows = None if straight else self._cost_rows(parent)
+        self._said: list[tuple[NDArray[np.int64], FloatArray, FloatArray | None, FloatArray]] = []
+        self._told: list[tuple[NDArray[np.int64], dict[str, FloatArray]]] = []  # by simple models, likewise
+
+    def artifact(self, net: Network, costs: DriveCosts) -> Artifact:
+        """Make a model of a network.
+
+        Parameters
+        ----------
+        net : Network
+            Trained.
+        costs : DriveCosts
+            Beside it.
+
+        Returns
+        -------
+        Artifact
+            Without its spread.
+        """
+        return Artifact(net, self.domain, self.patch_size, costs=costs)
+
+    def fit(self, options: TrainingOptions, progress: Callable[[float], None] | None) -> tuple[Network, int]:
+        """Fit one network, stopped by parts that are held out, on which it is then judged.
+
+        Parameters
+        ----------
+        options : TrainingOptions
+            How to train.
+        progress : callable, optional
+            Gets the share of the work that is done.
+
+        Returns
+        -------
+        tuple of (Network, int)
+            The network and its epochs.
+        """
+        held = choose_held_out(self.examples, options, self.seed)
+        fitted, start = self._costs_without(held)
+        result = train_network(
+            self._beside(fitted),
+            architecture=self.kind.name,
+            seed=self.seed,
+            start_from=start,
+            held_out_runs=held,
+            options=options,
+            checkpoint=self.out / CHECKPOINT,
+            progress=progress,
+        )
+        self._judge(result.net, held, fitted)
+        return result.net, result.epochs
+
+    def cross_fit(self, options: TrainingOptions, progress: Callable[[float], None] | None) -> tuple[Network, int]:
+        """Fit a network without each fold of the parts, each judged on its fold.
+
+        Parameters
+        ----------
+        options : TrainingOptions
+            How to train.
+        progress : callable, optional
+            Gets the share of the work that is done.
+
+        Returns
+        -------
+        tuple of (Network, int)
+            The mean of the networks, and their epochs.
+        """
+        parts = np.random.default_rng(self.seed).permutation(np.unique(self.examples.run))
+        folds = [fold.tolist() for fold in np.array_split(parts, min(FOLDS, parts.size))]
+        nets = []
+        for k, fold in enumerate(folds):
+            fitted, start = self._costs_without(fold)
+            result = train_network(
+                self._beside(fitted),
+                architecture=self.kind.name,
+                seed=self.seed,
+                start_from=start,
+                held_out_runs=fold,
+                options=options,
+                checkpoint=self._checkpoint(k),
+                progress=None if progress is None else _share(progress, k, len(folds)),
+            )
+            nets.append(result.net)
+            self._judge(result.net, fold, fitted)
+        return averaged(nets), options.epochs
+
+    def judged(self) -> Judged:
+        """Return what fits said of the parts that they had not seen, with the costs of all runs.
+
+        Returns
+        -------
+        Judged
+            In driving order.
+        """
+        index = np.concatenate([mine for mine, *_ in self._said])
+        order = np.argsort(index)
+        energy, traction = (np.concatenate([said[k] for said in self._said])[order] for k in (1, 3))
+        stds = [said[2] for said in self._said if said[2] is not None]
+        std = np.concatenate(stds)[order] if len(stds) == len(self._said) else None
+        segments = self.measured.segments.take(index[order])
+        if self._rows is not None:
+            return Judged(index[order], segments, energy, std, traction, fit_costs(self._rows).costs)
+        turned = segments.turned_abs_rad - self.domain.turned_rad
+        turn = _turning(segments, energy, turned)
+        costs = DriveCosts(turn_j_per_rad=turn)
+        return Judged(index[order], segments, energy + turn * turned, std, traction, costs)
+
+    def baseline_errors(self, known: NDArray[np.bool_]) -> dict[str, dict[str, Any]]:
+        """Return the errors of simple models on the segments of `judged`.
+
+        Parameters
+        ----------
+        known : ndarray of bool, (n,)
+            Which of them the networks know.
+
+        Returns
+        -------
+        dict of str to dict
+            As `evaluation.errors`, by model; empty where networks learned from straight segments alone.
+        """
+        if not self._told:
+            return {}
+        index = np.concatenate([mine for mine, _ in self._told])
+        order = np.argsort(index)
+        segments = self.measured.segments.take(index[order])
+        found = {}
+        for name in self._told[0][1]:
+            energy = np.concatenate([told[name] for _, told in self._told])[order]
+            both = known & np.isfinite(energy)
+            if both.any():
+                found[name] = errors(energy[both], segments.energy_j[both], segments.run[both])
+        return found
+
+    def forget(self) -> None:
+        """Remove the state of trainings that were cut off."""
+        for k in range(FOLDS):
+            self._checkpoint(k).unlink(missing_ok=True)
+        (self.out / CHECKPOINT).unlink(missing_ok=True)
+
+    def _cut(self) -> tuple[Examples, NDArray[np.int64], int]:
+        """Examples from all directions, the segment of each, and the number of segments that one shows."""
+        copies, segments = self.kind.training.copies, self.measured.segments
+        chosen = np.arange(len(segments))
+        if self.straight:
+            chosen = np.flatnonzero(np.abs(segments.heading_change_rad) < MAX_TURN_RAD)
+        angles = np.random.default_rng([self.seed, chosen.size]).uniform(0.0, 2.0 * math.pi, (copies - 1, chosen.size))
+        turns = np.concatenate([np.zeros((1, chosen.size)), angles])
+        seen = []
+        for number, site in enumerate(self.measured.sites):
+            here = self.measured.site[chosen] == number
+            mine = chosen[here]
+            s = segments.take(mine)
+            for turned in turns[:, here]:
+                seen.append(
+                    cut_examples(
+                        site.heightmap,
+                        site.robot,
+                        s.x,
+                        s.y,
+                        s.heading_rad,
+                        s.energy_j,
+                        run=mine,
+                        payload_kg=np.nan_to_num(s.extras.get("payload", np.zeros(len(s)))),
+                        architecture=self.kind.name,
+                        size=self.patch_size,
+                        turned_rad=turned,
+                        driven_m=1.0 if self.straight else s.driven_m,
+                    )
+                )
+        known = sum(len(part) for part in seen[:: turns.shape[0]])  # corners of turned squares may be off the map
+        if known == 0:
+            what = "goes straight over" if self.straight else "lies on"
+            raise InputError(
+                f"none of the {len(segments)} segments {what} ground that the heightmap knows", segments=len(segments)
+            )
+        examples = concatenate(seen)
+        return replace(examples, run=self.part[examples.run]), examples.run, known
+
+    def _domain(self, parent: Artifact | None) -> Domain:
+        segments = self.measured.segments
+        payload = np.nan_to_num(segments.extras.get("payload", np.zeros(len(segments))))
+        domain = replace(self.examples.domain(), payload_kg=(min(0.0, payload.min()), max(0.0, payload.max())))
+        if self.straight:
+            straight = np.abs(segments.heading_change_rad) < MAX_TURN_RAD
+            domain = replace(domain, turned_rad=round(float(segments.turned_abs_rad[straight].mean()), 5))
+        else:
+            moving = np.maximum(segments.duration_s - segments.standing_s, 1e-3)
+            grade = np.concatenate([self._grade(k) for k in range(len(self.measured.sites))])
+            shown = {
+                "speed_mps": segments.driven_m / moving,
+                "turn_rad_per_m": segments.turned_abs_rad / segments.driven_m,
+                "turn_radps": segments.turned_abs_rad / moving,
+                "grade_deg": np.degrees(np.arctan(grade[np.isfinite(grade)])),
+            }
+            ends = {key: np.quantile(values, (_SHOWN, 1.0 - _SHOWN)) for key, values in shown.items() if values.size}
+            domain = replace(domain, driven={k: (round(float(a), 4), round(float(b), 4)) for k, (a, b) in ends.items()})
+        return domain if parent is None else parent.domain.joined(domain)
+
+    def _grade(self, number: int) -> FloatArray:
+        s = self.measured.segments.take(self.measured.on(number))
+        return tan_grade(self.measured.sites[number].heightmap, s.x, s.y, s.heading_rad)
+
+    def _cost_rows(self, parent: Artifact | None) -> CostRows:
+        """What the regression of costs reads: the traction of the network to start from, or of equation 5."""
+        measured = self.measured
+        n = len(measured.segments)
+        traction, shape, grade = np.full(n, np.nan), np.zeros(n), np.full(n, np.nan)
+        self.shapes = np.full((n, 11), np.nan)
+        for k, site in enumerate(measured.sites):
+            mine = measured.on(k)
+            s = measured.segments.take(mine)
+            grade[mine] = self._grade(k)
+            self.shapes[mine] = shape_features(site.heightmap, site.robot, s.x, s.y, s.heading_rad)
+            if parent is None or self.start is None:
+                traction[mine] = site.robot.weight_n * (site.robot.rolling_resistance + grade[mine])
+                continue
+            without = self.kind.adapted(self.start, level=0.0, climb=0.0, shape=-1.0)
+            full, plain = (
+                predictor_of(self.artifact(net, DriveCosts()), {}, name="").segment_traction(
+                    site.heightmap, site.robot, s.x, s.y, s.heading_rad
+                )
+                for net in (self.start, without)
+            )
+            traction[mine], shape[mine] = full, full - plain
+        robots = tuple(site.robot for site in measured.sites)
+        return CostRows(measured.segments, robots, measured.site, traction, shape, grade)
+
+    def _costs_without(self, parts: Sequence[int]) -> tuple[CostFit | None, Network | None]:
+        """Costs that were fitted without some parts, and the network to start from with its level put right."""
+        if self._rows is None:
+            return None, self.start
+        out = np.isin(self.part, parts)
+        fitted = fit_costs(self._rows.take(~out))
+        told = baseline_predictions(self._rows, self.shapes, ~out)
+        told[NOT_TUNED] = fitted.predict_j(self._rows.take(out))
+        self._told.append((np.flatnonzero(out), told))
+        if self.start is None:
+            return fitted, None
+        return fitted, self.kind.adapted(self.start, level=fitted.level, climb=fitted.climb, shape=fitted.shape)
+
+    def _beside(self, fitted: CostFit | None) -> Examples:
+        """The examples with the energy that costs explain."""
+        if fitted is None:
+            return self.examples
+        segments = self.measured.segments
+        beside = np.empty(len(segments))
+        for k, site in enumerate(self.measured.sites):
+            mine = self.measured.on(k)
+            s = segments.take(mine)
+            beside[mine] = site.robot.turn_j_per_rad * s.turned_abs_rad + fitted.costs.energy_j(site.robot, s)
+        return replace(self.examples, beside_j=beside[self._index].astype(np.float32))
+
+    def _judge(self, net: Network, parts: Sequence[int], fitted: CostFit | None) -> None:
+        costs = DriveCosts() if fitted is None else fitted.costs
+        predictor = predictor_of(self.artifact(net, costs), {}, name="")
+        for k, site in enumerate(self.measured.sites):
+            mine = np.flatnonzero(np.isin(self.part, parts) & (self.measured.site == k))
+            if mine.size:
+                said = predict_segments(predictor, site.heightmap, site.robot, self.measured.segments.take(mine))
+                self._said.append((mine, said.energy_j, said.std_j, said.traction_per_m))
+
+    def _checkpoint(self, fold: int) -> Path:
+        return self.out / f"{fold}.{CHECKPOINT}"
+
+
+def _share(progress: Callable[[float], None], k: int, count: int) -> Callable[[float], None]:
+    return lambda done: progress((k + done) / count)
+
+
+def _parts(segments: Segments) -> NDArray[np.int64]:
+    """What is held out together, (n,): a run; or a stretch of it, where there is only one."""
+    if np.unique(segments.run).size > 1:
+        return segments.run
+    return np.arange(len(segments)) * _STRETCHES // max(len(segments), 1)
+
+
+def _turning(segments: Segments, predicted_j: FloatArray, turned: FloatArray) -> float:
+    """Energy of turning [J/rad] beyond straight driving, at least 0: the weighted least-squares slope of the residual.
+
+    turned : (n,) turn of each segment beyond the mean turn of straight ones [rad]. Weights are one over the square of
+    the prediction. The idle power of the additional time that turns take is included.
+    """
+    rest = segments.energy_j - predicted_j
+    use = np.isfinite(rest) & (np.abs(segments.heading_change_rad) >= MAX_TURN_RAD)
+    if use.sum() < FEWEST:
+        return 0.0
+    rest = rest[use] - np.nanmedian(rest[~use]) if (~use).any() else rest[use]
+    weight = 1.0 / np.maximum(predicted_j[use], LEAST_SHARE * np.nanmedian(predicted_j)) ** 2
+    slope = float((weight * rest * turned[use]).sum() / (weight * turned[use] ** 2).sum())
+    return round(max(slope, 0.0), 3) if math.isfinite(slope) else 0.0

@@ -1,0 +1,159 @@
+"""Several sites in one call: pairs of a heightmap and its runs, options of a command line, or a campaign file."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from joulemap.model.errors import InputError, NotFoundError, nearest_name
+from joulemap.model.runs.sites import Site
+from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
+from joulemap.service.library.run_files import RunsLike, find_run_files
+
+SiteLike = Site | tuple[GroundLike, RunsLike] | tuple[GroundLike, RunsLike, RobotLike]
+"""A heightmap, its runs and, where it is another one, the robot that drove there."""
+
+_SITE_KEYS = ("heightmap", "runs", "robot")
+
+
+def sites_of(sites: Sequence[SiteLike], *, robot: RobotLike = None) -> list[Site]:
+    """Return the sites that are meant.
+
+    Parameters
+    ----------
+    sites : sequence of tuple
+        (heightmap, runs), or (heightmap, runs, robot) where another robot drove.
+    robot : Robot, mapping, str, Path or None, optional
+        The robot of the sites that name none.
+
+    Returns
+    -------
+    list of Site
+        In their order.
+
+    Raises
+    ------
+    InputError
+        If one is no such tuple.
+    NotFoundError
+        If runs are not there.
+    """
+    usual = robot_of(robot)
+    found = []
+    for number, site in enumerate(sites, start=1):
+        if isinstance(site, Site):
+            found.append(site)
+            continue
+        if not isinstance(site, tuple | list) or len(site) not in (2, 3):
+            raise InputError(
+                f"site {number} is {str(site)[:60]!r}: give pairs of a heightmap and its runs, "
+                "like sites=[('a.tif', 'a/*.csv'), ('b.tif', 'b.csv')]"
+            )
+        driver = robot_of(site[2]) if len(site) == 3 and site[2] is not None else usual
+        found.append(Site(ground_of(site[0]), tuple(find_run_files(site[1])), driver))
+    return found
+
+
+def sites_of_options(values: Sequence[str]) -> list[tuple[Path, list[str]]]:
+    """Return heightmaps and runs of values like `dem.tif=runs/*.csv`.
+
+    Parameters
+    ----------
+    values : sequence of str
+        Each is HEIGHTMAP=RUNS, or further runs of the heightmap before it.
+
+    Returns
+    -------
+    list of (Path, list of str)
+        The heightmap and the patterns of its runs, in order.
+
+    Raises
+    ------
+    InputError
+        If the first value names no heightmap, or a heightmap has no runs.
+    NotFoundError
+        If a heightmap is not there.
+    """
+    sites: list[tuple[Path, list[str]]] = []
+    for value in values:
+        ends = [k for k, letter in enumerate(value) if letter == "="]
+        named = next((k for k in ends if Path(value[:k]).is_file()), None)
+        if named is None and ends and not Path(value).exists():
+            raise NotFoundError(f"there is no heightmap {value[: ends[0]]}", path=value[: ends[0]])
+        if named is not None:
+            sites.append((Path(value[:named]), [value[named + 1 :]] if value[named + 1 :] else []))
+        elif sites:
+            sites[-1][1].append(value)
+        else:
+            raise InputError(f"{value!r} is no site: write HEIGHTMAP=RUNS, like dem.tif=runs/*.csv", value=value)
+    for heightmap, runs in sites:
+        if not runs:
+            raise InputError(f"the site {heightmap} has no runs: write HEIGHTMAP=RUNS, like {heightmap}=runs/*.csv")
+    return sites
+
+
+def read_campaign(path: str | Path, *, robot: RobotLike = None) -> list[Site]:
+    """Read a campaign file: a TOML file with a table [[site]] for every map.
+
+    A site has the keys `heightmap`, `runs` (a file, a pattern, or a list of them) and, if another robot drove there,
+    `robot`. The key `robot` at the top names the robot of all other sites. Paths are relative to the file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    robot : Robot, mapping, str, Path or None, optional
+        The robot of the sites, where the file names none.
+
+    Returns
+    -------
+    list of Site
+        In the order of the file.
+
+    Raises
+    ------
+    NotFoundError
+        If the file, or one that it names, is not there.
+    InputError
+        If it is no such file.
+    """
+    path = Path(path)
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise NotFoundError(f"there is no campaign file {path}", path=str(path)) from error
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"campaign file {path} cannot be read: {error}", path=str(path)) from error
+    tables = document.pop("site", [])
+    usual = _robot_in(path, document.pop("robot", None), robot)
+    if document or not isinstance(tables, list) or not tables:
+        raise InputError(
+            f"campaign file {path}: " + (_unknown(document, ("site", "robot")) if document else "it has no [[site]]"),
+            path=str(path),
+        )
+    sites = []
+    for number, table in enumerate(tables, start=1):
+        missing = [key for key in ("heightmap", "runs") if not table.get(key)]
+        other = {key: value for key, value in table.items() if key not in _SITE_KEYS}
+        if missing or other:
+            what = f"`{missing[0]}` is missing" if missing else _unknown(other, _SITE_KEYS)
+            raise InputError(f"campaign file {path}, site {number}: {what}", path=str(path), site=number)
+        runs = [table["runs"]] if isinstance(table["runs"], str) else table["runs"]
+        found = find_run_files([path.parent / str(run) for run in runs])
+        ground = ground_of(path.parent / str(table["heightmap"]))
+        sites.append(Site(ground, tuple(found), _robot_in(path, table.get("robot"), usual)))
+    return sites
+
+
+def _robot_in(path: Path, named: Any, usual: RobotLike) -> Any:
+    if named is None:
+        return robot_of(usual)
+    return robot_of(named if isinstance(named, dict) else path.parent / str(named))
+
+
+def _unknown(values: dict[str, Any], known: Sequence[str]) -> str:
+    name = next(iter(values))
+    near = nearest_name(name, known)
+    return f"{name}: unknown{f'; did you mean {near}?' if near else ''}; known are {', '.join(known)}"
