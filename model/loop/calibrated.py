@@ -16,10 +16,10 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.drive import Drive, describe_segments, planned_drive
-from joulemap.model.loop.effects import Term
-from joulemap.model.loop.quantities import driven_heights
-from joulemap.model.loop.words import effect_name
+from joulemap.model.loop.features import Features, describe_segments, planned_features, quantity
+from joulemap.model.loop.prediction import predict_segments
+from joulemap.model.loop.terms import Term, total_energy
+from joulemap.model.loop.words import quantity_name, quantity_value
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
@@ -27,9 +27,13 @@ from joulemap.model.terrain.heightmap import Heightmap
 FloatArray = NDArray[np.float64]
 
 CALIBRATION_FILE = "calibration.json"
-FORMAT = 1
+FORMAT = 2
 _CHUNK = 400_000  # cells x headings described at a time
-_OTHER_HEIGHTS = 0.05  # of a map: less is not worth a warning
+_PLACES = 2000  # of a map, for warnings
+_HEADINGS = np.arange(4) * 0.5 * np.pi
+_OTHER_GROUND = 0.05  # of a map beyond a range: less is not worth a warning
+
+Ranges = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,11 @@ class Correction:
     Attributes
     ----------
     terms : tuple of Term
-        Everything that is added.
-    planner : tuple of bool
-        Whether what each term depends on is known before a drive.
+        Base parameters and effects, for measured runs.
+    planner_terms : tuple of Term
+        The same without what is not known before a drive, fitted for themselves.
+    ranges : mapping
+        Lowest and highest value of every quantity in the runs. Beyond, the border's value holds.
     charge : bool
         Whether the scale of the base prediction is unknown, so that the terms replace it.
     turn_j_per_rad : float
@@ -51,44 +57,24 @@ class Correction:
     evidence : sequence of mapping
         The report's effects, JSON-able.
     spread : Spread, optional
-        Error of the calibrated model on held-out runs: what is not explained, and the uncertainty of the coefficients.
-        Its factor is that on `assumed_std`. None of a charge.
+        Error of the calibrated model on left-out runs. Its factor is that on `assumed_std`. None of a charge.
     """
 
     terms: tuple[Term, ...]
-    planner: tuple[bool, ...]
+    planner_terms: tuple[Term, ...]
+    ranges: Ranges = field(default_factory=dict)
     charge: bool = False
     turn_j_per_rad: float = 0.0
     conditions: Mapping[str, float] = field(default_factory=dict)
     evidence: Sequence[Mapping[str, Any]] = ()
     spread: Spread | None = None
 
-    def predict(self, drive: Drive, *, planner_only: bool = False) -> FloatArray:
-        """Return the energy of every row.
-
-        Parameters
-        ----------
-        drive : Drive
-            Features of the segments.
-        planner_only : bool
-            Leave out what depends on what is known only after a drive.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy [J], or charge [A s].
-        """
-        total = np.zeros(len(drive)) if self.charge else drive.predicted.copy()
-        for term, known in zip(self.terms, self.planner, strict=True):
-            if known or not planner_only:
-                total += term.energy(drive)
-        return total
-
     def as_dict(self) -> dict[str, Any]:
         """Return it as a JSON-able mapping."""
         return {
             "terms": [t.as_dict() for t in self.terms],
-            "planner": list(self.planner),
+            "planner_terms": [t.as_dict() for t in self.planner_terms],
+            "ranges": {key: list(ends) for key, ends in self.ranges.items()},
             "charge": self.charge,
             "turn_j_per_rad": self.turn_j_per_rad,
             "conditions": dict(self.conditions),
@@ -119,7 +105,8 @@ class Correction:
             spread = values.get("spread")
             return cls(
                 tuple(Term.from_dict(t) for t in values["terms"]),
-                tuple(bool(p) for p in values["planner"]),
+                tuple(Term.from_dict(t) for t in values["planner_terms"]),
+                {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
                 bool(values["charge"]),
                 float(values["turn_j_per_rad"]),
                 dict(values["conditions"]),
@@ -128,6 +115,30 @@ class Correction:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"a calibration is not complete: {error!r}") from error
+
+    def beyond(self, rows: Features) -> dict[str, float]:
+        """Return which quantities of some rows are outside the ranges of the runs.
+
+        Parameters
+        ----------
+        rows : Features
+            Of n rows.
+
+        Returns
+        -------
+        dict of str to float
+            Share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
+        """
+        used = {name for term in self.planner_terms for name in term.form.covariates}
+        out = {}
+        for name in sorted({"speed", "grade", *used} & set(self.ranges)):
+            low, high = self.ranges[name]
+            margin = 1e-6 * max(abs(low), abs(high))  # rounding is not beyond
+            values = quantity(rows, name)
+            share = float(np.mean((values < low - margin) | (values > high + margin)))
+            if share > 0.0:
+                out[name] = share
+        return out
 
 
 def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
@@ -197,24 +208,42 @@ class CalibratedPredictor:
         Returns
         -------
         list of str
-            Those of the base model, effects that plans cannot contain, and effects that are known at other heights
-            only.
+            Those of the base model, effects that plans cannot contain, and what lies outside the runs.
         """
         found = list(self.base.warnings(heightmap, robot))
-        for term, known in zip(self.correction.terms, self.correction.planner, strict=True):
-            if not known:
-                found.append(
-                    f"plans do not contain the effect {effect_name(term.name)}: it depends on what only a log records"
-                )
-            elif term.settings.get("over") == "elevation":
-                low, high = driven_heights(term.settings["knots"])
-                heights = heightmap.heights[np.isfinite(heightmap.heights)]
-                if (other := np.mean((heights < low) | (heights > high))) > _OTHER_HEIGHTS:
+        planned = {t.form.name for t in self.correction.planner_terms}
+        for term in self.correction.terms:
+            if term.form.name not in planned and term.form.on_map:
+                found.append(f"plans do not contain the effect {term.form.label}: it depends on what only a log records")
+        if self.correction.ranges:
+            rows = self._on_map(heightmap, robot)
+            for name, share in self.correction.beyond(rows).items():
+                low, high = self.correction.ranges[name]
+                driven = f"{quantity_value(name, low)} to {quantity_value(name, high)}"
+                if name == "speed":
                     found.append(
-                        f"the effect {effect_name(term.name)} is known at heights from {low:.1f} to {high:.1f} m: it "
-                        f"adds nothing on the {other:.0%} of this map that lies at other heights"
+                        f"the robot's speed of {robot.speed_mps:g} m/s is outside the {driven} of the calibration runs: "
+                        "what depends on speed has the value at the nearest of these"
+                    )
+                elif share > _OTHER_GROUND:
+                    found.append(
+                        f"{share:.0%} of this map has a {quantity_name(name)} outside the {driven} of the calibration "
+                        "runs: there the effects have their value at the border of that range"
                     )
         return found
+
+    def _on_map(self, heightmap: Heightmap, robot: Robot) -> Features:
+        """Features of a few thousand places of a map, in four headings."""
+        frame = heightmap.frame
+        x, y = frame.centres()
+        step = max(1, int(np.sqrt(x.size * y.size / _PLACES)))
+        xs, ys, headings = (
+            c.ravel() for c in np.broadcast_arrays(x[None, ::step, None], y[::step, None, None], _HEADINGS)
+        )
+        rows = planned_features(
+            heightmap, robot, xs, ys, headings, np.zeros(xs.size), self.correction.conditions, with_ground=True
+        )
+        return rows.take(np.isfinite(rows.grade))
 
     def robot_with_turning(self, robot: Robot) -> Robot:
         """Return the robot with the cost of turning that was found.
@@ -234,8 +263,6 @@ class CalibratedPredictor:
     def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
         """Predict measured segments from everything that their log says.
 
-        The base model describes the declared robot: what a logged payload costs is left to the effects.
-
         Parameters
         ----------
         segments : Segments
@@ -253,10 +280,12 @@ class CalibratedPredictor:
         """
         volts = robot.nominal_voltage_v if self.correction.charge and not segments.charge else 1.0
         segments = replace(segments, charge=segments.charge or self.correction.charge)
-        traction = self.base.segment_traction(heightmap, robot, segments.x, segments.y, segments.heading_rad)
-        drive, _ = describe_segments(segments, heightmap, robot, traction, with_stands=False)
-        known = np.isfinite(traction) & np.isfinite(drive.grade)
-        return np.where(known, volts * self.correction.predict(drive), np.nan)
+        said = predict_segments(self.base, heightmap, robot, segments)
+        rows, _ = describe_segments(segments, heightmap, robot, said.traction_per_m, with_stationary=False)
+        known = np.isfinite(said.energy_j) & np.isfinite(rows.grade)
+        start = np.zeros(len(rows)) if self.correction.charge else said.energy_j
+        energy = start + total_energy(self.correction.terms, rows.within(self.correction.ranges))
+        return np.where(known, volts * energy, np.nan)
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
@@ -399,19 +428,12 @@ class CalibratedPredictor:
 
         Where the effects leave less than nothing of the motion, the price follows as far as regeneration returns it.
         """
-        drive = planned_drive(
-            heightmap,
-            robot,
-            x,
-            y,
-            heading_rad,
-            traction,
-            self.correction.conditions,
-            with_ground=any(term.reads_ground for term in self.correction.terms),
-        )
+        rows = planned_features(heightmap, robot, x, y, heading_rad, traction, self.correction.conditions)
         if self.correction.charge:
-            drive = replace(drive, unit_j=robot.nominal_voltage_v)
-        motion = drive.unit_j * (self.correction.predict(drive, planner_only=True) - drive.hotel_part)
+            rows = replace(rows, unit_j=robot.nominal_voltage_v)
+        start = np.zeros(x.size) if self.correction.charge else rows.predicted
+        energy = start + total_energy(self.correction.planner_terms, rows.within(self.correction.ranges))
+        motion = rows.unit_j * (energy - rows.hotel_part)
         down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)
         return np.where(motion >= 0, motion, down)
 

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.predictor import Predictor
-from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
+
+
+@runtime_checkable
+class Corrected(Protocol):
+    """A model that adds effects to a base model, and reads more of a log than a plan could."""
+
+    base: Any
+
+    def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
+        """Return the energy of measured segments, (n,) [J]."""
+
+    def std_of(self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any] | None:
+        """Return the standard deviation of 1 m segments after the correction [J]."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +44,8 @@ class Prediction:
     traction_per_m : ndarray of float, (n,)
         Of the declared robot, before any calibration [J/m].
     turning_j : ndarray of float, (n,)
-        The part of the energy beyond straight driving at the declared speed: turning and, of a network that was trained
-        on runs, time and speeding up. Without the effects of a calibration [J].
+        The part of the energy beyond straight driving at the declared speed: turning, time and, of a network that was
+        trained on runs, speeding up. Without the effects of a calibration [J].
     """
 
     energy_j: FloatArray
@@ -80,9 +93,10 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 
 
 def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
-    """Predict segments that are driven at the robot's declared speed along the length of their track.
+    """Predict measured segments.
 
-    Turning, time and speeding up cost what was fitted to the runs of a network, beside what it says of the ground.
+    The ground costs what the model says. Turning, time and speeding up cost what was fitted to the runs of a network; of
+    any other model turning costs what is declared, and idle power is drawn for as long as a segment took.
 
     Parameters
     ----------
@@ -100,19 +114,20 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
     Prediction
         In the order of the segments.
     """
-    base = predictor.base if isinstance(predictor, CalibratedPredictor) else predictor
+    base = predictor.base if isinstance(predictor, Corrected) else predictor
     traction, std = base.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     factor = payload_factor(base, robot, segments)
-    std = predictor.std_of(std, traction, robot) if isinstance(predictor, CalibratedPredictor) else std
+    std = predictor.std_of(std, traction, robot) if isinstance(predictor, Corrected) else std
     std = None if std is None else std * factor * segments.driven_m
-    if isinstance(predictor, CalibratedPredictor):  # its effects use more of a log than a plan could
+    if isinstance(predictor, Corrected):
         energy = predictor.segment_energy(segments, heightmap, robot)
         return Prediction(energy, std, traction, np.zeros(len(segments)))
     if isinstance(base, Learned):
-        turning = base.drive_energy_j(robot, segments)
+        beyond = base.drive_energy_j(robot, segments)
     else:
-        turning = robot.turn_j_per_rad * segments.turned_abs_rad
-    return Prediction(robot.price_per_m(traction * factor) * segments.driven_m + turning, std, traction, turning)
+        longer_s = segments.duration_s - segments.driven_m / robot.speed_mps
+        beyond = robot.turn_j_per_rad * segments.turned_abs_rad + robot.idle_power_w * longer_s
+    return Prediction(robot.price_per_m(traction * factor) * segments.driven_m + beyond, std, traction, beyond)
 
 
 def payload_factor(predictor: Predictor, robot: Robot, segments: Segments) -> NDArray[np.float64]:

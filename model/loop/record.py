@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.errors import ModelError
-from joulemap.model.loop.drive import Drive
-from joulemap.model.loop.residual import Residuals
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.residuals import Residuals
 from joulemap.model.robot import Robot
 
 RECORD_FILE = "base_runs.npz"
 
-_KEPT = {f.name for f in fields(Drive)} - {"robot", "columns", "words", "unit_j", "runs"}
+_KEPT = {f.name for f in fields(Features)} - {"robot", "columns", "words", "unit_j", "runs", "speeds_mps"} | {
+    "measured",
+    "said",
+}
 
 
 def save_record(folder: str | Path, residuals: Residuals) -> None:
@@ -29,14 +32,14 @@ def save_record(folder: str | Path, residuals: Residuals) -> None:
     residuals : Residuals
         Of the runs it was made from.
     """
-    drive = residuals.drive
+    rows = residuals.features
     arrays: dict[str, Any] = {
-        f.name: getattr(drive, f.name) for f in fields(drive) if isinstance(getattr(drive, f.name), np.ndarray)
+        f.name: getattr(rows, f.name) for f in fields(rows) if isinstance(getattr(rows, f.name), np.ndarray)
     }
-    arrays |= {f"column:{key}": values for key, values in drive.columns.items()}
-    arrays |= {f"word:{key}": values for key, values in drive.words.items()}
-    arrays["measured"], arrays["base"] = residuals.measured, residuals.predicted
-    about = {"robot": drive.robot.as_dict(), "unit_j": drive.unit_j, "names": drive.runs, "charge": residuals.charge}
+    arrays |= {f"column:{key}": values for key, values in rows.columns.items()}
+    arrays |= {f"word:{key}": values for key, values in rows.words.items()}
+    arrays["measured"], arrays["said"] = residuals.measured, residuals.said
+    about = {"robot": rows.robot.as_dict(), "unit_j": rows.unit_j, "names": rows.runs, "charge": residuals.charge}
     about["runs"] = residuals.runs
     np.savez_compressed(Path(folder) / RECORD_FILE, about=np.array(json.dumps(about)), **arrays)
 
@@ -66,7 +69,6 @@ def read_record(folder: str | Path) -> Residuals | None:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
         about = json.loads(str(arrays.pop("about")))
-        measured, predicted = arrays.pop("measured"), arrays.pop("base")
         columns = {k.removeprefix("column:"): arrays.pop(k) for k in list(arrays) if k.startswith("column:")}
         words = {k.removeprefix("word:"): arrays.pop(k) for k in list(arrays) if k.startswith("word:")}
         robot = Robot.from_mapping(about["robot"])
@@ -77,7 +79,8 @@ def read_record(folder: str | Path) -> Residuals | None:
                 path=str(path),
                 lacking=lacking,
             )
-        drive = Drive(
+        measured, said = arrays.pop("measured"), arrays.pop("said")
+        rows = Features(
             robot=robot,
             **arrays,
             columns=columns,
@@ -85,6 +88,6 @@ def read_record(folder: str | Path) -> Residuals | None:
             unit_j=float(about["unit_j"]),
             runs=tuple(about["names"]),
         )
-        return Residuals(drive, measured, predicted, tuple(about["runs"]), bool(about["charge"]))
+        return Residuals(rows, measured, tuple(about["runs"]), bool(about["charge"]), said)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ModelError(f"{path} is damaged: {error!r}") from error

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +10,16 @@ from numpy.typing import NDArray
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import RunsError
 from joulemap.model.loop.calibrated import assumed_std
-from joulemap.model.loop.drive import describe_segments
+from joulemap.model.loop.features import describe_segments
 from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.loop.record import read_record, save_record
-from joulemap.model.loop.residual import LEAST_SEGMENTS, Residuals, residuals_of
+from joulemap.model.loop.residuals import LEAST_SEGMENTS, Residuals, residuals_of
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
-_MARK = "beside "  # of columns that are only carried along
 
 
 def residuals_on(
@@ -46,8 +43,8 @@ def residuals_on(
     Returns
     -------
     tuple of (Residuals, dict, ndarray of float)
-        The residuals; the readings of the battery of each row (means of voltage, current and power, energy, the
-        current's ripple), (n,), which no effect may copy; and the standard deviation that the model assumes, (n,) [J].
+        The residuals; the readings of the battery of each row (means of voltage, current and power, and energy), (n,),
+        which no effect may copy; and the standard deviation that the model assumes, (n,) [J].
 
     Raises
     ------
@@ -59,18 +56,20 @@ def residuals_on(
     std = said.std_j
     if std is None:
         std = assumed_std(None, said.traction_per_m, robot) * segments.driven_m
-    beside = {
+    residuals, index = _residuals(heightmap, robot, segments, said.traction_per_m, said.energy_j, least=least)
+    electric = {
         "voltage": segments.voltage_v,
         "current": segments.current_a,
         "power": segments.energy_j / segments.duration_s,
         "energy": segments.energy_j,
-        "ripple": segments.ripple,
-        "std_j": std,
-        "told": said.energy_j,
     }
-    residuals, kept = _residuals(heightmap, robot, segments, said.traction_per_m, beside, least=least)
-    believed, told = kept.pop("std_j"), kept.pop("told")
-    return replace(residuals, told=told), kept, believed
+    read = {key: _rows(values, index) for key, values in electric.items()}
+    return residuals, read, _rows(std, index)
+
+
+def _rows(values: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+    """Values of segments by row; NaN of stationary intervals."""
+    return np.where(index < values.size, values[np.minimum(index, values.size - 1)], np.nan)
 
 
 def _residuals(
@@ -78,23 +77,22 @@ def _residuals(
     robot: Robot,
     segments: Segments,
     traction: FloatArray,
-    beside: Mapping[str, FloatArray],
+    energy: FloatArray,
     *,
     least: int = LEAST_SEGMENTS,
-) -> tuple[Residuals, dict[str, FloatArray]]:
-    """Residuals, and the rows of `beside` that belong to them, (n,) each (NaN of stationary intervals)."""
-    drive, measured = describe_segments(segments, heightmap, robot, traction, with_stands=not segments.charge)
-    rest = np.full(len(drive) - len(segments), np.nan)
-    marked = {_MARK + key: np.concatenate([values, rest]) for key, values in beside.items()}
-    found = residuals_of(
-        replace(drive, columns=drive.columns | marked), measured, segments.runs, charge=segments.charge, least=least
+) -> tuple[Residuals, NDArray[np.int64]]:
+    """Residuals, and the number of the segment of every row; more than there are of stationary intervals."""
+    features, measured = describe_segments(segments, heightmap, robot, traction)
+    informed = np.concatenate([energy, np.full(len(features) - len(segments), np.nan)])
+    number = np.arange(len(features), dtype=np.int64)
+    return residuals_of(
+        features, measured, segments.runs, charge=segments.charge, informed=informed, number=number, least=least
     )
-    columns = dict(found.drive.columns)
-    kept = {key: columns.pop(_MARK + key) for key in beside}
-    return replace(found, drive=replace(found.drive, columns=columns)), kept
 
 
-def keep_base_runs(folder: Path, heightmap: Heightmap, robot: Robot, segments: Segments, traction: FloatArray) -> bool:
+def keep_base_runs(
+    folder: Path, heightmap: Heightmap, robot: Robot, segments: Segments, traction: FloatArray, energy: FloatArray
+) -> bool:
     """Keep the runs that a model was trained on beside it, as the baseline of later calibrations.
 
     Parameters
@@ -109,6 +107,8 @@ def keep_base_runs(folder: Path, heightmap: Heightmap, robot: Robot, segments: S
         Measured.
     traction : ndarray of float, (n,)
         Of every segment [J/m], from a network that was trained without its run.
+    energy : ndarray of float, (n,)
+        Predicted by the same network [J].
 
     Returns
     -------
@@ -116,7 +116,7 @@ def keep_base_runs(folder: Path, heightmap: Heightmap, robot: Robot, segments: S
         False, and nothing is kept, where there are too few segments.
     """
     try:
-        residuals, _ = _residuals(heightmap, robot, segments, traction, {})
+        residuals, _ = _residuals(heightmap, robot, segments, traction, energy)
     except RunsError:
         return False
     save_record(folder, residuals)

@@ -1,675 +1,401 @@
-"""The steps of a selection of effects: judge each candidate, take the best, and revise those taken."""
+"""Which effects the runs show: forward selection by left-out runs, each candidate with a p-value of its own.
+
+At every step each candidate is tested beside what is chosen already, inside runs and between them. Of those that are
+significant, and whose gain on left-out runs exceeds its standard error, the simplest is taken whose gain is within one
+standard error of the largest. Then whatever is no longer significant beside the others is dropped.
+
+References
+----------
+Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (forward stepwise selection) and 7.10 (one-standard-error rule).
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from joulemap.model.loop.candidates import Candidate
-from joulemap.model.loop.evidence import Evidence, Verdict
+from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
+from joulemap.model.loop.forms.base_parameters import BaseParameters, ChargeScale
+from joulemap.model.loop.mixed_model import Estimate, MixedModel, columns_of
+from joulemap.model.loop.residuals import Residuals
+from joulemap.model.loop.variation import Variation, fit_variation, starts_of
 
-ALPHA = 0.05
-SENSELESS = "its sign or its size is not physical"
-CURVES = {
-    "braking": "learned:grade",
-    "climbing": "learned:grade",
-    "cross_slope": "learned:cross_slope",
-    "speed": "learned:speed",
-    "temperature": "learned:temperature",
-    "payload": "learned:payload",
-    "local_friction": "learned:place",
-}
-"""The curve over the quantity of a physical effect: it could only correct the form of that effect."""
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
-_STEADY = 0.6  # of the folds must gain
-_COEFFICIENT, _MOST = 0.01, 0.04
-_NEARLY, _FAIRLY = 0.85, 0.7  # of a fitted curve's gain is enough for a physical form; within the noise, less
-_SURE, _LITTLE = 0.01, 0.02
-_ROUNDS = 3
-_LEFT = 0.75  # of the work remains after each judging of all candidates, as a guess
+ALPHA = 0.01
+"""Largest p-value of an effect, allowing for every test: one false find in a hundred calibrations."""
+MOST_EFFECTS = 8
+"""A report of more effects is a model of the noise, or of a base model that is no model of this robot."""
 
 
 @dataclass(frozen=True)
-class Floors:
-    """Smallest held-out gain that counts, as a share of the squared error.
-
-    Less may be the base model's own error, which depends on ground and place too. Between runs that error is known, and
-    part of the p-value.
+class Candidate:
+    """A form with its columns in the design.
 
     Attributes
     ----------
-    physical : float
-        Of a physical form.
-    learned : float
-        Of a fitted curve.
-    place : float
-        Of a field over the map.
-    between_runs : float
-        Of what differs between runs only.
+    form : Form
+        With its settings.
+    tested : ndarray of int
+        Columns whose coefficients are the effect.
+    beside : ndarray of int
+        The same columns in the baseline runs too, whose coefficients are the base model's own error.
     """
 
-    physical: float = 0.06
-    learned: float = 0.10
-    place: float = 0.12
-    between_runs: float = 0.02
+    form: Form
+    tested: IntArray
+    beside: IntArray
+
+    @property
+    def both(self) -> IntArray:
+        """All its columns."""
+        return np.append(self.tested, self.beside)
+
+    @property
+    def complexity(self) -> tuple[bool, int]:
+        """Whether it has no formula, and its number of coefficients: the order of simplicity."""
+        return isinstance(self.form, UNNAMED), len(self.tested)
 
 
-@dataclass(frozen=True)
-class Found:
-    """An effect that was taken.
+class Verdict(NamedTuple):
+    """What the runs say of a candidate beside the chosen ones.
 
     Attributes
     ----------
-    candidate : Candidate
-        The effect.
-    verdict : Verdict
-        On its variant, when it was taken.
+    p_value : float
+        Allowing for every test.
+    gain : float
+        Reduction of the left-out error, as a share of the error without it.
+    gains : ndarray of float, (units,)
+        Reduction by unit.
+    between : bool
+        Whether the levels of runs show it more clearly than their course.
+    why_not : str
+        Why it cannot be taken; empty where it can.
     """
 
-    candidate: Candidate
-    verdict: Verdict
+    p_value: float
+    gain: float
+    gains: FloatArray
+    between: bool
+    why_not: str = ""
 
 
-def interactions_of(one: Found, found: Sequence[Found]) -> list[Found]:
-    """Return the interactions that an effect is part of: they need the effect.
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Columns of everything that may be chosen, on the rows of all runs.
+
+    Attributes
+    ----------
+    residuals : Residuals
+        Of new runs, and of baseline runs where there are any.
+    new : ndarray of bool, (n,)
+        False in the baseline runs.
+    columns : ndarray of float, (n, k)
+        The base parameters first.
+    base : Form
+        Of the base parameters.
+    candidates : tuple of Candidate
+        All that are tested.
+    """
+
+    residuals: Residuals
+    new: NDArray[np.bool_]
+    columns: FloatArray = field(repr=False)
+    base: BaseParameters | ChargeScale
+    candidates: tuple[Candidate, ...] = field(repr=False)
+
+    @property
+    def fixed(self) -> IntArray:
+        """Columns of the base parameters."""
+        return np.arange(len(self.base.coefficient_names()))
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What was chosen.
+
+    Attributes
+    ----------
+    chosen : tuple of Candidate
+        In the order in which they were taken.
+    verdicts : tuple of Verdict
+        Of each chosen one beside the others.
+    design : Design
+        From which they were chosen.
+    variation : Variation
+        Around the chosen model.
+    alone : dict of int to Verdict
+        Of every candidate beside the base parameters, by its number.
+    last : dict of int to Verdict
+        Of every candidate beside the chosen ones.
+    model : MixedModel
+        Of the chosen variation.
+    """
+
+    chosen: tuple[Candidate, ...]
+    verdicts: tuple[Verdict, ...]
+    design: Design
+    variation: Variation
+    alone: dict[int, Verdict]
+    last: dict[int, Verdict]
+    model: MixedModel
+
+    def estimate(self, keep: Callable[[Form], bool] = lambda form: True) -> tuple[list[Candidate], Estimate, IntArray]:
+        """Fit the coefficients of the chosen effects.
+
+        Parameters
+        ----------
+        keep : callable
+            Says which forms are fitted.
+
+        Returns
+        -------
+        tuple of (list of Candidate, Estimate, ndarray of int)
+            Those that are kept; the coefficients; and the columns to which they belong.
+        """
+        kept = [c for c in self.chosen if keep(c.form)]
+        levels = [c.tested for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
+        index, low, high = _limits(self.design, kept)
+        return kept, self.model.estimate(index, low, high, columns_of(levels)), index
+
+
+def rivals_of(selection: Selection) -> dict[str, list[str]]:
+    """Return the candidates that these runs cannot distinguish from the effects that were chosen.
 
     Parameters
     ----------
-    one : Found
-        The effect.
-    found : sequence of Found
-        All effects.
+    selection : Selection
+        What was chosen.
 
     Returns
     -------
-    list of Found
-        Of `found`.
+    dict of str to list of str
+        For an effect, the candidates in whose place the left-out error is within one standard error; only effects that
+        have any.
     """
-    return [f for f in found if one.candidate.name in f.candidate.parts]
+    design, model = selection.design, selection.model
+    now = columns_of([design.fixed, *(c.both for c in selection.chosen)])
+    tau2 = model.tau2(now)
+    error = model.left_out(now, tau2)
+    names = {c.form.name for c in selection.chosen}
+    out: dict[str, list[str]] = {}
+    for effect in selection.chosen:
+        others = columns_of([design.fixed, *(c.both for c in selection.chosen if c is not effect)])
+        for k, verdict in selection.alone.items():
+            rival = design.candidates[k]
+            known = out.get(effect.form.name, [])
+            if verdict.p_value > ALPHA or rival.form.name in names or rival.form.name in known:
+                continue
+            more = model.left_out(np.append(others, rival.both), tau2) - error
+            if float(more.sum()) <= float(more.std(ddof=1)) * np.sqrt(more.size):
+                out.setdefault(effect.form.name, []).append(rival.form.name)
+    return out
 
 
-class Search:
-    """The steps of the selection on one body of evidence.
+def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str]) -> Design:
+    """Return the columns of all forms on some rows.
 
     Parameters
     ----------
-    evidence : Evidence
-        Of all terms.
-    owner : list of Candidate
-        Candidate of each term.
-    floors : Floors
-        Smallest gains.
-    shared : callable
-        Gain of a term that the baseline runs show as well.
-    progress : callable or None
-        Called with the share of the work that is done, 0..1.
+    residuals : Residuals
+        Of all runs.
+    new : ndarray of bool, (n,)
+        False in the baseline runs.
+    refused : sequence of str
+        Logged columns that no effect may depend on.
+
+    Returns
+    -------
+    Design
+        Forms whose columns are nil on these rows are left out.
+
+    Notes
+    -----
+    With baseline runs a law of the robot or of the ground is tested by its columns in the new runs, beside the same
+    columns in all runs: what the baseline runs show as well is the base model's own error. A law of the weather holds in
+    both.
     """
-
-    def __init__(
-        self,
-        evidence: Evidence,
-        owner: list[Candidate],
-        floors: Floors,
-        shared: Callable[[int], float],
-        progress: Callable[[float], None] | None,
-    ) -> None:
-        self.evidence, self.owner, self.floors, self.shared = evidence, owner, floors, shared
-        self.progress = progress
-        self._refused: frozenset[str] = frozenset()
-        self._best: dict[tuple[tuple[int, ...], frozenset[str]], list[tuple[Candidate, Verdict]]] = {}
-
-    def refuse(self, names: set[str]) -> None:
-        """Exclude candidates from now on.
-
-        Parameters
-        ----------
-        names : set of str
-            Of the candidates.
-        """
-        self._refused |= names
-
-    def floor(self, term: int) -> float:
-        """Return the smallest gain of a term that counts.
-
-        Parameters
-        ----------
-        term : int
-            Index of the term.
-
-        Returns
-        -------
-        float
-            See `Floors`.
-        """
-        if self.evidence.terms[term].formula in ("place", "disk"):
-            return self.floors.place
-        if self.between(term):
-            return self.floors.between_runs
-        return self.floors.learned if self.owner[term].learned else self.floors.physical
-
-    def between(self, term: int) -> bool:
-        """Return whether a term differs between runs only.
-
-        Parameters
-        ----------
-        term : int
-            Index of the term.
-
-        Returns
-        -------
-        bool
-            False for an effect on the scale of all runs.
-        """
-        return self.evidence.differs[term] and not self.evidence.moves_level([term])
-
-    def clears_floor(self, verdict: Verdict) -> bool:
-        """Return whether a term helps enough, beyond what the baseline runs show.
-
-        Parameters
-        ----------
-        verdict : Verdict
-            On the term.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
-        worth = min(verdict.gain, verdict.net)
-        if worth < self.floor(verdict.term) or verdict.steady < _STEADY:
-            return False
-        return worth - self.shared(verdict.term) >= self.floor(verdict.term)
-
-    def score(self, verdict: Verdict) -> float:
-        """Return the gain minus a price per coefficient: of two equally good terms the simpler one is better.
-
-        Parameters
-        ----------
-        verdict : Verdict
-            On the term.
-
-        Returns
-        -------
-        float
-            A share of the error.
-        """
-        return round(verdict.gain - self.price(verdict.term), 6)  # some are identical on these runs
-
-    def price(self, term: int) -> float:
-        """Return the price of the coefficients of a term beyond the first.
-
-        Parameters
-        ----------
-        term : int
-            Index of the term.
-
-        Returns
-        -------
-        float
-            A share of the error.
-        """
-        price = _COEFFICIENT * (len(self.evidence.columns[term]) - 1)
-        return price if self.evidence.terms[term].formula == "by_run" else min(price, _MOST)
-
-    def best_of_each(self, found: Sequence[Found]) -> list[tuple[Candidate, Verdict]]:
-        """Return the best variant of each candidate, given the effects found.
-
-        A curve over the quantity of a physical effect that was found is not tested: it would only correct the effect's
-        form.
-
-        Parameters
-        ----------
-        found : sequence of Found
-            Effects taken already.
-
-        Returns
-        -------
-        list of tuple of (Candidate, Verdict)
-            The best first.
-        """
-        taken = sorted(f.verdict.term for f in found)
-        key = tuple(taken), self._refused
-        if key in self._best:
-            return self._best[key]
-        names = {f.candidate.name for f in found}
-        names |= self._refused | {CURVES[name] for name in names if name in CURVES}
-        tried = [k for k, c in enumerate(self.owner) if c.name not in names]
-        forms: dict[str, list[Verdict]] = {}
-        for verdict in self.evidence.judge(taken, tried):
-            if self.senseless(taken, verdict.term):
-                verdict = replace(verdict, p_value=1.0, why=SENSELESS)
-            forms.setdefault(self.owner[verdict.term].name, []).append(verdict)
-        best = [(self.owner[v[0].term], self._best_form(v)) for v in forms.values()]
-        self._best[key] = sorted(best, key=lambda pair: -pair[1].gain)
-        if self.progress is not None:
-            self.progress(1.0 - _LEFT ** len(self._best))
-        return self._best[key]
-
-    def senseless(self, taken: Sequence[int], term: int) -> bool:
-        """Return whether the sign or the size of a term is not physical.
-
-        Parameters
-        ----------
-        taken : sequence of int
-            Terms taken already.
-        term : int
-            Index of the term.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
-        sign, most = self.owner[term].sign, self.owner[term].most
-        if not sign and math.isinf(most):
-            return False
-        size = self.evidence.size_of(taken, term)
-        return sign * size < 0 or abs(size) > most
-
-    def turned(self, found: Sequence[Found]) -> set[str]:
-        """Return effects whose sign or size is no longer physical beside all others.
-
-        Parameters
-        ----------
-        found : sequence of Found
-            All effects.
-
-        Returns
-        -------
-        set of str
-            Names of candidates.
-        """
-        return {
-            f.candidate.name
-            for f in found
-            if f.candidate.name not in self._refused
-            and self.senseless([g.verdict.term for g in found if g is not f], f.verdict.term)
-        }
-
-    def _best_form(self, forms: Sequence[Verdict]) -> Verdict:
-        """The best of the variants of an effect. If one of them is significant the effect is, and its variant is chosen
-        by what helps most.
-        """
-        helps = [v for v in forms if self.clears_floor(v) and not v.why]
-        chance = min((v.p_value for v in helps), default=1.0)
-        if chance > ALPHA:
-            return max(forms, key=self.score)
-        return replace(max(helps, key=self.score), p_value=chance)
-
-    def pick(self, verdicts: Sequence[tuple[Candidate, Verdict]], found: Sequence[Found]) -> Found | None:
-        """Return the effect to take next.
-
-        Of the effects that do as well as the best, a physical one is taken that no logged column explains better. Hour,
-        temperature and distance driven are near-collinear between runs: if one of them is significant, another one that
-        does as well may be the cause. A curve whose physical form has an impossible sign comes last.
-
-        Parameters
-        ----------
-        verdicts : sequence of tuple of (Candidate, Verdict)
-            As `best_of_each` returned them.
-        found : sequence of Found
-            Effects taken already.
-
-        Returns
-        -------
-        Found or None
-            None when there is no further effect.
-        """
-        good = [Found(c, v) for c, v in verdicts if v.p_value <= ALPHA and self.clears_floor(v)]
-        first = [f for f in good if not f.candidate.response] or good
-        if not first:
-            return None
-        taken = [f.verdict.term for f in found]
-        best = max(first, key=lambda f: self.score(f.verdict))
-        copies = [
-            Found(c, replace(v, p_value=best.verdict.p_value))
-            for c, v in verdicts
-            if v.p_value > ALPHA and self.may_copy(v)
-        ]
-        alike = [f for f in first + copies if f is best or self.as_good(taken, f, best)]
-        opposed = {CURVES.get(c.name) for c, v in verdicts if v.why == SENSELESS}
-        alike.sort(key=lambda f: (self.named(f), f.candidate.name not in opposed, self.score(f.verdict)), reverse=True)
-        chosen = alike[0]
-        above = [f for f in alike[1:] if self.score(f.verdict) > self.score(chosen.verdict)]
-        return next((c for c in above if self.tells_more(taken, c, chosen)), chosen)
-
-    def may_copy(self, verdict: Verdict) -> bool:
-        """Return whether a term may be near-collinear with a significant one: it differs between runs only, and helps.
-
-        Parameters
-        ----------
-        verdict : Verdict
-            On the term.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
-        return not verdict.why and self.between(verdict.term) and self.clears_floor(verdict)
-
-    def named(self, one: Found) -> bool:
-        """Return whether an effect has a physical form.
-
-        A curve, a drift, a field over the map and coefficients for every run say only that something changes.
-
-        Parameters
-        ----------
-        one : Found
-            The effect.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
-        curve = self.evidence.terms[one.verdict.term].formula in ("smooth", "heading", "place")
-        return not (curve or one.candidate.name == "drift" or self.by_run(one))
-
-    def by_run(self, one: Found) -> bool:
-        """Return whether every run has coefficients of its own.
-
-        Parameters
-        ----------
-        one : Found
-            The effect.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
-        return self.evidence.own(self.evidence.columns[one.verdict.term])
-
-    def as_good(self, taken: Sequence[int], one: Found, best: Found) -> bool:
-        """Return whether an effect does as well as the best on held-out data.
-
-        Parameters
-        ----------
-        taken : sequence of int
-            Terms taken already.
-        one : Found
-            The effect.
-        best : Found
-            The best.
-
-        Returns
-        -------
-        bool
-            True if its error is within one standard error and no small part of the gain is lost, or nearly none.
-
-        References
-        ----------
-        Breiman et al. 1984, section 3.4.3.
-        """
-        mine, its = (self.evidence.columns_of([*taken, f.verdict.term]) for f in (one, best))
-        blocks = self.evidence.own(mine) or self.evidence.own(its)
-        before = self.evidence.held_out(self.evidence.columns_of(taken), blocks=blocks).sum()
-        error = self.evidence.held_out(its, blocks=blocks)
-        worse = self.evidence.held_out(mine, blocks=blocks) - error
-        gained = float(before - error.sum())
-        noise = 0.0 if blocks else float(worse.std(ddof=1)) * np.sqrt(worse.size)
-        return bool(worse.sum() <= max((1.0 - _NEARLY) * gained, min(noise, (1.0 - _FAIRLY) * gained)))
-
-    def tells_more(self, taken: Sequence[int], column: Found, other: Found) -> bool:
-        """Return whether a logged column encompasses another effect.
-
-        Parameters
-        ----------
-        taken : sequence of int
-            Terms taken already.
-        column : Found
-            A curve over a logged column.
-        other : Found
-            The other effect.
-
-        Returns
-        -------
-        bool
-            True if the column explains what the other effect leaves, and that one nothing of what the column leaves.
-
-        References
-        ----------
-        Mizon & Richard 1986.
-        """
-        name = column.candidate.name
-        over = str(self.evidence.terms[column.verdict.term].settings.get("over", ""))
-        if not over.startswith("column:") or over.removeprefix("column:") == other.candidate.name:
-            return False
-        slopes = [k for k, c in enumerate(self.owner) if c.name == name and self.evidence.columns[k].size == 1]
-        constant = [k for k, t in enumerate(self.evidence.terms) if t.formula == "friction"]
-        more = self.evidence.judge([*taken, other.verdict.term, *constant], slopes)
-        if min((v.p_value for v in more), default=1.0) > _SURE:
-            return False
-        back = self.evidence.judge([*taken, column.verdict.term], [other.verdict.term])[0]
-        return back.p_value > ALPHA or min(back.gain, back.net) < _LITTLE
-
-    def with_parts(self, found: list[Found]) -> list[Found]:
-        """Return the effects with the main effects of every interaction, which would otherwise include them.
-
-        The effect that is modified is added if it is significant without the interaction, the other one if it is so
-        beside the interaction as well. The interaction is then what comes in addition, if anything does.
-
-        Parameters
-        ----------
-        found : list of Found
-            Effects taken.
-
-        Returns
-        -------
-        list of Found
-            At least as many.
-
-        References
-        ----------
-        Nelder 1977 (marginality).
-        """
-        for one in [f for f in found if f.candidate.parts]:
-            modified, other = one.candidate.parts
-            rest = [f for f in found if f is not one]
-            rest += self.shown(modified, rest)
-            if modified in {f.candidate.name for f in rest}:
-                found = rest + self.shown(one.candidate.name, rest)
-            found += self.shown(other, rest, found)
-        return found
-
-    def shown(self, name: str, *beside: Sequence[Found]) -> list[Found]:
-        """Return the best variant of an effect that is significant beside each of some choices, the best by the first.
-
-        It is tested alone and known to matter, so that a little gain is enough.
-
-        Parameters
-        ----------
-        name : str
-            Of the candidate.
-        *beside : sequence of Found
-            The choices.
-
-        Returns
-        -------
-        list of Found
-            One or none; none if it is among them.
-        """
-        tried = [k for k, c in enumerate(self.owner) if c.name == name]
-        kept: dict[int, Verdict] = {}
-        for found in reversed(beside):
-            if name in {f.candidate.name for f in found}:
-                return []
-            taken = [f.verdict.term for f in found]
-            verdicts = [v for v in self.evidence.judge(taken, tried) if not self.senseless(taken, v.term)]
-            kept = {v.term: v for v in verdicts if v.p_value <= ALPHA and min(v.gain, v.net) >= _LITTLE}
-            tried = list(kept)
-        best = max(kept.values(), key=self.score, default=None)
-        return [] if best is None else [Found(self.owner[best.term], best)]
-
-    def settle(self, found: list[Found]) -> list[Found]:
-        """Revise the effects: each may be replaced given the others, and those that became needless are dropped.
-
-        Parameters
-        ----------
-        found : list of Found
-            Effects taken.
-
-        Returns
-        -------
-        list of Found
-            At least one.
-
-        References
-        ----------
-        Miller 2002, section 3.7 (sequential replacement).
-        """
-        for _ in range(_ROUNDS):
-            before = list(found)
-            for k, one in enumerate(before):
-                if interactions_of(one, found):
-                    continue
-                rest = self.beside(found, found[k])
-                again = self.pick(self.best_of_each(rest), rest)
-                others = {f.candidate.name for f in found if f is not found[k]}
-                if again is not None and again.candidate.name not in others and self.better(rest, again, one):
-                    found = [*found[:k], again, *found[k + 1 :]]
-            least, k = min((self.worth(found, f), k) for k, f in enumerate(found) if not interactions_of(f, found))
-            if len(found) > 1 and least < 0.5 * self.floor(found[k].verdict.term):
-                found = found[:k] + found[k + 1 :]
-            if found == before:
-                break
-        return found
-
-    def two_named(self, found: list[Found]) -> list[Found]:
-        """Replace effects without a physical form by two with one, if two do as well together.
-
-        Taken one by one, the first may have included both.
-
-        Parameters
-        ----------
-        found : list of Found
-            Effects taken.
-
-        Returns
-        -------
-        list of Found
-            The two, or `found`.
-        """
-        if len(found) not in (1, 2) or all(self.named(f) for f in found) or any(f.candidate.response for f in found):
-            return found
-        most = 1.0 + _LITTLE if len(found) == 2 else 1.0 - self.floors.learned
-        single = [k for k, c in enumerate(self.owner) if self.evidence.columns[k].size == 1 and not c.learned]
-        single = [k for k in single if self.evidence.terms[k].formula not in ("disk", "turning")]
-        pairs = [
-            (self.error([j, k]), j, k)
-            for j in single
-            for k in single
-            if j < k and self.owner[j].name != self.owner[k].name
-        ]
-        error, *best = min(pairs, default=(np.inf, 0, 0))
-        if error > most * self.error([f.verdict.term for f in found]):
-            return found
-        both = [(k, [b for b in best if b != k]) for k in best]
-        verdicts = [self.evidence.judge(other, [k])[0] for k, other in both]
-        absurd = any(self.senseless(other, k) for k, other in both)
-        if absurd or any(v.p_value > ALPHA or not self.clears_floor(v) for v in verdicts):
-            return found
-        return [Found(self.owner[v.term], v) for v in verdicts]
-
-    def better(self, rest: Sequence[Found], again: Found, one: Found) -> bool:
-        """Return whether to replace an effect: the fit gets better by it, or gets a physical form.
-
-        Parameters
-        ----------
-        rest : sequence of Found
-            The other effects.
-        again : Found
-            The new one.
-        one : Found
-            The old one.
-
-        Returns
-        -------
-        bool
-            True if so.
-        """
-        taken = [f.verdict.term for f in rest]
-        new, old = (self.error([*taken, f.verdict.term]) for f in (again, one))
-        if again.candidate.name == one.candidate.name:
-            return new < (1.0 - 1e-6) * old  # variants may be identical on these runs
-        named = self.named(again) and not self.named(one)
-        return new < (1.0 + _LITTLE if named else 1.0 - _LITTLE) * old
-
-    def error(self, chosen: Sequence[int], *, blocks: bool = False) -> float:
-        """Return the held-out squared error of a choice of terms.
-
-        Parameters
-        ----------
-        chosen : sequence of int
-            Indices of terms.
-        blocks : bool
-            As in `Evidence.held_out`.
-
-        Returns
-        -------
-        float
-            Sum of squares [scaled].
-        """
-        return float(self.evidence.held_out(self.evidence.columns_of(chosen), blocks=blocks).sum())
-
-    def saved(self, rest: Sequence[int], terms: Sequence[int]) -> float:
-        """Return the held-out squared error that terms explain in addition to others.
-
-        Parameters
-        ----------
-        rest : sequence of int
-            The others.
-        terms : sequence of int
-            The terms.
-
-        Returns
-        -------
-        float
-            Sum of squares [scaled].
-        """
-        blocks = self.evidence.own(self.evidence.columns_of([*rest, *terms]))
-        return self.error(rest, blocks=blocks) - self.error([*rest, *terms])
-
-    def beside(self, found: Sequence[Found], one: Found) -> list[Found]:
-        """Return the effects with which an effect is compared.
-
-        They are not an interaction that it is part of. A column that responds to the drive makes nothing needless that
-        explains it: a measured tilt may say the same as a slope, and say it better.
-
-        Parameters
-        ----------
-        found : sequence of Found
-            All effects.
-        one : Found
-            The effect.
-
-        Returns
-        -------
-        list of Found
-            Of `found`.
-        """
-        others = [f for f in found if f is not one and one.candidate.name not in f.candidate.parts]
-        return [f for f in others if one.candidate.response or not f.candidate.response]
-
-    def worth(self, found: Sequence[Found], one: Found) -> float:
-        """Return the share by which the held-out error grows without an effect and the interactions it is part of.
-
-        Parameters
-        ----------
-        found : sequence of Found
-            All effects.
-        one : Found
-            The effect.
-
-        Returns
-        -------
-        float
-            May be negative.
-        """
-        rest = [f.verdict.term for f in self.beside(found, one)]
-        its = [f.verdict.term for f in (one, *interactions_of(one, found))]
-        return self.saved(rest, its) / max(self.error(rest), 1e-12)
+    rows = residuals.features
+    shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused})
+    base: BaseParameters | ChargeScale = ChargeScale() if residuals.charge else BaseParameters.of(rows)
+    compared = not new.all()
+    kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
+    blocks, candidates, count = [base.columns(rows)], [], len(base.coefficient_names())
+    for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
+        columns = form.columns(rows)
+        if not np.all(np.abs(columns[new]).max(axis=0) > 0.0) or not np.isfinite(columns).all():
+            continue
+        k = columns.shape[1]
+        own = compared and not form.weather
+        blocks.append(columns * new[:, None] if own else columns)
+        tested, beside = count + np.arange(k), np.zeros(0, dtype=np.int64)
+        count += k
+        if own and not isinstance(form, CHANGES):
+            blocks.append(columns)
+            beside = count + np.arange(k)
+            count += k
+        candidates.append(Candidate(form, tested, beside))
+    return Design(residuals, new, np.concatenate(blocks, axis=1), base, tuple(candidates))
+
+
+def select(design: Design, *, progress: Callable[[float], None] | None = None) -> Selection:
+    """Choose effects.
+
+    Parameters
+    ----------
+    design : Design
+        With the candidates.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    Selection
+        Without effects where none is significant.
+    """
+    chosen: list[Candidate] = []
+    between: dict[str, bool] = {}
+    alone: dict[int, Verdict] = {}
+    variation = None
+    while True:
+        variation, model = fit_model(design, chosen, variation)
+        verdicts = {k: _verdict(design, model, c, chosen, between) for k, c in enumerate(design.candidates)}
+        alone = alone or verdicts
+        if progress is not None:
+            progress(min(1.0, (len(chosen) + 1) / (MOST_EFFECTS + 1)))
+        best = _simplest(design, verdicts) if len(chosen) < MOST_EFFECTS else None
+        if best is None:
+            break
+        taken = design.candidates[best]
+        names = [c.form.name for c in chosen]
+        at = names.index(taken.form.name) if taken.form.name in names else len(chosen)
+        chosen[at : at + 1] = [taken]
+        between[taken.form.name] = verdicts[best].between
+    final: list[Verdict] = []
+    while chosen:
+        final = [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in chosen]
+        worst = max(range(len(chosen)), key=lambda k: (bool(final[k].why_not), final[k].p_value))
+        needed = {name for c in chosen for name in c.form.parts}
+        if (final[worst].p_value <= ALPHA and not final[worst].why_not) or chosen[worst].form.name in needed:
+            break
+        chosen.pop(worst)
+        variation, model = fit_model(design, chosen, variation)
+        verdicts = {k: _verdict(design, model, c, chosen, between) for k, c in enumerate(design.candidates)}
+    return Selection(tuple(chosen), tuple(final[: len(chosen)]), design, variation, alone, verdicts, model)
+
+
+def fit_model(
+    design: Design, chosen: Sequence[Candidate], start: Variation | None = None
+) -> tuple[Variation, MixedModel]:
+    """Fit the variation around a choice of effects.
+
+    Parameters
+    ----------
+    design : Design
+        With the columns.
+    chosen : sequence of Candidate
+        The choice.
+    start : Variation, optional
+        Around another choice, from which the fit starts.
+
+    Returns
+    -------
+    tuple of (Variation, MixedModel)
+        The variation, and all columns whitened by it.
+    """
+    residuals = design.residuals
+    index, low, high = _limits(design, chosen)
+    x = design.columns[:, index]
+    said, z = residuals.said, residuals.measured - residuals.said
+    size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
+    variation = start or Variation(
+        residuals.run,
+        starts_of(residuals.run, residuals.moving),
+        residuals.moving,
+        np.maximum(np.maximum(said, 0.0), size),
+        np.ones(len(z)),
+    )
+    own, fixed = np.arange(len(index)), len(design.fixed)
+    level = np.maximum(np.maximum(said, 0.0), size)
+    for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
+        model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
+        coefficients = model.estimate(own, low, high, own[:0]).coefficients
+        energy, level = x @ coefficients, said + x[:, :fixed] @ coefficients[:fixed]
+        variation = fit_variation(variation, said + energy, z - energy, x)
+    every = MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
+    return variation, every
+
+
+def _limits(design: Design, chosen: Sequence[Candidate]) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Columns of the base parameters and of a choice, with the physical limits of their coefficients."""
+    base = np.asarray(design.base.lowest)
+    index, low, high = [design.fixed], [base], [np.full(len(base), np.inf)]
+    for c in chosen:
+        k, m = len(c.tested), len(c.beside)
+        index.append(c.both)
+        low.append(np.concatenate([np.full(k, c.form.low), np.full(m, -np.inf)]))
+        high.append(np.concatenate([np.full(k, c.form.high), np.full(m, np.inf)]))
+    return columns_of(index), np.concatenate(low), np.concatenate(high)
+
+
+def _verdict(
+    design: Design, model: MixedModel, candidate: Candidate, chosen: Sequence[Candidate], between: dict[str, bool]
+) -> Verdict:
+    """Test one candidate beside the chosen ones. Half of the error of the first kind goes to each family of tests."""
+    nothing = np.zeros(model.units)
+    now = columns_of([design.fixed, *(c.both for c in chosen)])
+    if any(c is candidate for c in chosen):
+        return Verdict(1.0, 0.0, nothing, False, "it is in the model")
+    chosen = [c for c in chosen if c.form.name != candidate.form.name]  # another form of one effect takes its place
+    if missing := set(candidate.form.parts) - {c.form.name for c in chosen}:
+        return Verdict(1.0, 0.0, nothing, False, f"it needs {' and '.join(sorted(missing))} beside it")
+    beside = columns_of([design.fixed, candidate.beside, *(c.both for c in chosen)])
+    levels = columns_of([c.tested for c in chosen if between[c.form.name]])
+    inside = model.test_within(candidate.tested, beside)
+    across = model.test_between(candidate.tested, beside, levels)
+    count = len(design.candidates)
+    p_value = min(1.0, 2.0 * count * min(inside.p_value, across.p_value))
+    if p_value > ALPHA:
+        return Verdict(p_value, 0.0, nothing, across.p_value < inside.p_value, "not significant")
+    tau2 = model.tau2(np.append(beside, candidate.tested))
+    without = model.left_out(now, tau2)
+    gains = without - model.left_out(np.append(beside, candidate.tested), tau2)
+    total = float(gains.sum())
+    why_not = ""
+    if total <= float(gains.std(ddof=1)) * np.sqrt(gains.size):
+        why_not = "its gain on left-out runs is within one standard error of none"
+    elif not _physical(model, candidate, beside):
+        why_not = "its coefficient has an impossible sign or size"
+    return Verdict(p_value, total / max(float(without.sum()), 1e-12), gains, across.p_value < inside.p_value, why_not)
+
+
+def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool:
+    """Whether the free estimate lies within the physical limits."""
+    form, k = candidate.form, len(candidate.tested)
+    if not (np.isfinite(form.low) or np.isfinite(form.high)):
+        return True
+    index = np.append(candidate.tested, beside)
+    gram = model.marginal(index, model.tau2(index)).sum(axis=0)
+    free = np.linalg.solve(gram[:-1, :-1] + np.eye(len(index)), gram[:-1, -1]) / model.size[index]
+    return bool(np.all((free[:k] >= form.low) & (free[:k] <= form.high)))
+
+
+def _simplest(design: Design, verdicts: dict[int, Verdict]) -> int | None:
+    """The simplest candidate whose gain is within one standard error of the largest."""
+    able = [k for k, v in verdicts.items() if not v.why_not]
+    if not able:
+        return None
+    top = verdicts[max(able, key=lambda k: verdicts[k].gain)]
+
+    def near(k: int) -> bool:
+        less = top.gains - verdicts[k].gains
+        return float(less.sum()) <= float(less.std(ddof=1)) * np.sqrt(less.size)
+
+    close = [k for k in able if near(k)]
+    return min(close, key=lambda k: (design.candidates[k].complexity, -verdicts[k].gain))

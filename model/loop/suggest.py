@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InfeasibleError
 from joulemap.model.frames import heading_of, wrap_angle
-from joulemap.model.loop.drive import Drive, planned_drive
-from joulemap.model.loop.effects import Term
-from joulemap.model.loop.residual import Residuals
+from joulemap.model.loop.features import Features, planned_features
+from joulemap.model.loop.forms import Form
+from joulemap.model.loop.residuals import Residuals
 from joulemap.model.robot import Robot
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
@@ -66,8 +66,8 @@ class Suggestion:
 
 def suggest_drive(
     residuals: Residuals,
-    effect: Term,
-    rivals: Sequence[Term],
+    effect: Form,
+    rivals: Sequence[Form],
     heightmap: Heightmap,
     robot: Robot,
     traction: Traction,
@@ -81,9 +81,9 @@ def suggest_drive(
     ----------
     residuals : Residuals
         Of the runs so far.
-    effect : Term
+    effect : Form
         To measure.
-    rivals : sequence of Term
+    rivals : sequence of Form
         With which it is confounded; they are fitted along.
     heightmap : Heightmap
         The ground.
@@ -107,10 +107,11 @@ def suggest_drive(
         If no route fits on the known ground.
     """
     rng = np.random.default_rng(seed)
-    old = _information(residuals.drive, [effect, *rivals], residuals.scale)
-    now = _spread(old, len(effect.units))
+    count = len(effect.coefficient_names())
+    usual = 0.2 * float(np.median(np.abs(residuals.measured[residuals.moving])))
+    old = _information(residuals.features, [effect, *rivals], np.maximum(residuals.said, usual))
+    now = _spread(old, count)
     best: Suggestion | None = None
-    usual = 0.2 * float(np.median(residuals.predicted[residuals.moving]))
     for kind, points in _routes(heightmap, length_m, rng):
         once = _along(points, heightmap, robot, traction, residuals)
         if once is None:
@@ -118,9 +119,9 @@ def suggest_drive(
         for pace, speeds in (("", (robot.speed_mps,)), (", slow and fast", (_SLOW * robot.speed_mps, robot.speed_mps))):
             if len(speeds) * len(once) > _ROOM * length_m:
                 continue
-            drive = _over_and_over(once, speeds, length_m)
-            scale = np.maximum(drive.predicted, usual)
-            then = _spread(old + _information(drive, [effect, *rivals], scale), len(effect.units))
+            rows = _over_and_over(once, speeds, length_m)
+            scale = np.maximum(rows.predicted, usual)
+            then = _spread(old + _information(rows, [effect, *rivals], scale), count)
             if best is None or then / now < best.shrinkage:
                 length = float(np.hypot(*np.diff(points, axis=0).T).sum())
                 best = Suggestion(points, kind + pace, effect.name, speeds, then / now, length)
@@ -129,10 +130,10 @@ def suggest_drive(
     return best
 
 
-def _information(drive: Drive, terms: Sequence[Term], scale: FloatArray) -> FloatArray:
-    """Normal equations of terms with a scale beside them, per unit of noise variance."""
-    level = Term("level", "level", ("",))
-    x = np.concatenate([t.columns(drive) for t in (*terms, level)], axis=1) / scale[:, None]
+def _information(rows: Features, forms: Sequence[Form], scale: FloatArray) -> FloatArray:
+    """Normal equations of forms with a scale beside them, per unit of noise variance."""
+    level = rows.predicted[:, None]
+    x = np.concatenate([*(form.columns(rows) for form in forms), level], axis=1) / scale[:, None]
     return np.asarray(x.T @ x)
 
 
@@ -170,7 +171,7 @@ def _routes(heightmap: Heightmap, length_m: float, rng: np.random.Generator) -> 
 
 def _along(
     points: FloatArray, heightmap: Heightmap, robot: Robot, traction: Traction, residuals: Residuals
-) -> Drive | None:
+) -> Features | None:
     """A route cut into 1 m segments, driven once; None if it is too short or leaves the known ground."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     fine = np.arange(0.0, s[-1], _STEP_M)
@@ -183,14 +184,14 @@ def _along(
     steps = np.abs(wrap_angle(np.diff(heading, append=heading[-1])))
     middle = np.arange(count) * every + every // 2
     price = traction(x[middle], y[middle], heading[middle])
-    conditions = {k: float(np.nanmean(v)) for k, v in residuals.drive.columns.items() if np.isfinite(v).any()}
-    plan = planned_drive(heightmap, robot, x[middle], y[middle], heading[middle], price, conditions)
+    conditions = {k: float(np.nanmean(v)) for k, v in residuals.features.columns.items() if np.isfinite(v).any()}
+    plan = planned_features(heightmap, robot, x[middle], y[middle], heading[middle], price, conditions)
     if not (np.isfinite(price).all() and np.isfinite(plan.grade).all()):
         return None
     return replace(plan, turned_abs_rad=steps[: count * every].reshape(count, every).sum(axis=1))
 
 
-def _over_and_over(once: Drive, speeds: tuple[float, ...], length_m: float) -> Drive:
+def _over_and_over(once: Features, speeds: tuple[float, ...], length_m: float) -> Features:
     """A route driven again and again for about `length_m`, each round at the next speed."""
     count = len(once)
     rounds = max(len(speeds), round(length_m / count))

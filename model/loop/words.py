@@ -1,4 +1,4 @@
-"""The one table from the keys of effects and quantities to the words that a reader sees.
+"""From the keys of quantities and counts to the words that a reader sees.
 
 Files, reports and options keep the keys; pages, messages and the command line show the words.
 """
@@ -7,52 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-LEAST_P = 0.001
-"""The smallest p-value that the permutation tests can give, see `joulemap.model.loop.chance.SHIFTS`."""
-
-EFFECTS = {
-    "acceleration": "acceleration",
-    "battery": "internal resistance of the battery",
-    "braking": "downhill braking",
-    "climbing": "climbing",
-    "cross_slope": "cross slope",
-    "drift": "drift over time or distance",
-    "hotel_load": "idle power",
-    "local_friction": "local rolling resistance",
-    "payload": "payload",
-    "reversing": "driving backwards",
-    "rolling_resistance": "rolling resistance",
-    "sensor_gain": "sensor gain",
-    "speed": "speed",
-    "temperature": "temperature",
-    "terrain_class": "terrain class",
-    "turning": "turning",
-    "wind": "wind",
-    "learned:cross_slope": "cross slope (fitted curve)",
-    "learned:heading": "heading (fitted curve)",
-    "learned:hollow": "topographic position index (fitted curve)",
-    "learned:place": "position on the map (fitted field)",
-    "learned:roughness": "roughness",
-    "level": "constant factor",
-    "standing": "power while stationary",
-}
-"""Names of effects by key."""
-
 _QUANTITIES = {
     "clock": ("time since the first run began", "s"),
     "cross_slope": ("cross slope", ""),
     "driven": ("distance driven in the run", "m"),
     "elevation": ("elevation", "m"),
     "grade": ("grade", ""),
-    "hollow": ("topographic position index", "m"),
+    "heading": ("heading", "rad"),
+    "position_index": ("topographic position index", "m"),
     "odometer": ("distance driven since the first run", "m"),
     "roughness": ("roughness", "m"),
     "since_start": ("time since the start of the run", "s"),
     "speed": ("speed", "m/s"),
     "turn": ("heading change per segment, positive to the right", "rad"),
     "turning": ("heading change per segment", "rad"),
-    "x": ("x", "m"),
-    "y": ("y", "m"),
     "column:temperature": ("temperature", "degC"),
     "column:motor_temperature": ("motor_temperature", "degC"),
     "column:wind_speed": ("wind_speed", "m/s"),
@@ -63,35 +31,7 @@ _QUANTITIES = {
 }
 """Name and unit of what effects depend on. The unit of other logged columns is not known."""
 
-_TENTHS = frozenset({"elevation", "x", "y"})  # may be large, and their differences small
-
-_MEANINGS = {
-    "acceleration": "mass whose energy of motion is not recovered when the robot slows down",
-    "battery": "resistance in which energy is lost with the square of the current",
-    "braking": "share of the energy released downhill that the battery supplies on top",
-    "climbing": "share of the energy of climbing that is added",
-    "cross_slope": "coefficient of rolling resistance added per tangent of the cross slope",
-    "disk": "coefficient of rolling resistance that is added inside the circle",
-    "friction": "added coefficient of rolling resistance",
-    "drift": "energy added per hour or per kilometre",
-    "heading": "energy added by heading, as sine and cosine terms",
-    "hotel_load": "power drawn all the time, in addition to the declared idle power",
-    "payload": "mass in addition to the declared mass",
-    "reversing": "energy added while driving backwards",
-    "place": "coefficient of rolling resistance, or share of all energy, added at each centre of the field",
-    "roughness": "coefficient of rolling resistance added per metre of roughness",
-    "sensor_gain": "share by which everything measured is larger than predicted",
-    "speed": "energy per metre that is added with speed",
-    "temperature": "energy or power added per degree above the reference temperature",
-    "turning": "energy per radian of heading change",
-    "turning_both": "energy per radian of heading change",
-    "turning_sides": "energy per radian of heading change, to each side",
-    "turning_words": "energy per radian of heading change, added on each class of ground",
-    "wind_constant": "energy per metre added when driving east and north against the wind",
-    "wind_measured": "drag added per unit of relative air speed",
-    "words": "energy added on each class of ground",
-}
-
+_TENTHS = frozenset({"elevation"})  # may be large, and their differences small
 
 _LEFT_OUT = {
     "gaps": ("gap", "gaps"),
@@ -179,32 +119,9 @@ def p_words(p_value: float) -> str:
     Returns
     -------
     str
-        Such as "= 0.02". A permutation test cannot find less than one of its permutations: "<= 0.001".
+        Such as "= 0.02", or "< 1e-9": smaller ones rest on the far tail of a distribution, which no data can check.
     """
-    return f"<= {LEAST_P:g}" if p_value <= LEAST_P else f"= {p_value:.2g}"
-
-
-def effect_name(key: str) -> str:
-    """Return what an effect is called.
-
-    Parameters
-    ----------
-    key : str
-        As it is in a report, like `learned:grade`.
-
-    Returns
-    -------
-    str
-        A fitted curve over a logged column has the column's own name; an unknown key is returned as it is.
-    """
-    if key in EFFECTS:
-        return EFFECTS[key]
-    if key.startswith("learned:"):
-        return f"{key.removeprefix('learned:')} (fitted curve)"
-    if key.startswith("terrain_class:"):
-        return f"class of {key.removeprefix('terrain_class:')}"
-    first, by, second = key.partition(" x ")
-    return f"{effect_name(first)} by {effect_name(second)}" if by else key
+    return "< 1e-9" if p_value < 1e-9 else f"= {p_value:.2g}"
 
 
 def quantity_name(key: str) -> str:
@@ -213,7 +130,7 @@ def quantity_name(key: str) -> str:
     Parameters
     ----------
     key : str
-        As `joulemap.model.loop.formulas.quantity` takes it.
+        As `joulemap.model.loop.features.quantity` takes it.
 
     Returns
     -------
@@ -229,31 +146,14 @@ def quantity_value(key: str, value: float) -> str:
     Parameters
     ----------
     key : str
-        As `joulemap.model.loop.formulas.quantity` takes it.
+        As `joulemap.model.loop.features.quantity` takes it.
     value : float
         As that function returns it.
 
     Returns
     -------
     str
-        The depth of a place below its surroundings is written as a topographic position index, which is negative there.
+        Such as "0.5 m/s".
     """
-    shown = -value if key == "hollow" else value
     unit = _QUANTITIES.get(key, ("", ""))[1]
-    return f"{shown:{'.1f' if key in _TENTHS else '.4g'}} {unit}".rstrip()
-
-
-def coefficient_meaning(formula: str) -> str:
-    """Return what the coefficients of a formula mean.
-
-    Parameters
-    ----------
-    formula : str
-        Name of the formula.
-
-    Returns
-    -------
-    str
-        Empty for a formula whose coefficients mean something together only.
-    """
-    return _MEANINGS.get(formula, "")
+    return f"{value:{'.1f' if key in _TENTHS else '.3g'}} {unit}".rstrip()

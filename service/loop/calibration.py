@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,10 @@ from joulemap.model.loop.calibrated import (
     Correction,
     save_calibrated,
 )
-from joulemap.model.loop.calibration import Calibration, Effect, calibrate
-from joulemap.model.loop.effects import turning_per_rad
-from joulemap.model.loop.report import has_baseline, report_document
+from joulemap.model.loop.calibrate import Calibration, calibrate
+from joulemap.model.loop.report import report_document
 from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
+from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import CalibrationRuns
 from joulemap.model.terrain.heightmap import Heightmap
@@ -64,6 +64,8 @@ def calibrate_on_runs(
     *,
     out: Path,
     task: Task | None = None,
+    groups: Sequence[str] | None = None,
+    cross_validate: bool = True,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Calibrated:
@@ -83,8 +85,12 @@ def calibrate_on_runs(
         Folder to write to.
     task : tuple of tuple of float, optional
         Start and goal [m] whose routes before and after are compared, see `compare_routes`.
+    groups : sequence of str, optional
+        Of each run, such as its day: groups are left out together.
+    cross_validate : bool
+        Repeat the whole procedure without each group of runs for the errors.
     seed : int
-        Of the permutations.
+        Of the places that are tried for a task.
     progress : callable, optional
         Called with the share of the work that is done, 0..1.
 
@@ -120,43 +126,46 @@ def calibrate_on_runs(
     base = base_residuals(model, predictor, heightmap, robot, runs.baseline)
     test = None if runs.test is None else residuals_on(predictor, heightmap, robot, runs.test, least=1)[0]
     _report(progress, _READ)
-    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=_part(progress, _READ, _TRACED))
-    version, turning, routes, why_not = None, None, None, "no effect was found that changes a route"
-    if found.terms:
-        correction = correction_of(found, std, base_turn=planning_robot(predictor, robot).turn_j_per_rad)
-        turning = _turning_in_plans(found, correction)
-        version = _write(begun, model, predictor, correction)
-        after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
-        driven = measured.drive.take(measured.moving)  # on ground that the map knows
+    found = calibrate(
+        measured,
+        electric=electric,
+        base=base,
+        groups=groups,
+        cross_validate=cross_validate,
+        progress=_part(progress, _READ, _CALIBRATED),
+    )
+    base_turn = planning_robot(predictor, robot).turn_j_per_rad
+    correction = correction_of(found, std)
+    version = _write(begun, model, predictor, correction)
+    after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
+    routes, why_not = None, "the runs have no positions"
+    if runs.placed:
+        driven = measured.features.take(measured.moving)  # on ground that the map knows
         places = np.column_stack([driven.x, driven.y])
-        why_not = "the runs have no positions"
-        if runs.placed:
-            try:
-                routes = compare_routes(
-                    heightmap,
-                    robot,
-                    predictor,
-                    after,
-                    places,
-                    task=task,
-                    seed=seed,
-                    progress=_part(progress, _TRACED, 1.0),
-                )
-            except InfeasibleError as error:  # a report all the same
-                why_not = error.message
+        try:
+            routes = compare_routes(
+                heightmap,
+                robot,
+                predictor,
+                after,
+                places,
+                task=task,
+                seed=seed,
+                progress=_part(progress, _CALIBRATED, 1.0),
+            )
+        except InfeasibleError as error:  # a report all the same
+            why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
-    if turning is not None:
-        report["turning_in_plans"] = turning
+    if any(e.term.form.name == "turning" and e.term.form.known_before for e in found.effects):
+        total = base_turn + correction.turn_j_per_rad
+        report["turning_in_plans"] = {"j_per_rad": max(total, 0.0), "new_j_per_rad": correction.turn_j_per_rad}
     report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
     if routes is not None:
         report["map"] = routes.map_as_dict()
     if routes is not None and segments.charge:
         report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
     if test is not None:
-        errors = found.errors_on(test)
-        if not has_baseline(found):
-            errors["corrected"] = errors["before"]
-        report["test_set"] = {"segments": int(test.moving.sum()), "error": errors}
+        report["test_set"] = {"segments": int(test.moving.sum()), "error": found.errors_on(test)}
     report["runs"] = {
         "names": list(segments.runs),
         "rows": runs.rows,
@@ -166,8 +175,7 @@ def calibrate_on_runs(
     }
     report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)
-    if found.terms:
-        begun.rename(target)
+    begun.rename(target)
     _report(progress, 1.0)
     return Calibrated(with_former_keys(report), found, routes)
 
@@ -181,7 +189,7 @@ def _next_drive(
         return {"why_not": error.message}
 
 
-_READ, _TRACED = 0.3, 0.8  # of the work
+_READ, _CALIBRATED = 0.3, 0.8  # of the work
 
 
 def _report(progress: Callable[[float], None] | None, share: float) -> None:
@@ -214,7 +222,7 @@ def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
         )
 
 
-def correction_of(found: Calibration, std_j: FloatArray, *, base_turn: float) -> Correction:
+def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
     """Return what a calibration adds to its base model.
 
     Parameters
@@ -223,62 +231,29 @@ def correction_of(found: Calibration, std_j: FloatArray, *, base_turn: float) ->
         What was found.
     std_j : ndarray, (n,)
         Standard deviation of the base model for each of the calibration's rows [J].
-    base_turn : float
-        What turning costs in plans with the base model [J/rad].
 
     Returns
     -------
     Correction
-        With the spread of the calibrated model on held-out runs.
+        With the spread of the calibrated model on left-out runs.
     """
-    drive, moving = found.residuals.drive, found.residuals.moving
-    planner = [True] * (len(found.shared.terms) + len(found.silent)) + [e.planner for e in found.effects]
-    conditions = {k: float(np.nanmean(v)) for k, v in drive.columns.items() if np.isfinite(v).any()}
+    fitted, rows, moving = found.fitted, found.residuals.features, found.residuals.moving
+    conditions = {k: float(np.nanmean(v)) for k, v in rows.columns.items() if np.isfinite(v).any()}
+    spread = None
+    if not found.residuals.charge:
+        spread = fit_spread(
+            found.residuals.measured[moving], found.held_out["after_planner"][moving], std_j[moving], rows.run[moving]
+        )
     return Correction(
-        found.terms,
-        tuple(planner),
+        fitted.terms,
+        fitted.planner_terms,
+        ranges=fitted.ranges,
         charge=found.residuals.charge,
-        turn_j_per_rad=_turn_j_per_rad(found, base_turn) - drive.robot.turn_j_per_rad,
+        turn_j_per_rad=rows.unit_j * turning_per_rad(fitted.planner_terms, rows),
         conditions=conditions,
-        evidence=[{"name": e.term.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
-        spread=None
-        if found.residuals.charge
-        else fit_spread(
-            found.residuals.measured[moving], found.held_out_planner[moving], std_j[moving], drive.run[moving]
-        ),
+        evidence=[{"name": e.term.form.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
+        spread=spread,
     )
-
-
-def _turn_j_per_rad(found: Calibration, base_turn: float) -> float:
-    """What turning costs in plans after a calibration [J/rad].
-
-    Without an effect of turning it stays as it is with the base model. An effect that was found without baseline runs
-    is the whole cost. An effect that is new compared with baseline runs is added to what turning cost in those: by the
-    base model (with slowing down, which no plan contains) or by its corrections, whichever is larger.
-    """
-    drive = found.residuals.drive
-    every = drive.unit_j * turning_per_rad(found.terms, drive)
-    if _turning_of(found) and found.shared.residuals is None:
-        return every
-    return max(every, base_turn + _new_turn_j_per_rad(found))
-
-
-def _turning_of(found: Calibration) -> list[Effect]:
-    return [e for e in found.effects if e.term.formula.startswith("turning")]
-
-
-def _new_turn_j_per_rad(found: Calibration) -> float:
-    """What the effects of turning cost, without what the baseline runs show of them [J/rad]."""
-    new = [replace(e.term, coefficients=tuple(e.coefficients.tolist())) for e in _turning_of(found)]
-    return found.residuals.drive.unit_j * turning_per_rad(new, found.residuals.drive)
-
-
-def _turning_in_plans(found: Calibration, correction: Correction) -> dict[str, float] | None:
-    """What turning costs in plans altogether, and how much of it is new; None where no plan has such an effect."""
-    if not any(e.planner for e in _turning_of(found)):
-        return None
-    total = found.residuals.drive.robot.turn_j_per_rad + correction.turn_j_per_rad  # as the predictor adds them
-    return {"j_per_rad": max(total, 0.0), "new_j_per_rad": _new_turn_j_per_rad(found)}
 
 
 def _write(target: Path, model: str | Path, predictor: Predictor, correction: Correction) -> str:

@@ -8,19 +8,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.loop.drive import Drive
-from joulemap.model.loop.residual import Residuals
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.residuals import Residuals
 
 FloatArray = NDArray[np.float64]
 
-_OF_POSITION = frozenset({"heading", "gps_course", "gps_error", "speed", "gps_speed", "z", "lat", "lon"})
 _MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
 _COPY = 0.95
+_LEAST_ROWS = 10
 _SPIKE = 8.0  # times the median size
 
 
-def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], refused: dict[str, str]) -> list[str]:
-    """Return the logged columns that vary, copy no other column, and are no part of the measurement.
+def refused_columns(residuals: Residuals, electric: Mapping[str, FloatArray]) -> dict[str, str]:
+    """Return the logged columns on which no effect may depend.
 
     Parameters
     ----------
@@ -28,43 +28,61 @@ def usable_columns(residuals: Residuals, electric: Mapping[str, FloatArray], ref
         Of the runs.
     electric : mapping
         Readings of the battery by name, (n,).
-    refused : dict
-        To which the reasons against all others are added, by name.
 
     Returns
     -------
-    list of str
-        Names of the columns.
+    dict of str to str
+        Why, by name of the column: parts of the measurement and copies of it, constants and copies of other columns.
     """
-    drive, moving = residuals.drive, residuals.moving
-    only = drive.take(moving)
-    meters = {key: values[moving] for key, values in electric.items() if key != "ripple"}
-    said = residuals.predicted[moving]
-    expected = [only.grade, said, said / only.duration_s]
+    moving = residuals.moving
+    rows = residuals.features.take(moving)
+    meters = {key: values[moving] for key, values in electric.items()}
+    said = residuals.said[moving]
+    expected = [rows.grade, said, said / rows.duration_s]
+    refused: dict[str, str] = {}
     kept: dict[str, FloatArray] = {}
-    for key, every in sorted(drive.columns.items()):
-        values = every[moving]
+    for key, values in sorted(rows.columns.items()):
         known = np.isfinite(values)
-        if key in _OF_POSITION:
-            continue
         if _MEASUREMENT.search(key):
-            refused[f"learned:{key}"] = "it is part of the measurement itself"
+            refused[key] = "it is part of the measurement itself"
         elif known.mean() < 0.5:
-            refused[f"learned:{key}"] = f"recorded on only {known.mean():.0%} of the segments"
+            refused[key] = f"recorded on only {known.mean():.0%} of the segments"
         elif np.ptp(values[known]) <= 1e-9 * max(1.0, float(np.abs(values[known]).max())):
-            refused[f"learned:{key}"] = f"constant ({values[known][0]:g})"
-        elif copied := next((m for m, e in meters.items() if _alike(values, e, expected, only)), None):
-            refused[f"learned:{key}"] = f"a copy of the {copied}, which is part of the measurement itself"
+            refused[key] = f"constant ({values[known][0]:g})"
+        elif copied := next((m for m, e in meters.items() if _alike(values, e, expected, rows)), None):
+            refused[key] = f"a copy of the {copied}, which is part of the measurement itself"
+        elif _is_meter(values, residuals.measured[moving], said, rows):
+            refused[key] = "it follows the measured power, also where the model predicts otherwise: it is another meter"
         elif twin := next((k for k, v in kept.items() if _same(values, v)), None):
-            refused[f"learned:{key}"] = f"identical to {twin}"
-        elif residuals.charge and _constant_in_runs(values, drive.run[moving]):
-            refused[f"learned:{key}"] = "constant within every run, while the offset of each run is unknown too"
+            refused[key] = f"identical to {twin}"
         else:
             kept[key] = values
-    return list(kept)
+    return refused
 
 
-def _alike(values: FloatArray, electric: FloatArray, expected: Sequence[FloatArray], drive: Drive) -> bool:
+def _is_meter(values: FloatArray, measured: FloatArray, said: FloatArray, rows: Features) -> bool:
+    """Whether a column reads the power or the energy: it follows what the model predicts of it and what it does not
+    predict in the same proportion. A cause follows the second only.
+    """
+    known = np.isfinite(values)
+    if known.sum() < _LEAST_ROWS or not said.any():
+        return False
+    run, since = rows.run[known], rows.since_s[known]
+    column = _without_lines(values[known], run, since)
+    for per in (np.ones_like(said), rows.duration_s):
+        parts = [_without_lines((part / per)[known], run, since) for part in (said, measured - said)]
+        x = np.stack(parts, axis=1)
+        if min(part.std() for part in parts) < 1e-9 or column.std() < 1e-9:
+            continue
+        slopes = np.linalg.lstsq(x, column, rcond=None)[0]
+        rest = column - x @ slopes
+        explained = 1.0 - float(rest @ rest) / float(column @ column)
+        if explained > 0.5 and slopes[1] != 0.0 and 0.5 < slopes[0] / slopes[1] < 2.0:
+            return True
+    return False
+
+
+def _alike(values: FloatArray, electric: FloatArray, expected: Sequence[FloatArray], rows: Features) -> bool:
     """Whether a column follows a reading of the battery from segment to segment.
 
     Both may follow a slow course over the day (a voltage sinks while the air warms), so a straight line in time is
@@ -75,7 +93,7 @@ def _alike(values: FloatArray, electric: FloatArray, expected: Sequence[FloatArr
     for _ in range(3):
         if both.sum() < 10:
             return False
-        run, since = drive.run[both], drive.since_s[both]
+        run, since = rows.run[both], rows.since_s[both]
         a, b, *others = (_without_lines(v[both], run, since) for v in (values, electric, *expected))
         near = np.all([np.abs(v) <= _SPIKE * np.median(np.abs(v)) for v in (a, b)], axis=0)
         both[both] = near
@@ -102,8 +120,3 @@ def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray
 def _same(a: FloatArray, b: FloatArray) -> bool:
     both = np.isfinite(a) & np.isfinite(b)
     return bool(both.any() and a[both].std() > 0 and abs(np.corrcoef(a[both], b[both])[0, 1]) > 1.0 - 1e-9)
-
-
-def _constant_in_runs(values: FloatArray, run: NDArray[np.int64]) -> bool:
-    known = np.isfinite(values)
-    return all(np.ptp(values[mine]) < 1e-9 for k in np.unique(run) if (mine := known & (run == k)).any())

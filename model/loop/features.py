@@ -1,15 +1,16 @@
-"""Features of driven segments: path, ground, time, weather and whatever was logged, but not their energy."""
+"""Features of driven rows: path, ground, time, weather and whatever was logged, but not their measured energy."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.errors import ModelError
 from joulemap.model.frames import heading_vector
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
@@ -20,17 +21,18 @@ FloatArray = NDArray[np.float64]
 
 _REACH_M = 0.5  # half the side of the square metre around a segment
 _SIDE = 5  # samples along its sides, and places of a segment
-_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # weight of each place
-_PLACES = np.linspace(-2.0 * _REACH_M, 2.0 * _REACH_M, 2 * _SIDE - 1)  # half a metre before to half a metre after
+_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # weight of each place: the trapezoidal rule
+_PLACES = np.linspace(-2.0 * _REACH_M, 2.0 * _REACH_M, 2 * _SIDE - 1)
 _LEAST_M = 0.1  # between wheels
 _AROUND_M = 2.5  # radius of the surroundings of a place: several times the robot, and less than a hill
 _BEARINGS = 8
-_LIKE_OTHER_STANDS = 0.3  # of their power: otherwise the robot did something while stationary
+SHARE_DRIVEN = 0.01
+"""Share of the driven rows beyond either border of a range: one odd reading in a hundred widens no range."""
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
-    """Features of segments and stationary intervals, the only input of an effect's formula.
+class Features:
+    """Features of segments and stationary intervals: all that a form of an effect may read.
 
     Attributes
     ----------
@@ -39,33 +41,33 @@ class Drive:
     run : ndarray of int, (n,)
         Index into `runs`.
     x, y : ndarray of float, (n,)
-        Centre [m].
+        Middle [m].
     heading_rad : ndarray of float, (n,)
-        Of the segment.
+        Direction of travel.
     length_m : ndarray of float, (n,)
-        0 for a stationary interval, which has no path and no ground (zeros).
+        Driven length; 0 for a stationary interval, which has no path and no ground (zeros).
     duration_s : ndarray of float, (n,)
-        Of the segment.
+        Of the row.
     traction_per_m : ndarray of float, (n,)
         Prediction of the base model [J/m].
-    turned_rad, turned_abs_rad, gained_m2ps2 : ndarray of float, (n,)
-        As `heading_change_rad`, `turned_abs_rad` and `gained_m2ps2` in `Segments`.
+    turned_rad, turned_abs_rad, gained_m2ps2, kinetic_m2ps2 : ndarray of float, (n,)
+        As `heading_change_rad`, `turned_abs_rad`, `gained_m2ps2` and `kinetic_m2ps2` of `Segments`.
     gentle_turn_rad : ndarray of float, (n, 7)
         As in `Segments`.
     grade : ndarray of float, (n,)
         Tangent of the slope along the heading, positive uphill, mean over the segment between both axles.
     grades : ndarray of float, (n, places)
         The same over a metre, at evenly spaced places from one end of the segment to the other.
-    cross : ndarray of float, (n,)
-        Tangent of the slope across the heading, positive down to the right.
+    grade_east, grade_north : ndarray of float, (n,)
+        Change of `grade` per metre by which the map is moved [1/m].
     cross_abs, cross_sq : ndarray of float, (n,)
-        Mean of the magnitude and of the square of the tangent across, between the wheels.
+        Mean of the magnitude and of the square of the tangent across the heading, between the wheels.
     roughness_m : ndarray of float, (n,)
         Root mean square distance of the square metre from its plane.
     elevation_m : ndarray of float, (n,)
-        Of the centre.
-    hollow_m : ndarray of float, (n,)
-        Topographic position index over 2.5 m with the opposite sign: how much lower a place is than its surroundings.
+        Of the middle.
+    position_index_m : ndarray of float, (n,)
+        Topographic position index over 2.5 m: how much higher a place is than its surroundings.
     since_s, driven_m : ndarray of float, (n,)
         Since the start of the run.
     clock_s : ndarray of float, (n,)
@@ -78,6 +80,8 @@ class Drive:
         Joules of one unit of energy: 1, or the nominal voltage for charge in ampere seconds.
     runs : tuple of str
         Name and first stamp of each run, so that runs of the same name differ.
+    speeds_mps : tuple of float
+        Between which `speed_mps` is held.
     """
 
     robot: Robot
@@ -92,14 +96,16 @@ class Drive:
     turned_abs_rad: FloatArray
     gentle_turn_rad: FloatArray
     gained_m2ps2: FloatArray
+    kinetic_m2ps2: FloatArray
     grade: FloatArray
     grades: FloatArray
-    cross: FloatArray
+    grade_east: FloatArray
+    grade_north: FloatArray
     cross_abs: FloatArray
     cross_sq: FloatArray
     roughness_m: FloatArray
     elevation_m: FloatArray
-    hollow_m: FloatArray
+    position_index_m: FloatArray
     since_s: FloatArray
     driven_m: FloatArray
     clock_s: FloatArray
@@ -107,6 +113,7 @@ class Drive:
     words: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     unit_j: float = 1.0
     runs: tuple[str, ...] = ()
+    speeds_mps: tuple[float, float] = (0.0, math.inf)
 
     def __len__(self) -> int:
         return int(self.x.size)
@@ -126,7 +133,7 @@ class Drive:
         """
         return of_grade(self.grades) @ _ENDS_HALF
 
-    def take(self, which: ArrayLike) -> Drive:
+    def take(self, which: ArrayLike) -> Features:
         """Return some of the rows.
 
         Parameters
@@ -136,16 +143,41 @@ class Drive:
 
         Returns
         -------
-        Drive
+        Features
             In the order of `which`.
         """
         index = np.asarray(which)
-        changed: dict[str, Any] = {
-            f.name: getattr(self, f.name)[index] for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)
-        }
+        changed: dict[str, Any] = {name: getattr(self, name)[index] for name in _arrays()}
         changed["columns"] = {key: values[index] for key, values in self.columns.items()}
         changed["words"] = {key: values[index] for key, values in self.words.items()}
         return replace(self, **changed)
+
+    def within(self, ranges: Mapping[str, tuple[float, float]]) -> Features:
+        """Return the rows with every quantity held inside a range.
+
+        Parameters
+        ----------
+        ranges : mapping
+            Lowest and highest value by name of the quantity, as `driven_ranges` returns them.
+
+        Returns
+        -------
+        Features
+            Beyond a border the quantity has the border's value. The base model's traction stays as it is.
+        """
+        changed: dict[str, Any] = {}
+        columns = dict(self.columns)
+        for name, (low, high) in ranges.items():
+            if name.startswith("column:"):
+                if (key := name.removeprefix("column:")) in columns:
+                    columns[key] = np.clip(columns[key], low, high)
+            elif name == "speed":
+                changed["speeds_mps"] = (low, high)
+            elif name == "grade":
+                changed |= {"grade": np.clip(self.grade, low, high), "grades": np.clip(self.grades, low, high)}
+            elif name in _RANGED:
+                changed[_RANGED[name]] = np.clip(getattr(self, _RANGED[name]), low, high)
+        return replace(self, columns=columns, **changed)
 
     @property
     def standing(self) -> NDArray[np.bool_]:
@@ -156,7 +188,8 @@ class Drive:
     def speed_mps(self) -> FloatArray:
         """Mean speed over each segment, (n,) [m/s]; the robot's cruising speed for a stationary interval."""
         moving = ~self.standing & (self.duration_s > 0)
-        return np.where(moving, self.length_m / np.where(moving, self.duration_s, 1.0), self.robot.speed_mps)
+        speed = np.where(moving, self.length_m / np.where(moving, self.duration_s, 1.0), self.robot.speed_mps)
+        return np.clip(speed, *self.speeds_mps)
 
     @property
     def backwards(self) -> NDArray[np.bool_]:
@@ -188,10 +221,129 @@ class Drive:
         """Prediction of the base model, (n,) [J, or A s]: idle power and motion."""
         return self.hotel_part + self.motion_part
 
+    @property
+    def weight_length(self) -> FloatArray:
+        """Declared weight times the driven length, (n,) [J, or A s]: what one unit of rolling resistance costs on level
+        ground.
+        """
+        return self.robot.weight_n * self.length_m / self.unit_j
+
+    @property
+    def pulling(self) -> FloatArray:
+        """Share of each row on which the drives pull, (n,) 0..1: a force costs nothing where the slope pushes harder.
+
+        Where they brake, a newton more costs what regeneration would have returned.
+        """
+        share = self.along(lambda grades: np.where(grades > -self.robot.rolling_resistance, 1.0, self.robot.regeneration))
+        return np.where(self.standing, 0.0, share)
+
+
+def _arrays() -> list[str]:
+    return [f.name for f in fields(Features) if f.name not in _NO_ARRAYS]
+
+
+_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps"}
+_RANGED = {
+    "cross_slope": "cross_abs",
+    "roughness": "roughness_m",
+    "position_index": "position_index_m",
+    "turning": "turned_abs_rad",
+}
+_QUANTITIES: dict[str, Callable[[Features], FloatArray]] = {
+    "grade": lambda rows: rows.grade,
+    "cross_slope": lambda rows: rows.cross_abs,
+    "roughness": lambda rows: rows.roughness_m,
+    "elevation": lambda rows: rows.elevation_m,
+    "position_index": lambda rows: rows.position_index_m,
+    "speed": lambda rows: rows.speed_mps,
+    "turning": lambda rows: rows.turned_abs_rad,
+    "turn": lambda rows: rows.turned_rad,
+    "heading": lambda rows: np.mod(rows.heading_rad, 2.0 * math.pi),
+    "since_start": lambda rows: rows.since_s,
+    "driven": lambda rows: rows.driven_m,
+    "clock": lambda rows: rows.clock_s,
+    "odometer": lambda rows: rows.odometer_m,
+}
+
+
+def quantity(rows: Features, name: str) -> FloatArray:
+    """Return a quantity that effects may depend on.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows.
+    name : str
+        Such as `grade`, or `column:NAME` for a logged column.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        NaN where it is not known.
+
+    Raises
+    ------
+    ModelError
+        If there is no such quantity.
+    """
+    if name.startswith("column:"):
+        return rows.columns.get(name.removeprefix("column:"), np.full(len(rows), np.nan))
+    if name not in _QUANTITIES:
+        raise ModelError(f"a model depends on {name!r}, which this version does not know", quantity=name)
+    return _QUANTITIES[name](rows)
+
+
+def driven_ranges(rows: Features) -> dict[str, tuple[float, float]]:
+    """Return the range of every quantity in which rows were driven.
+
+    Parameters
+    ----------
+    rows : Features
+        Measured.
+
+    Returns
+    -------
+    dict of str to tuple of float
+        Lowest and highest value without the outermost hundredth at either end.
+    """
+    moving = rows.take(~rows.standing)
+    names = ["speed", "grade", *_RANGED, *(f"column:{key}" for key in rows.columns)]
+    out = {}
+    for name in names:
+        values = quantity(moving, name)
+        values = values[np.isfinite(values)]
+        if values.size:
+            low, high = np.quantile(values, [SHARE_DRIVEN, 1.0 - SHARE_DRIVEN])
+            out[name] = (float(low), float(high))
+    return out
+
+
+def concatenate_features(parts: Sequence[Features]) -> Features:
+    """Join the rows of several sets of runs of one robot.
+
+    Parameters
+    ----------
+    parts : sequence of Features
+        At least one.
+
+    Returns
+    -------
+    Features
+        One after the other. A column that some part lacks is NaN, or an empty text, there.
+    """
+    offsets = np.cumsum([0] + [len(p.runs) for p in parts])
+    numbers = sorted({key for p in parts for key in p.columns})
+    texts = sorted({key for p in parts for key in p.words})
+    joined: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _arrays()}
+    joined["run"] = np.concatenate([p.run + o for p, o in zip(parts, offsets, strict=False)])
+    joined["columns"] = {k: np.concatenate([quantity(p, f"column:{k}") for p in parts]) for k in numbers}
+    joined["words"] = {k: np.concatenate([p.words.get(k, np.full(len(p), "")) for p in parts]) for k in texts}
+    return replace(parts[0], **joined, runs=tuple(name for p in parts for name in p.runs))
+
 
 def describe_segments(
-    segments: Segments, heightmap: Heightmap, robot: Robot, traction_per_m: ArrayLike, *, with_stands: bool = True
-) -> tuple[Drive, FloatArray]:
+    segments: Segments, heightmap: Heightmap, robot: Robot, traction_per_m: ArrayLike, *, with_stationary: bool = True
+) -> tuple[Features, FloatArray]:
     """Return the features of segments, and after them those of the stationary intervals.
 
     Parameters
@@ -204,55 +356,51 @@ def describe_segments(
         That drove.
     traction_per_m : array_like, (n,)
         Of the base model [J/m].
-    with_stands : bool
+    with_stationary : bool
         Add the stationary intervals.
 
     Returns
     -------
-    tuple of (Drive, ndarray of float)
+    tuple of (Features, ndarray of float)
         The features; and the measured energy of each row [J, or A s].
     """
     n = len(segments)
-    ground = _ground(heightmap, robot, segments.x, segments.y, segments.heading_rad)
     first = np.array([segments.t0[segments.run == k].min(initial=math.inf) for k in range(len(segments.runs))])
-    start = first[segments.run] if n else np.zeros(0)
     driven = np.zeros(n)
     for k in range(len(segments.runs)):
         mine = np.flatnonzero(segments.run == k)
         driven[mine] = np.cumsum(segments.driven_m[mine])
-    drive = Drive(
+    rows = Features(
         robot=robot,
         run=segments.run,
         x=segments.x,
         y=segments.y,
         heading_rad=segments.heading_rad,
-        length_m=np.full(n, segments.length_m),
+        length_m=segments.driven_m,
         duration_s=segments.duration_s,
         traction_per_m=np.asarray(traction_per_m, dtype=np.float64),
         turned_rad=segments.heading_change_rad,
         turned_abs_rad=segments.turned_abs_rad,
         gentle_turn_rad=segments.gentle_turn_rad,
         gained_m2ps2=segments.gained_m2ps2,
-        **ground,
-        since_s=segments.t0 - start,
+        kinetic_m2ps2=segments.kinetic_m2ps2,
+        **_ground(heightmap, robot, segments.x, segments.y, segments.heading_rad),
+        since_s=segments.t0 - (first[segments.run] if n else 0.0),
         driven_m=driven,
-        clock_s=segments.t0 - float(first.min()) if n else np.zeros(0),
+        clock_s=segments.t0 - (float(first.min()) if n else 0.0),
         columns=dict(segments.extras),
         words={key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()},
         unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
         runs=tuple(f"{name}@{stamp:.1f}" for name, stamp in zip(segments.runs, first, strict=True)),
     )
-    if not with_stands or not segments.stationary:
-        return drive, segments.energy_j
-    run, seconds, energy = (np.array(values) for values in zip(*segments.stationary, strict=True))
-    usual = float(np.median(energy / seconds))
-    even = np.abs(energy / seconds - usual) < _LIKE_OTHER_STANDS * usual
-    even &= np.isin(run, segments.run)  # of a run without a segment nothing else is known
-    stood = _with_stands(drive, run[even].astype(np.int64), seconds[even])
-    return stood, np.concatenate([segments.energy_j, energy[even]])
+    stationary = [(run, s, e) for run, s, e in segments.stationary if np.any(segments.run == run)]
+    if not with_stationary or not stationary:
+        return rows, segments.energy_j
+    run, seconds, energy = (np.array(values) for values in zip(*stationary, strict=True))
+    return _with_stationary(rows, run.astype(np.int64), seconds), np.concatenate([segments.energy_j, energy])
 
 
-def planned_drive(
+def planned_features(
     heightmap: Heightmap,
     robot: Robot,
     x: FloatArray,
@@ -262,7 +410,7 @@ def planned_drive(
     conditions: Mapping[str, float],
     *,
     with_ground: bool = True,
-) -> Drive:
+) -> Features:
     """Return the features of straight 1 m segments at cruising speed that were not driven yet.
 
     Parameters
@@ -272,7 +420,7 @@ def planned_drive(
     robot : Robot
         That will drive.
     x, y : ndarray of float, (n,)
-        Centres [m].
+        Middles [m].
     heading_rad : ndarray of float, (n,)
         Headings [rad].
     traction_per_m : array_like, (n,)
@@ -284,13 +432,12 @@ def planned_drive(
 
     Returns
     -------
-    Drive
+    Features
         Of one run.
     """
     n = x.size
     zero = np.zeros(n)
-    ground = _ground(heightmap, robot, x, y, heading_rad) if with_ground else _unread_ground(n)
-    return Drive(
+    return Features(
         robot=robot,
         run=np.zeros(n, dtype=np.int64),
         x=x,
@@ -303,7 +450,8 @@ def planned_drive(
         turned_abs_rad=zero,
         gentle_turn_rad=np.zeros((n, len(TURN_LIMITS_RADPS))),
         gained_m2ps2=zero,
-        **ground,
+        kinetic_m2ps2=zero,
+        **(_ground(heightmap, robot, x, y, heading_rad, moved=False) if with_ground else _unread_ground(n)),
         since_s=zero,
         driven_m=zero,
         clock_s=zero,
@@ -311,50 +459,48 @@ def planned_drive(
     )
 
 
-def _with_stands(drive: Drive, run: NDArray[np.int64], seconds: FloatArray) -> Drive:
+def _with_stationary(rows: Features, run: NDArray[np.int64], seconds: FloatArray) -> Features:
     """With stationary intervals after the segments. They take time and have no path and no ground; further columns have
     the mean of their run.
     """
-    m = run.size
 
     def longer(values: FloatArray) -> FloatArray:
-        return np.concatenate([values, np.zeros((m, *values.shape[1:]), dtype=values.dtype)])
+        return np.concatenate([values, np.zeros((run.size, *values.shape[1:]), dtype=values.dtype)])
 
-    changed: dict[str, Any] = {
-        f.name: longer(getattr(drive, f.name)) for f in fields(drive) if isinstance(getattr(drive, f.name), np.ndarray)
-    }
-    changed["run"] = np.concatenate([drive.run, run])
-    changed["duration_s"] = np.concatenate([drive.duration_s, seconds])
-    changed["columns"] = {
-        key: np.concatenate([v, _means_of_runs(v, drive.run)[run]]) for key, v in drive.columns.items()
-    }
-    changed["words"] = {key: np.concatenate([v, np.full(m, "")]) for key, v in drive.words.items()}
-    return replace(drive, **changed)
+    def means(values: FloatArray) -> FloatArray:
+        known = np.isfinite(values)
+        count = np.bincount(rows.run[known], minlength=rows.run.max(initial=0) + 1)
+        total = np.bincount(rows.run[known], weights=values[known], minlength=count.size)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+    changed: dict[str, Any] = {name: longer(getattr(rows, name)) for name in _arrays()}
+    changed["run"] = np.concatenate([rows.run, run])
+    changed["duration_s"] = np.concatenate([rows.duration_s, seconds])
+    changed["columns"] = {key: np.concatenate([v, means(v)[run]]) for key, v in rows.columns.items()}
+    changed["words"] = {key: np.concatenate([v, np.full(run.size, "")]) for key, v in rows.words.items()}
+    return replace(rows, **changed)
 
 
-def _means_of_runs(values: FloatArray, run: NDArray[np.int64]) -> FloatArray:
-    """Mean of a column by number of the run; NaN where it has none."""
-    known = np.isfinite(values)
-    count = np.bincount(run[known], minlength=run.max(initial=0) + 1)
-    total = np.bincount(run[known], weights=values[known], minlength=count.size)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+_GROUND = ("grade", "grade_east", "grade_north", "cross_abs", "cross_sq", "roughness_m", "elevation_m", "position_index_m")
 
 
 def _unread_ground(n: int) -> dict[str, FloatArray]:
-    names = ("grade", "cross", "cross_abs", "cross_sq", "roughness_m", "elevation_m", "hollow_m")
-    return dict.fromkeys(names, np.full(n, np.nan)) | {"grades": np.full((n, _SIDE), np.nan)}
+    return dict.fromkeys(_GROUND, np.full(n, np.nan)) | {"grades": np.full((n, _SIDE), np.nan)}
 
 
 def _ground(
-    heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray
+    heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray, *, moved: bool = True
 ) -> dict[str, Any]:
-    """Slopes, roughness and height of the square metre around each centre, along its heading; NaN where unknown."""
+    """Slopes, roughness and height of the square metre around each middle, along its heading; NaN where unknown.
+
+    moved : also say how the grade changes when the map is moved.
+    """
     dx, dy = heading_vector(heading_rad)
 
-    def heights_at(along: FloatArray, right: FloatArray) -> FloatArray:
+    def heights_at(along: FloatArray, right: FloatArray, east: float = 0.0, north: float = 0.0) -> FloatArray:
         return heightmap.sample(
-            x[:, None] + np.outer(dx, along) + np.outer(dy, right),
-            y[:, None] + np.outer(dy, along) - np.outer(dx, right),
+            x[:, None] - east + np.outer(dx, along) + np.outer(dy, right),
+            y[:, None] - north + np.outer(dy, along) - np.outer(dx, right),
         )
 
     side = np.linspace(-_REACH_M, _REACH_M, _SIDE)
@@ -371,26 +517,31 @@ def _ground(
     roll = 0.5 * (tilt[:, :_SIDE] + tilt[:, _SIDE:])
     climb = 0.5 * (left + right)
     grade = ((climb[:, _SIDE:] - climb[:, :_SIDE]) / length).mean(axis=1)
-    cross = -coefficients[:, 2]
     grade = np.where(np.isfinite(grade), grade, coefficients[:, 1])
     track = np.mean([heights_at(_PLACES, np.full(_PLACES.size, w)) for w in (-0.5 * width, 0.5 * width)], axis=0)
     grades = (track[:, _SIDE - 1 :] - track[:, : 1 - _SIDE]) / (2.0 * _REACH_M)
-    off_map = ~np.isfinite(roll)  # the wheels reach further than the square metre
-    roll = np.where(off_map, cross[:, None], roll)
+    roll = np.where(np.isfinite(roll), roll, -coefficients[:, 2:])  # the wheels reach further than the square metre
+
+    def change(east: float, north: float) -> FloatArray:
+        ends = [heights_at(np.array([-_REACH_M, _REACH_M]), np.zeros(2), s * east, s * north) for s in (1.0, -1.0)]
+        rise = [(e[:, 1] - e[:, 0]) / (2.0 * _REACH_M) for e in ends]
+        return (rise[0] - rise[1]) / 2.0
+
     return {
         "grade": grade,
         "grades": np.where(np.isfinite(grades), grades, grade[:, None]),
-        "cross": cross,
+        "grade_east": change(1.0, 0.0) if moved else np.zeros(x.size),
+        "grade_north": change(0.0, 1.0) if moved else np.zeros(x.size),
         "cross_abs": np.abs(roll).mean(axis=1),
         "cross_sq": (roll**2).mean(axis=1),
         "roughness_m": np.sqrt(np.mean(rest**2, axis=1)),
         "elevation_m": coefficients[:, 0],
-        "hollow_m": _around(heightmap, x, y) - coefficients[:, 0],
+        "position_index_m": coefficients[:, 0] - _around(heightmap, x, y),
     }
 
 
 def _around(heightmap: Heightmap, x: FloatArray, y: FloatArray) -> FloatArray:
-    """(n,) mean height of the known ground on a circle of 2.5 m and on one of half its radius around each centre
+    """(n,) mean height of the known ground on a circle of 2.5 m and on one of half its radius around each middle
     (topographic position: Weiss 2001); NaN where none is known.
     """
     dx, dy = heading_vector(np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False))

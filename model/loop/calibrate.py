@@ -1,0 +1,333 @@
+"""Calibrate: base parameters first, then the effects that the model lacks, and how much better it predicts with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.metrics import relative_errors
+from joulemap.model.loop.features import driven_ranges
+from joulemap.model.loop.forms import Form
+from joulemap.model.loop.refused_columns import refused_columns
+from joulemap.model.loop.residuals import Residuals, joined
+from joulemap.model.loop.selection import Selection, make_design, rivals_of, select
+from joulemap.model.loop.terms import Term, total_energy
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+MOST_FOLDS = 10
+"""Times that the whole procedure is repeated without a part of the runs (Kohavi 1995: ten folds)."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that was found.
+
+    Attributes
+    ----------
+    term : Term
+        What is new in these runs and not in the baseline runs.
+    low, high : ndarray of float, (k,)
+        95 % confidence intervals of its coefficients.
+    p_value : float
+        Allowing for every test.
+    share : float
+        Share of the squared error that it explains on left-out runs.
+    between : bool
+        Whether it was found in the differences between runs.
+    """
+
+    term: Term
+    low: FloatArray
+    high: FloatArray
+    p_value: float
+    share: float
+    between: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """One run of the whole procedure.
+
+    Attributes
+    ----------
+    selection : Selection
+        The effects that were chosen.
+    base : Term
+        Corrections of the base parameters.
+    base_low, base_high : ndarray of float
+        Their 95 % confidence intervals.
+    effects : tuple of Effect
+        In the order in which they were taken.
+    terms, planner_terms, base_terms : tuple of Term
+        What is added to the base model's prediction: by everything, by what is known before a drive, and by the base
+        parameters alone. Each was fitted for itself.
+    ranges : dict
+        In which the runs were driven.
+    run_share : float
+        Standard deviation between runs that no effect explains, as a share of the energy.
+    """
+
+    selection: Selection
+    base: Term
+    base_low: FloatArray
+    base_high: FloatArray
+    effects: tuple[Effect, ...]
+    terms: tuple[Term, ...]
+    planner_terms: tuple[Term, ...]
+    base_terms: tuple[Term, ...]
+    ranges: dict[str, tuple[float, float]]
+    run_share: float
+
+    def predict(self, residuals: Residuals, terms: Sequence[Term]) -> FloatArray:
+        """Return the energy of rows with some of its terms.
+
+        Parameters
+        ----------
+        residuals : Residuals
+            Against the same base model.
+        terms : sequence of Term
+            One of `terms`, `planner_terms` and `base_terms`.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s].
+        """
+        return residuals.said + total_energy(terms, residuals.features.within(self.ranges))
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The result of a calibration.
+
+    Attributes
+    ----------
+    fitted : Fitted
+        From all runs.
+    residuals : Residuals
+        Of the new runs.
+    baseline : Residuals, optional
+        Of the baseline runs.
+    errors : dict of str to dict
+        By state: `before`, `corrected` (with the base parameters), `after` and `after_planner`. Each prediction is of a
+        procedure that had no part of the run.
+    held_out : dict of str to ndarray of float, (n,)
+        The predictions themselves.
+    refused : dict of str to str
+        Logged columns that no effect may depend on, and why.
+    folds : int
+        How often the whole procedure was repeated.
+    rivals : dict of str to list of str
+        See `rivals_of`.
+    """
+
+    fitted: Fitted
+    residuals: Residuals
+    baseline: Residuals | None
+    errors: dict[str, dict[str, Any]]
+    held_out: dict[str, FloatArray] = field(repr=False)
+    refused: dict[str, str]
+    folds: int
+    rivals: dict[str, list[str]]
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects that were found, in the order in which they were taken."""
+        return self.fitted.effects
+
+    def errors_on(self, others: Residuals) -> dict[str, Any]:
+        """Return the errors on other runs, which had no part in this calibration.
+
+        Parameters
+        ----------
+        others : Residuals
+            Against the same base model.
+
+        Returns
+        -------
+        dict
+            As `errors`.
+        """
+        return {key: errors_of(others, energy) for key, energy in _states(self.fitted, others).items()}
+
+
+def calibrate(
+    measured: Residuals,
+    *,
+    electric: Mapping[str, FloatArray] | None = None,
+    base: Residuals | None = None,
+    groups: Sequence[str] | None = None,
+    cross_validate: bool = True,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Find the effects that the base model lacks on new runs.
+
+    Parameters
+    ----------
+    measured : Residuals
+        Of the new runs against the base model.
+    electric : mapping, optional
+        Mean voltage, current and power of each row, (n,), which no effect may copy.
+    base : Residuals, optional
+        Of the baseline runs: what they show as well is not new.
+    groups : sequence of str, optional
+        Of each run, such as its day: groups are left out together. Without it every run is a group.
+    cross_validate : bool
+        Repeat the whole procedure without each group for the errors. Otherwise they are those of the fit, as `folds` 0
+        says.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    Calibration
+        With no effects where none is significant.
+    """
+    if base is not None and base.charge != measured.charge:
+        base = None  # amperes and joules cannot be compared
+    refused = refused_columns(measured, electric or {})
+    fold = _folds(measured, groups)
+    count = int(fold.max()) + 1 if cross_validate else 0
+    done = 0
+
+    def step(share: float) -> None:
+        if progress is not None:
+            progress((done + share) / (count + 1))
+
+    fitted = fit(measured, base, refused, progress=step)
+    held = _states(fitted, measured)
+    for k in range(count):
+        done = k + 1
+        step(0.0)
+        out = np.flatnonzero(fold == k)
+        other = fit(measured.take(np.flatnonzero(fold != k)), base, refused)
+        for key, energy in _states(other, measured.take(out)).items():
+            held[key][out] = energy
+    errors = {key: errors_of(measured, energy) for key, energy in held.items()}
+    return Calibration(fitted, measured, base, errors, held, refused, count, rivals_of(fitted.selection))
+
+
+def fit(
+    measured: Residuals, base: Residuals | None, refused: Mapping[str, str], *, progress: Progress | None = None
+) -> Fitted:
+    """Run the whole procedure once.
+
+    Parameters
+    ----------
+    measured : Residuals
+        Of the new runs.
+    base : Residuals, optional
+        Of the baseline runs.
+    refused : mapping of str to str
+        Logged columns that no effect may depend on.
+    progress : callable, optional
+        Called with the share of the work that is done, 0..1.
+
+    Returns
+    -------
+    Fitted
+        The effects and coefficients.
+    """
+    rows = measured if base is None else joined([base, measured])
+    new = np.arange(len(rows)) >= len(rows) - len(measured)
+    chosen = select(make_design(rows, new, tuple(refused)), progress=progress)
+    kept, estimate, index = chosen.estimate()
+    low, high = estimate.interval()
+    count = len(chosen.design.fixed)
+    effects, terms, at = [], [], count
+    for candidate, verdict in zip(chosen.chosen, chosen.verdicts, strict=True):
+        k = len(candidate.tested)
+        own = slice(at, at + k)
+        term = Term(candidate.form, tuple(estimate.coefficients[own].tolist()))
+        effects.append(Effect(term, low[own], high[own], verdict.p_value, verdict.gain, verdict.between))
+        at += k + len(candidate.beside)
+    terms = _terms(chosen, lambda form: True)
+    run_share = np.sqrt(chosen.model.tau2(index) * chosen.model.sigma2(index))
+    return Fitted(
+        chosen,
+        terms[0],
+        low[:count],
+        high[:count],
+        tuple(effects),
+        terms,
+        _terms(chosen, lambda form: form.known_before),
+        _terms(chosen, lambda form: False),
+        driven_ranges(measured.features),
+        float(run_share),
+    )
+
+
+def _terms(chosen: Selection, keep: Callable[[Form], bool]) -> tuple[Term, ...]:
+    """Base parameters and the effects that are kept, fitted together, as new runs have them."""
+    kept, estimate, _ = chosen.estimate(keep)
+    at = len(chosen.design.fixed)
+    terms = [Term(chosen.design.base, tuple(estimate.coefficients[:at].tolist()))]
+    for candidate in kept:
+        k = len(candidate.tested)
+        total = estimate.coefficients[at : at + k].copy()
+        if len(candidate.beside):  # in new runs the base model's own error counts too
+            total += estimate.coefficients[at + k : at + 2 * k]
+        terms.append(Term(candidate.form, tuple(total.tolist())))
+        at += len(candidate.both)
+    return tuple(terms)
+
+
+def _states(fitted: Fitted, rows: Residuals) -> dict[str, FloatArray]:
+    corrected = fitted.predict(rows, fitted.base_terms)
+    return {
+        "before": corrected.copy() if rows.charge else rows.said.copy(),
+        "corrected": corrected,
+        "after": fitted.predict(rows, fitted.terms),
+        "after_planner": fitted.predict(rows, fitted.planner_terms),
+    }
+
+
+def _folds(measured: Residuals, groups: Sequence[str] | None) -> NDArray[np.int64]:
+    """What is left out together by the outer cross-validation, (n,): groups of runs, at most ten folds of them."""
+    if not measured.whole_runs:
+        return measured.unit
+    names = np.asarray(groups if groups is not None else measured.features.runs)[measured.run]
+    _, group = np.unique(names, return_inverse=True)
+    count = int(group.max()) + 1
+    if count < 2:
+        return measured.unit
+    return np.asarray(group * min(count, MOST_FOLDS) // count, dtype=np.int64)
+
+
+def errors_of(measured: Residuals, predicted: FloatArray) -> dict[str, Any]:
+    """Return the errors of a prediction over all driven metres.
+
+    Parameters
+    ----------
+    measured : Residuals
+        The rows.
+    predicted : ndarray of float, (n,)
+        Energy [J], or charge [A s].
+
+    Returns
+    -------
+    dict
+        `mean_relative` (Wei & Isler 2022, eq. 3, over segments whose energy is positive), `absolute_share` (sum of the
+        magnitudes of the errors over the energy), `rmse`, `bias` (measured minus predicted), and `by_run`, the mean
+        relative error of each run.
+    """
+    moving = measured.moving
+    energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
+    run, unit_j = measured.run[moving], measured.features.unit_j
+    positive = energy > 0.0
+    relative = np.where(positive, relative_errors(unit_j * (energy - away), unit_j * energy), np.nan)
+    return {
+        "mean_relative": float(np.nanmean(relative)),
+        "absolute_share": float(np.abs(away).sum() / max(float(np.abs(energy).sum()), 1e-12)),
+        "rmse": float(np.sqrt(np.mean(away**2))),
+        "bias": float(away.mean()),
+        "by_run": {
+            measured.runs[k]: float(np.nanmean(relative[run == k])) for k in np.unique(run) if positive[run == k].any()
+        },
+    }

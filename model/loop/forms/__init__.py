@@ -1,0 +1,86 @@
+"""The library of forms: one form is one class in one file; adding one is a file and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from joulemap.model.errors import ModelError
+from joulemap.model.loop.forms.acceleration import Acceleration
+from joulemap.model.loop.forms.base import Form
+from joulemap.model.loop.forms.base_parameters import BaseParameters, ChargeScale
+from joulemap.model.loop.forms.baseline_change import HotelLoad, Mass, RollingResistance, SensorGain
+from joulemap.model.loop.forms.braking import Braking
+from joulemap.model.loop.forms.climbing import Climbing
+from joulemap.model.loop.forms.copper_loss import CopperLoss
+from joulemap.model.loop.forms.cross_slope import CrossSlope
+from joulemap.model.loop.forms.drift import Drift
+from joulemap.model.loop.forms.log_faults import MapShift, MeterLag
+from joulemap.model.loop.forms.payload import Payload
+from joulemap.model.loop.forms.power_limit import PowerLimit
+from joulemap.model.loop.forms.reversing import Reversing
+from joulemap.model.loop.forms.roughness import Roughness
+from joulemap.model.loop.forms.speed import Speed
+from joulemap.model.loop.forms.structure import Curve, PlaceField
+from joulemap.model.loop.forms.temperature import Temperature
+from joulemap.model.loop.forms.terrain_class import TerrainClass, TurningByClass
+from joulemap.model.loop.forms.turning import Turning
+from joulemap.model.loop.forms.wind import Wind
+
+NAMED: tuple[type[Form], ...] = (
+    Turning,
+    Speed,
+    Acceleration,
+    CrossSlope,
+    Roughness,
+    Reversing,
+    Braking,
+    Climbing,
+    CopperLoss,
+    PowerLimit,
+    Temperature,
+    Payload,
+    Wind,
+    Drift,
+    TerrainClass,
+    TurningByClass,
+    MeterLag,
+    MapShift,
+)
+"""Forms with a formula."""
+
+CHANGES: tuple[type[Form], ...] = (RollingResistance, HotelLoad, Mass, SensorGain)
+"""Forms of the base model's own parameters. They are effects where baseline runs say what these were before."""
+
+UNNAMED: tuple[type[Form], ...] = (PlaceField, Curve)
+"""Structure without a formula."""
+
+FORMS: dict[str, type[Form]] = {form.key: form for form in (*NAMED, *CHANGES, *UNNAMED, BaseParameters, ChargeScale)}
+"""Every form by its key."""
+
+
+def form_from_dict(values: Mapping[str, Any]) -> Form:
+    """Read a form from what `Form.as_dict` returned.
+
+    Parameters
+    ----------
+    values : mapping
+        With the key under `form`.
+
+    Returns
+    -------
+    Form
+        With its settings.
+
+    Raises
+    ------
+    ModelError
+        If this version does not know the form.
+    """
+    key = values.get("form")
+    if key not in FORMS:
+        raise ModelError(f"the model has an effect of the form {key!r}, which this version does not know")
+    return FORMS[key].from_dict(values)
+
+
+__all__ = ["CHANGES", "FORMS", "NAMED", "UNNAMED", "Form", "form_from_dict"]

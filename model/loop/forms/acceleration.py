@@ -1,0 +1,29 @@
+"""Speeding up: energy of motion that braking does not give back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Acceleration(Form):
+    """Mass, of the robot or of what spins in it, that is accelerated and whose energy is lost when it slows down."""
+
+    key = "acceleration"
+    label = "acceleration"
+    meaning = "mass whose energy of motion is not recovered when the robot slows down"
+    unit = "kg"
+    reveals = "stop and go on level ground"
+    low = 0.0
+    planned = False
+
+    def column(self, rows: Features) -> FloatArray:
+        return rows.gained_m2ps2 / rows.unit_j

@@ -1,0 +1,211 @@
+"""What every form of an effect states: settings, unit, limits, covariates and words. One form is one class in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import ModelError
+from joulemap.model.loop.features import Features
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Form:
+    """One way in which something may change the energy of a row. The fields of a subclass are its settings.
+
+    Attributes
+    ----------
+    key : str
+        Under which it is registered and written to files.
+    label : str
+        Name of the effect for a reader.
+    meaning : str
+        What a coefficient is, as part of a sentence.
+    unit : str
+        Of every coefficient; `{E}` is the unit of energy, J or A s.
+    reveals : str
+        Runs that would measure it better.
+    low, high : float
+        Physical limits of every coefficient.
+    planned : bool
+        Whether what it depends on is known before a drive.
+    weather : bool
+        Whether the same law holds in the baseline runs, which differ in the value of the covariate only.
+    on_map : bool
+        False for a fault of the log, which no plan contains.
+    """
+
+    key: ClassVar[str]
+    label: ClassVar[str]
+    meaning: ClassVar[str]
+    unit: ClassVar[str]
+    reveals: ClassVar[str]
+    low: ClassVar[float] = -np.inf
+    high: ClassVar[float] = np.inf
+    planned: ClassVar[bool] = True
+    weather: ClassVar[bool] = False
+    on_map: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """The effect as reports and files call it; several forms may share one name."""
+        return self.key
+
+    @property
+    def title(self) -> str:
+        """What a reader sees for `name`."""
+        return self.label
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """Quantities that it depends on."""
+        return ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the main effects that an interaction needs beside it (marginality, Nelder 1977)."""
+        return ()
+
+    @property
+    def known_before(self) -> bool:
+        """Whether plans contain it."""
+        return self.planned and self.on_map
+
+    def units(self, energy: str) -> tuple[str, ...]:
+        """Return the unit of each coefficient.
+
+        Parameters
+        ----------
+        energy : str
+            Unit of the energy: J, or A s.
+
+        Returns
+        -------
+        tuple of str
+            As many as there are columns.
+        """
+        return (self.unit.format(E=energy),) * len(self.coefficient_names())
+
+    def coefficient_names(self) -> tuple[str, ...]:
+        """Return what each coefficient is called; a single one has the name of the effect."""
+        return (self.name,)
+
+    def column(self, rows: Features) -> FloatArray:
+        """Return what the effect adds to each row, of a form with one coefficient.
+
+        Parameters
+        ----------
+        rows : Features
+            Of n rows.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s], per unit of the coefficient.
+        """
+        raise NotImplementedError
+
+    def columns(self, rows: Features) -> FloatArray:
+        """Return what the effect adds to each row.
+
+        Parameters
+        ----------
+        rows : Features
+            Of n rows.
+
+        Returns
+        -------
+        ndarray of float, (n, k)
+            Energy [J], or charge [A s], per unit of the k coefficients; 0 where a covariate is not known.
+        """
+        return np.nan_to_num(self.column(rows))[:, None]
+
+    @classmethod
+    def variants(cls, rows: Features) -> Iterator[Form]:
+        """Yield the settings that are worth a test on these rows.
+
+        Parameters
+        ----------
+        rows : Features
+            Of the runs to calibrate on.
+
+        Yields
+        ------
+        Form
+            Nothing where a column that it needs was not logged.
+        """
+        yield cls()
+
+    def where(self, coefficients: tuple[float, ...]) -> str:
+        """Return where the effect acts, in words.
+
+        Parameters
+        ----------
+        coefficients : tuple of float
+            As fitted.
+
+        Returns
+        -------
+        str
+            Part of a sentence.
+        """
+        return "everywhere"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the form with its settings, JSON-able."""
+        return {"form": self.key, **asdict(self)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Read the settings that `as_dict` returned.
+
+        Parameters
+        ----------
+        values : mapping
+            By name.
+
+        Returns
+        -------
+        Form
+            The same.
+
+        Raises
+        ------
+        ModelError
+            If a setting is missing, or is not known.
+        """
+        given = {k: _as_tuple(v) for k, v in values.items() if k != "form"}
+        if set(given) != (known := {f.name for f in fields(cls)}):
+            raise ModelError(f"the effect {cls.key!r} needs the settings {sorted(known)}, the model has {sorted(given)}")
+        return cls(**given)
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(_as_tuple(v) for v in value) if isinstance(value, list) else value
+
+
+def steps(values: FloatArray, count: int) -> tuple[float, ...]:
+    """Return quantiles at which a curve or a limit is placed.
+
+    Parameters
+    ----------
+    values : ndarray of float
+        As driven; NaN is left out.
+    count : int
+        How many.
+
+    Returns
+    -------
+    tuple of float
+        In rising order, without repetition.
+    """
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return ()
+    return tuple(float(v) for v in np.unique(np.quantile(known, np.linspace(0.02, 0.98, count)).round(9)))

@@ -1,0 +1,60 @@
+"""Uphill: losses with the grade."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Climbing(Form):
+    """Share of the energy of climbing that is added.
+
+    Attributes
+    ----------
+    slipping : bool
+        A share of the whole traction that grows with the grade, as of wheels that slip: 1 / (1 - s) with s in proportion
+        to the grade, to first order.
+
+    References
+    ----------
+    Wong 2008, "Theory of Ground Vehicles", section 2.9 (slip and tractive effort).
+    """
+
+    slipping: bool = False
+
+    key = "climbing"
+    label = "climbing"
+    meaning = "share of the energy of climbing that is added"
+    reveals = "straight climbs of several grades"
+
+    @property
+    def name(self) -> str:
+        return "slip" if self.slipping else self.key
+
+    @property
+    def title(self) -> str:
+        return "wheel slip on climbs" if self.slipping else self.label
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        return ("grade",)
+
+    def units(self, energy: str) -> tuple[str, ...]:
+        return ("1/tan" if self.slipping else "",)
+
+    def column(self, rows: Features) -> FloatArray:
+        up = rows.along(lambda grades: np.maximum(grades, 0.0))
+        return rows.motion_part * up if self.slipping else rows.weight_length * up
+
+    @classmethod
+    def variants(cls, rows: Features) -> Iterator[Form]:
+        yield from (cls(slipping) for slipping in (False, True))

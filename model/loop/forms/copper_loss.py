@@ -1,0 +1,55 @@
+"""Losses with the square of a force or of a current."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CopperLoss(Form):
+    """Heat in windings, wires and the battery's internal resistance, with the square of the current.
+
+    Attributes
+    ----------
+    of_motors : bool
+        The square of the drives' force, whatever the speed, as in the windings of the motors; otherwise the square of
+        the battery's current.
+    """
+
+    of_motors: bool = False
+
+    low = 0.0
+    key = "battery"
+    label = "losses with the square of the current"
+    meaning = "resistance in which energy is lost with the square of the current"
+    reveals = "steep climbs and level ground at the same state of charge"
+
+    @property
+    def name(self) -> str:
+        return "copper_loss" if self.of_motors else self.key
+
+    @property
+    def title(self) -> str:
+        return "copper losses of the motors" if self.of_motors else "internal resistance of the battery"
+
+    def units(self, energy: str) -> tuple[str, ...]:
+        return ("W at the robot's weight" if self.of_motors else "ohm",)
+
+    def column(self, rows: Features) -> FloatArray:
+        if self.of_motors:
+            return rows.duration_s / rows.unit_j * (np.where(rows.standing, 0.0, rows.traction_per_m) / rows.robot.weight_n) ** 2
+        amps = rows.predicted * rows.unit_j / np.maximum(rows.duration_s, 1e-6) / rows.robot.nominal_voltage_v
+        return amps**2 * rows.duration_s / rows.unit_j
+
+    @classmethod
+    def variants(cls, rows: Features) -> Iterator[Form]:
+        yield from (cls(of_motors) for of_motors in (False, True))

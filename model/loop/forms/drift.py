@@ -1,0 +1,52 @@
+"""Time: what grows over a run or over a day."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features, quantity
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drift(Form):
+    """A share of everything, or energy per metre, that grows in proportion to time or distance.
+
+    Attributes
+    ----------
+    over : str
+        `since_start`, `driven`, `clock` or `odometer`.
+    of_all : bool
+        A share of the predicted energy instead of energy per metre.
+    """
+
+    over: str
+    of_all: bool = True
+
+    key = "drift"
+    label = "drift over time or distance"
+    meaning = "energy added per hour or per kilometre"
+    reveals = "the same loop at the start and at the end of a long day"
+    planned = False
+
+    @property
+    def per(self) -> tuple[float, str]:
+        """Amount of the covariate to which a coefficient belongs, and its unit."""
+        return (3600.0, "h") if self.over in ("since_start", "clock") else (1000.0, "km")
+
+    def units(self, energy: str) -> tuple[str, ...]:
+        return (f"{'1' if self.of_all else energy + '/m'}/{self.per[1]}",)
+
+    def column(self, rows: Features) -> FloatArray:
+        return (rows.predicted if self.of_all else rows.length_m) * quantity(rows, self.over) / self.per[0]
+
+    @classmethod
+    def variants(cls, rows: Features) -> Iterator[Form]:
+        for over in ("since_start", "driven", "clock", "odometer"):
+            yield from (cls(over, of_all) for of_all in (True, False))

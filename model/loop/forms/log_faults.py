@@ -1,0 +1,59 @@
+"""Faults of a log: a meter that is late, and a map that is out of place. No plan contains them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MeterLag(Form):
+    """Time by which the measured power is late.
+
+    Notes
+    -----
+    To first order the energy of a row is less by the lag times the predicted power at its end, and more by that at its
+    start. The power at a border is the mean of both sides.
+    """
+
+    key = "meter_lag"
+    label = "late power readings"
+    meaning = "time by which the power readings are later than the positions"
+    unit = "s"
+    reveals = "sudden starts and stops; better, one clock for all sensors"
+    planned = False
+    on_map = False
+
+    def column(self, rows: Features) -> FloatArray:
+        power = rows.predicted / np.maximum(rows.duration_s, 1e-6)
+        follows = (np.diff(rows.run) == 0) & ~rows.standing[1:] & ~rows.standing[:-1]
+        border = np.where(follows, 0.5 * (power[1:] + power[:-1]), np.nan)
+        start, end = np.concatenate([[np.nan], border]), np.concatenate([border, [np.nan]])
+        return start - end
+
+
+@dataclass(frozen=True)
+class MapShift(Form):
+    """Distance by which the map lies too far east and north, to first order in the change of the grade."""
+
+    key = "map_shift"
+    label = "map out of place"
+    meaning = "distance by which the positions are off the map"
+    unit = "m"
+    reveals = "a survey of three marks that the map shows"
+    planned = False
+    on_map = False
+
+    def coefficient_names(self) -> tuple[str, ...]:
+        return ("east", "north")
+
+    def columns(self, rows: Features) -> FloatArray:
+        amount = (rows.weight_length * rows.pulling)[:, None]
+        return np.nan_to_num(amount * np.stack([rows.grade_east, rows.grade_north], axis=1))

@@ -1,0 +1,32 @@
+"""Rough ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Roughness(Form):
+    """Rolling resistance that grows with the roughness of the ground."""
+
+    key = "roughness"
+    label = "roughness"
+    meaning = "coefficient of rolling resistance added per metre of roughness"
+    unit = "1/m"
+    reveals = "the same manoeuvres on smooth and on rough ground"
+    low = 0.0
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        return ("roughness",)
+
+    def column(self, rows: Features) -> FloatArray:
+        return rows.weight_length * rows.pulling * rows.roughness_m

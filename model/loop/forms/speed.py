@@ -1,0 +1,49 @@
+"""Drag that depends on the speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Speed(Form):
+    """Energy per metre that grows with a power of the speed.
+
+    Attributes
+    ----------
+    reference_mps : float
+        Speed at which it is nil [m/s].
+    power : int
+        1 for viscous losses, 2 for drag and for bumps.
+    """
+
+    reference_mps: float
+    power: int = 1
+
+    key = "speed"
+    label = "speed"
+    meaning = "energy per metre that is added with speed"
+    reveals = "the same line at several speeds"
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        return ("speed",)
+
+    def units(self, energy: str) -> tuple[str, ...]:
+        return (f"{energy}/m per " + ("m/s" if self.power == 1 else f"(m/s)^{self.power}"),)
+
+    def column(self, rows: Features) -> FloatArray:
+        return rows.length_m * (rows.speed_mps**self.power - self.reference_mps**self.power)
+
+    @classmethod
+    def variants(cls, rows: Features) -> Iterator[Form]:
+        yield from (cls(rows.robot.speed_mps, power) for power in (1, 2))

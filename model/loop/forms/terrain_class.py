@@ -1,0 +1,125 @@
+"""Classes of ground, or of anything else that a log says in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.features import Features
+from joulemap.model.loop.forms.base import Form
+
+FloatArray = NDArray[np.float64]
+
+
+_GROUND_COLUMNS = ("terrain", "ground", "surface")
+
+
+def _classes(rows: Features) -> Iterator[tuple[str, list[str]]]:
+    """Columns of text, and their classes but for the most common one, which is the reference."""
+    moving = ~rows.standing
+    for column, values in sorted(rows.words.items()):
+        words, counts = np.unique(values[moving], return_counts=True)
+        known = {str(w): int(c) for w, c in zip(words, counts, strict=True) if w}
+        if len(known) > 1:
+            usual = max(known, key=lambda word: known[word])
+            yield column, [word for word in known if word != usual]
+
+
+@dataclass(frozen=True)
+class TerrainClass(Form):
+    """Energy added on each class of a logged column of text; a class that is not listed is the reference.
+
+    Attributes
+    ----------
+    column_name : str
+        The column.
+    classes : tuple of str
+        Those with a coefficient.
+    of_motion : bool
+        A share of the energy of motion instead of energy per metre.
+    """
+
+    column_name: str
+    classes: tuple[str, ...]
+    of_motion: bool = False
+
+    key = "terrain_class"
+    label = "terrain class"
+    meaning = "energy added on each class of ground"
+    reveals = "the same manoeuvres on each kind of ground"
+    planned = False
+    weather = True
+
+    @property
+    def name(self) -> str:
+        return self.key if self.column_name in _GROUND_COLUMNS else f"{self.key}:{self.column_name}"
+
+    @property
+    def title(self) -> str:
+        return self.label if self.column_name in _GROUND_COLUMNS else f"class of {self.column_name}"
+
+    def coefficient_names(self) -> tuple[str, ...]:
+        return self.classes
+
+    def units(self, energy: str) -> tuple[str, ...]:
+        return ("of the motion's energy" if self.of_motion else f"{energy}/m",) * len(self.classes)
+
+    def columns(self, rows: Features) -> FloatArray:
+        found = rows.words.get(self.column_name, np.full(len(rows), ""))
+        amount = rows.motion_part if self.of_motion else rows.length_m * rows.pulling
+        return np.stack([(found == word) * amount for word in self.classes], axis=1)
+
+    @classmethod
+    def variants(cls, rows: Features) -> Iterator[Form]:
+        for column, classes in _classes(rows):
+            for of_motion in (False, True):
+                yield cls(column, tuple(classes), of_motion)
+
+
+@dataclass(frozen=True)
+class TurningByClass(Form):
+    """Turning on each class of a logged column of text, in addition to turning on classes that are not listed.
+
+    Attributes
+    ----------
+    column_name : str
+        The column.
+    classes : tuple of str
+        Those with a coefficient.
+    """
+
+    column_name: str
+    classes: tuple[str, ...]
+
+    key = "turning_by_class"
+    label = "turning by terrain class"
+    meaning = "energy per radian of heading change, added on each class of ground"
+    unit = "{E}/rad"
+    reveals = "curves of several radii on each kind of ground"
+    planned = False
+
+    @property
+    def name(self) -> str:
+        return "turning x " + TerrainClass(self.column_name, self.classes).name
+
+    @property
+    def title(self) -> str:
+        return "turning by " + TerrainClass(self.column_name, self.classes).title
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return ("turning", TerrainClass(self.column_name, self.classes).name)
+
+    def coefficient_names(self) -> tuple[str, ...]:
+        return self.classes
+
+    def columns(self, rows: Features) -> FloatArray:
+        found = rows.words.get(self.column_name, np.full(len(rows), ""))
+        return np.stack([(found == word) * rows.turned_abs_rad for word in self.classes], axis=1)
+
+    @classmethod
+    def variants(cls, rows: Features) -> Iterator[Form]:
+        yield from (cls(column, tuple(classes)) for column, classes in _classes(rows))

@@ -1,0 +1,409 @@
+"""A linear mixed model of scaled rows: fits, tests and left-out errors of any choice of columns.
+
+Fixed effects, a random level of every unit (a run), and errors as `Variation` describes them. All fits come from the
+cross products of every unit, so that leaving one out costs a subtraction. Every coefficient has a normal prior around
+nothing that is worth one row of data (Kass & Wasserman 1995), which settles what the rows do not.
+
+References
+----------
+Pinheiro & Bates 2000, chapter 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq, lsq_linear
+from scipy.stats import f as fisher
+from scipy.stats import t as student
+
+from joulemap.model.loop.variation import Variation
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_COLLINEAR = 1e-3
+"""Share of a column's sum of squares that must be left beside the other columns for a test: the tolerance that regression
+programs use by default (SPSS; Stata's `_rmcoll` is stricter)."""
+
+
+class Test(NamedTuple):
+    """A test of one effect against nothing.
+
+    Attributes
+    ----------
+    p_value : float
+        1 where there is nothing to test.
+    freedom : float
+        Degrees of freedom of its denominator.
+    variance : ndarray of float, (k, k)
+        Of the coefficients; empty where there is nothing to test.
+    """
+
+    p_value: float
+    freedom: float
+    variance: FloatArray
+
+
+_NO_TEST = Test(1.0, 0.0, np.zeros((0, 0)))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Coefficients of a choice of columns.
+
+    Attributes
+    ----------
+    coefficients : ndarray of float, (q,)
+        Within their limits.
+    variance : ndarray of float, (q, q)
+        Of the coefficients, between-unit variation included.
+    freedom : ndarray of float, (q,)
+        Degrees of freedom of each.
+    """
+
+    coefficients: FloatArray
+    variance: FloatArray
+    freedom: FloatArray
+
+    def interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """Return confidence intervals.
+
+        Parameters
+        ----------
+        level : float
+            Their coverage.
+
+        Returns
+        -------
+        tuple of ndarray of float, (q,)
+            Lower and upper ends.
+        """
+        reach = student.ppf(0.5 + 0.5 * level, np.maximum(self.freedom, 1.0)) * np.sqrt(np.diag(self.variance))
+        return self.coefficients - reach, self.coefficients + reach
+
+
+class MixedModel:
+    """Cross products of scaled columns, by unit.
+
+    Parameters
+    ----------
+    variation : Variation
+        Around the model.
+    columns : ndarray of float, (n, k)
+        Of all terms that may be chosen [J, or A s per unit of their coefficients].
+    residual : ndarray of float, (n,)
+        Measured minus predicted.
+    level : ndarray of float, (n,)
+        Predicted energy: the level of a unit is a share of it.
+    unit : ndarray of int, (n,)
+        What is left out together and has a level of its own.
+    whole_runs : bool
+        Whether units are whole runs, so that differences between them can be tested.
+    """
+
+    def __init__(
+        self,
+        variation: Variation,
+        columns: FloatArray,
+        residual: FloatArray,
+        level: FloatArray,
+        unit: IntArray,
+        *,
+        whole_runs: bool,
+    ) -> None:
+        every = variation.scaled(np.column_stack([columns, np.maximum(level, 0.0), residual]))
+        self.size = np.sqrt(np.mean(every[:, :-2] ** 2, axis=0))
+        self.size[self.size == 0.0] = 1.0
+        every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
+        self.variation, self.rows, self.unit, self.whole_runs = variation, every, unit, whole_runs
+        self.units = int(unit.max()) + 1
+        self.gram = np.stack([every[unit == u].T @ every[unit == u] for u in range(self.units)])  # (U, k + 2, k + 2)
+        level_size = np.maximum(self.gram[:, -2, -2], 1e-12)
+        self._h, self._gamma = self.gram[:, :, -2], level_size
+        inside = self.gram - self._h[:, :, None] * self._h[:, None, :] / level_size[:, None, None]
+        self.gram_within = inside.sum(axis=0)
+        self._squares = np.einsum("ukk->k", self.gram)
+        self._within = every - every[:, -2:-1] * (self._h / level_size[:, None])[unit]  # levels taken out
+        flat = variation.weight >= 1.0
+        self._level_variance = self._variances_of_levels(every[:, -2:-1])
+        self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
+
+    def _variances_of_levels(self, level: FloatArray) -> FloatArray:
+        """Variance of the estimated level of every unit for noise of variance 1, (units,)."""
+        carried = 2.0 * self.variation.serial_share * level * self.variation.carried(level)
+        more = np.bincount(self.unit, weights=carried[:, 0], minlength=self.units)
+        return np.asarray((self._gamma + more) / self._gamma**2)
+
+    def tau2(self, chosen: IntArray) -> float:
+        """Return the variance between units over that of the noise.
+
+        Parameters
+        ----------
+        chosen : ndarray of int
+            Columns in the model.
+
+        Returns
+        -------
+        float
+            By Paule and Mandel's estimate: the weighted squares of the levels equal their degrees of freedom.
+
+        References
+        ----------
+        Paule & Mandel 1982; Veroniki et al. 2016 (recommended for few units).
+        """
+        if self.units < 3:
+            return 0.0
+        beta = self._solved(self.gram_within, chosen)
+        sigma2 = self.sigma2(chosen)
+        away = (self._h[:, -1] - self._h[:, chosen] @ beta) / self._gamma
+        noise = sigma2 * self._level_variance
+        return _paule_mandel(away, noise, np.ones((self.units, 1))) / max(sigma2, 1e-300)
+
+    def sigma2(self, chosen: IntArray) -> float:
+        """Return the variance of the noise beside some columns, (n - q - units) in the denominator."""
+        beta = self._solved(self.gram_within, chosen)
+        c = np.concatenate([-beta, [1.0]])
+        index = np.append(chosen, -1)
+        rest = float(c @ self.gram_within[np.ix_(index, index)] @ c)
+        return max(rest / max(len(self.rows) - len(chosen) - self.units, 1), 1e-300)
+
+    def _solved(self, gram: FloatArray, chosen: IntArray) -> FloatArray:
+        return np.linalg.solve(gram[np.ix_(chosen, chosen)] + np.eye(len(chosen)), gram[chosen, -1])
+
+    def marginal(self, chosen: IntArray, tau2: float) -> FloatArray:
+        """Return the cross products of every unit under random levels.
+
+        Parameters
+        ----------
+        chosen : ndarray of int, (q,)
+            Columns.
+        tau2 : float
+            Variance of the levels over that of the noise.
+
+        Returns
+        -------
+        ndarray of float, (units, q + 1, q + 1)
+            Of the columns and, last, of the residual. Generalised least squares follows from their sum.
+        """
+        index = np.append(chosen, self.gram.shape[1] - 1)
+        h = self._h[:, index]
+        share = tau2 / (1.0 + tau2 * self._gamma)
+        return self.gram[:, index[:, None], index[None, :]] - share[:, None, None] * h[:, :, None] * h[:, None, :]
+
+    def left_out(self, chosen: IntArray, tau2: float) -> FloatArray:
+        """Return the error of every unit by a fit to the others.
+
+        Parameters
+        ----------
+        chosen : ndarray of int, (q,)
+            Columns in the model.
+        tau2 : float
+            As in `marginal`.
+
+        Returns
+        -------
+        ndarray of float, (units,)
+            Generalised squared error: minus two log likelihoods of the unit, in variances of the noise.
+        """
+        part = self.marginal(chosen, tau2)
+        others = part.sum(axis=0)[None] - part
+        q = len(chosen)
+        beta = np.linalg.solve(others[:, :q, :q] + np.eye(q), others[:, :q, q:])  # (U, q, 1)
+        c = np.concatenate([-beta, np.ones((self.units, 1, 1))], axis=1)
+        return np.asarray((np.swapaxes(c, 1, 2) @ part @ c)[:, 0, 0])
+
+    def test_within(self, tested: IntArray, beside: IntArray) -> Test:
+        """Test columns by their course inside units, with a free level of every unit.
+
+        Parameters
+        ----------
+        tested : ndarray of int
+            Columns of the effect.
+        beside : ndarray of int
+            Columns in the model.
+
+        Returns
+        -------
+        Test
+            A Wald test. Its variance is the larger of the model's and of the one that is robust against unequal spread,
+            and what serial correlation adds.
+
+        References
+        ----------
+        MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 and Satterthwaite 1946 (degrees of freedom); Bartlett 1946
+        (independent stretches of an autoregression); Hotelling 1931.
+        """
+        rows = self._within
+        gram = self.gram_within[np.ix_(beside, beside)] + np.eye(len(beside))
+        both = np.append(tested, len(self.size) + 1)
+        rest = rows[:, both] - rows[:, beside] @ np.linalg.solve(gram, self.gram_within[np.ix_(beside, both)])
+        a, z = rest[:, :-1], rest[:, -1]
+        information = a.T @ a
+        own = self._squares[tested]
+        if np.any(np.diag(information) <= _COLLINEAR * own) or _is_singular(information):
+            return _NO_TEST
+        inverse = np.linalg.inv(information)
+        beta = inverse @ (a.T @ z)
+        lever = np.einsum("ij,jk,ik->i", a, inverse, a)
+        rest = z - a @ beta
+        spread = a * (rest / np.maximum(1.0 - lever, 0.05))[:, None]
+        noise = float(rest @ rest) / max(len(z) - len(beside) - len(tested) - self.units, 1)
+        robust, model = inverse @ (spread.T @ spread) @ inverse, inverse * noise
+        variance = max((robust, model), key=lambda v: -_wald(beta, v))
+        cross = a.T @ self.variation.carried(a) * (noise * self.variation.serial_share)
+        serial = inverse @ _positive(cross + cross.T) @ inverse
+        total = (variance + serial) * self.efficiency**2
+        share = float(np.max(np.diag(serial) / np.diag(variance + serial)))
+        rows_left = float(np.min(np.sum(a**2, axis=0) ** 2 / np.sum(a**4, axis=0)))
+        stretches = max(len(z) * (1.0 - self.variation.phi) / (1.0 + self.variation.phi), float(self.units))
+        freedom = 1.0 / ((1.0 - share) ** 2 / rows_left + share**2 / stretches)
+        return _tested(beta, total, freedom)
+
+    def test_between(self, tested: IntArray, beside: IntArray, levels: IntArray) -> Test:
+        """Test columns by the levels of units, with the degrees of freedom that units give.
+
+        Parameters
+        ----------
+        tested : ndarray of int
+            Columns of the effect.
+        beside : ndarray of int
+            Columns in the model, of which the courses inside units fix the coefficients.
+        levels : ndarray of int
+            Those of them that are fitted to the levels.
+
+        Returns
+        -------
+        Test
+            A random-effects meta-regression of the levels.
+
+        References
+        ----------
+        Knapp & Hartung 2003; Mundlak 1978 (within and between).
+        """
+        fixed = np.setdiff1d(beside, levels)
+        freedom = self.units - 1 - len(levels) - len(tested)
+        if not self.whole_runs or freedom < 1:
+            return _NO_TEST
+        beta = self._solved(self.gram_within, fixed)
+        away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
+        x = np.column_stack([np.ones(self.units), self._h[:, np.append(levels, tested)] / self._gamma[:, None]])
+        noise = self.sigma2(np.append(beside, tested)) * self.efficiency**2 * self._level_variance
+        weight = 1.0 / (noise + _paule_mandel(away, noise, x))
+        information = x.T @ (weight[:, None] * x)
+        sizes = np.diag(information)
+        others = information[:-len(tested), :-len(tested)]
+        cross = information[:-len(tested), -len(tested):]
+        if _is_singular(others):
+            return _NO_TEST
+        own = information[-len(tested):, -len(tested):] - cross.T @ np.linalg.solve(others, cross)
+        if np.any(np.diag(own) <= _COLLINEAR * sizes[-len(tested):]) or _is_singular(own):
+            return _NO_TEST
+        inverse = np.linalg.inv(information)
+        coefficients = inverse @ (x.T @ (weight * away))
+        misfit = float(weight @ (away - x @ coefficients) ** 2) / freedom
+        k = len(tested)
+        return _tested(coefficients[-k:], (inverse * max(misfit, 1.0))[-k:, -k:], float(freedom))
+
+    def estimate(self, chosen: IntArray, low: FloatArray, high: FloatArray, levels: IntArray) -> Estimate:
+        """Fit coefficients by generalised least squares within limits.
+
+        Parameters
+        ----------
+        chosen : ndarray of int
+            Columns in the model.
+        low, high : ndarray of float, (q,)
+            Limits of the coefficients.
+        levels : ndarray of int
+            Columns whose effect was found in the levels of units.
+
+        Returns
+        -------
+        Estimate
+            Degrees of freedom follow Satterthwaite: information inside units counts rows, information between them
+            counts units.
+        """
+        sigma2, tau2 = self.sigma2(chosen), self.tau2(chosen)
+        gram = self.marginal(chosen, tau2).sum(axis=0)
+        normal = gram[:-1, :-1] + np.eye(len(chosen))
+        factor = np.linalg.cholesky(normal)
+        target = np.linalg.solve(factor, gram[:-1, -1])
+        size = self.size[chosen]
+        low, high = np.minimum(low * size, 0.0), np.maximum(high * size, 0.0)
+        found = lsq_linear(factor.T, target, bounds=(low - 1e-12, high + 1e-12)).x
+        variance = np.linalg.inv(normal) * sigma2
+        inside = np.linalg.inv(self.gram_within[np.ix_(chosen, chosen)] + np.eye(len(chosen))) * sigma2
+        freedom = np.empty(len(chosen))
+        for k, column in enumerate(chosen):
+            test = self.test_within(np.array([column]), np.delete(chosen, k))
+            if test.variance.size:  # robust against unequal spread
+                ratio = max(float(test.variance[0, 0]) / float(inside[k, k]), 1.0)
+                variance[k, :] *= np.sqrt(ratio)
+                variance[:, k] *= np.sqrt(ratio)
+            share = float(np.clip(variance[k, k] / max(inside[k, k], 1e-300), 0.0, 1.0)) if test.variance.size else 0.0
+            rows, units = max(test.freedom, 1.0), max(self.units - 1.0 - len(levels), 1.0)
+            freedom[k] = 1.0 / (share**2 / rows + (1.0 - share) ** 2 / units)
+        return Estimate(found / size, variance / np.outer(size, size), freedom)
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """The matrix without negative eigenvalues: serial correlation is credited with no precision."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _is_singular(information: FloatArray) -> bool:
+    """Whether a column is a combination of others."""
+    size = np.sqrt(np.diag(information))
+    return bool(np.any(size <= 0.0) or np.linalg.cond(information / np.outer(size, size)) > 1.0 / _COLLINEAR)
+
+
+def _wald(beta: FloatArray, variance: FloatArray) -> float:
+    return float(beta @ np.linalg.solve(variance, beta))
+
+
+def _tested(beta: FloatArray, variance: FloatArray, freedom: float) -> Test:
+    """Hotelling's test of k coefficients, whose variance has so many degrees of freedom."""
+    k = len(beta)
+    left = freedom - k + 1.0
+    if left < 1.0:
+        return _NO_TEST
+    statistic = _wald(beta, variance) * left / (freedom * k)
+    return Test(float(fisher.sf(statistic, k, left)), freedom, variance)
+
+
+def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:
+    """Variance between units such that the weighted squares of what `x` leaves equal their degrees of freedom."""
+    freedom = len(away) - x.shape[1]
+
+    def excess(between: float) -> float:
+        weight = np.sqrt(1.0 / (noise + between))
+        rest = weight * away - (weight[:, None] * x) @ np.linalg.lstsq(weight[:, None] * x, weight * away, rcond=None)[0]
+        return float(rest @ rest) - freedom
+
+    if freedom < 1 or excess(0.0) <= 0.0:
+        return 0.0
+    high = float(np.var(away)) * len(away) + float(noise.max())
+    while excess(high) > 0.0:
+        high *= 4.0
+    return float(brentq(excess, 0.0, high, rtol=1e-3))
+
+
+def columns_of(blocks: Sequence[IntArray]) -> IntArray:
+    """Join blocks of column numbers.
+
+    Parameters
+    ----------
+    blocks : sequence of ndarray of int
+        Any number.
+
+    Returns
+    -------
+    ndarray of int
+        One after the other.
+    """
+    return np.concatenate(blocks).astype(np.int64) if blocks else np.zeros(0, dtype=np.int64)

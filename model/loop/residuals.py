@@ -1,0 +1,190 @@
+"""Measured rows beside the prediction of a model: what a calibration works on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from joulemap.model.errors import InputError, RunsError
+from joulemap.model.loop.features import Features, concatenate_features
+
+FloatArray = NDArray[np.float64]
+
+LEAST_SEGMENTS = 20
+"""A calibration needs at least so many."""
+LEAST_FOLDS = 4
+"""Of fewer runs, blocks are left out instead of whole runs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Measured energy of segments in driving order, and of stationary intervals after them, with their features.
+
+    Attributes
+    ----------
+    features : Features
+        Of the rows; their `predicted` is the base model's energy.
+    measured : ndarray of float, (n,)
+        Energy [J], or charge [A s].
+    runs : tuple of str
+        Names by number.
+    charge : bool
+        Whether the energy is charge, whose scale and zero are unknown.
+    informed : ndarray of float, (n,), optional
+        Prediction with the turns and loads that the model was trained on.
+    """
+
+    features: Features
+    measured: FloatArray
+    runs: tuple[str, ...]
+    charge: bool = False
+    informed: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+    @property
+    def predicted(self) -> FloatArray:
+        """Prediction of the base model, (n,) [J]; nothing for a charge."""
+        return np.zeros(len(self)) if self.charge else self.features.predicted
+
+    @property
+    def said(self) -> FloatArray:
+        """Prediction of the base model from all that it knows of, (n,) [J]; nothing for a charge."""
+        if self.informed is None or self.charge:
+            return self.predicted
+        return np.where(np.isfinite(self.informed), self.informed, self.predicted)
+
+    @property
+    def run(self) -> NDArray[np.int64]:
+        """Number of the run of each row, (n,)."""
+        return self.features.run
+
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """Whether each row is a segment and no stationary interval, (n,)."""
+        return ~self.features.standing
+
+    @cached_property
+    def whole_runs(self) -> bool:
+        """Whether there are enough runs to leave whole ones out."""
+        return bool(np.unique(self.run).size >= LEAST_FOLDS)
+
+    @cached_property
+    def unit(self) -> NDArray[np.int64]:
+        """What is left out together, (n,): the run, or blocks of a run where there are fewer than four runs."""
+        runs = np.unique(self.run)
+        if self.whole_runs:
+            return np.searchsorted(runs, self.run)
+        blocks = -(-LEAST_FOLDS // runs.size)
+        out = np.zeros(len(self), dtype=np.int64)
+        for k, run in enumerate(runs):
+            mine = np.flatnonzero(self.run == run)
+            out[mine] = k * blocks + np.minimum(np.arange(mine.size) * blocks // max(mine.size, 1), blocks - 1)
+        return out
+
+    def take(self, which: ArrayLike) -> Residuals:
+        """Return some of the rows.
+
+        Parameters
+        ----------
+        which : array_like
+            A mask, or indices.
+
+        Returns
+        -------
+        Residuals
+            In the order of `which`.
+        """
+        index = np.asarray(which)
+        informed = None if self.informed is None else self.informed[index]
+        return Residuals(self.features.take(index), self.measured[index], self.runs, self.charge, informed)
+
+
+def residuals_of(
+    features: Features,
+    measured: FloatArray,
+    runs: tuple[str, ...],
+    *,
+    charge: bool,
+    informed: FloatArray | None = None,
+    number: NDArray[np.int64] | None = None,
+    least: int = LEAST_SEGMENTS,
+) -> tuple[Residuals, NDArray[np.int64]]:
+    """Return the residuals of rows whose ground is known.
+
+    Parameters
+    ----------
+    features : Features
+        Of the rows.
+    measured : ndarray of float, (n,)
+        Energy [J], or charge [A s].
+    runs : tuple of str
+        Names by number.
+    charge : bool
+        Whether it is charge.
+    informed : ndarray of float, (n,), optional
+        See `Residuals`.
+    number : ndarray of int, (n,), optional
+        Of every row.
+    least : int
+        Smallest number of segments.
+
+    Returns
+    -------
+    tuple of (Residuals, ndarray of int)
+        Of the usable rows, in runs: the stationary intervals of each after its segments; and their numbers.
+
+    Raises
+    ------
+    RunsError
+        If fewer than `least` segments are usable.
+    """
+    known = features.standing | (np.isfinite(features.traction_per_m) & np.isfinite(features.grade))
+    kept = int((known & ~features.standing).sum())
+    if kept < least:
+        driven = int((~features.standing).sum())
+        raise RunsError(
+            f"only {kept} of {driven} segments of 1 m lie on ground that the heightmap knows; at least {least} are "
+            "needed. Do the runs and the heightmap belong together?",
+            segments=kept,
+            limit=least,
+        )
+    order = np.flatnonzero(known)
+    order = order[np.argsort(features.run[order], kind="stable")]
+    informed = None if informed is None else informed[order]
+    rows = Residuals(features.take(order), measured[order], runs, charge, informed)
+    return rows, order if number is None else number[order]
+
+
+def joined(parts: Sequence[Residuals]) -> Residuals:
+    """Join the rows of several sets of runs.
+
+    Parameters
+    ----------
+    parts : sequence of Residuals
+        Of one robot and of one kind of energy, in driving order.
+
+    Returns
+    -------
+    Residuals
+        One after the other.
+
+    Raises
+    ------
+    InputError
+        If energy and charge are mixed.
+    """
+    if len({part.charge for part in parts}) > 1:
+        raise InputError("runs with a voltage and runs without cannot be calibrated together")
+    return Residuals(
+        concatenate_features([part.features for part in parts]),
+        np.concatenate([part.measured for part in parts]),
+        tuple(name for part in parts for name in part.runs),
+        parts[0].charge,
+        np.concatenate([part.said for part in parts]),
+    )

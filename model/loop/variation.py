@@ -1,0 +1,269 @@
+"""How measured energies vary around a model: spread, serial correlation and outliers within runs.
+
+    energy_i = mean_i + g_i u_run + s_i (a_i + e_i),   a_i = phi a_(i-1) + noise,   e_i heavy-tailed
+
+`s_i` is a standard deviation that grows with the predicted energy, `a` an autoregression along a run, `e` noise whose
+outliers get Huber's weights, and `u_run` the level of a run in shares of the predicted energy `g`. The parameters of the
+autoregression maximise the restricted likelihood with a free level of every run, so that runs that differ do not look
+like serial correlation. Coefficients are fitted by least squares of the scaled and weighted rows, because an error of
+the map is smooth too and generalised least squares would fit what is left when it is differenced away; the serial
+correlation enters the variance of the coefficients (Liang & Zeger 1986, working independence).
+
+References
+----------
+Pinheiro & Bates 2000, "Mixed-Effects Models in S and S-PLUS", chapter 5 (variance functions, correlation structures).
+Harvey 1989, "Forecasting, Structural Time Series Models and the Kalman Filter", chapter 3. Huber 1964.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import minimize, nnls
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+HUBER = 1.345
+"""Standard deviations beyond which an error counts less: 95 % efficiency under a normal distribution (Huber 1964)."""
+_COLLINEAR = 1e-6  # of a column's size is left beside the others: rounding
+_ROUNDING = 1e-10
+_BANDS = 10  # of the prediction, for the spread within each
+_ROUNDS = 2  # weights follow the correlation and the correlation the weights
+_STARTS = ((3.0, 0.3), (60.0, 0.5))  # correlation length [rows] and variance over that of the noise
+
+
+@njit(cache=True)
+def _filtered(
+    columns: FloatArray, fresh: BoolArray, noise: FloatArray, process: FloatArray, phi: float
+) -> tuple[FloatArray, float]:
+    """Standardised innovations (n, k) of every column under one autoregression plus noise, and the log determinant."""
+    n, k = columns.shape
+    out = np.empty((n, k))
+    state = np.zeros(k)
+    variance, log_det = 0.0, 0.0
+    for i in range(n):
+        if fresh[i]:
+            state[:] = 0.0
+            variance = process[i]
+        total = variance + noise[i]
+        gain, size = variance / total, 1.0 / np.sqrt(total)
+        for j in range(k):
+            away = columns[i, j] - state[j]
+            out[i, j] = away * size
+            state[j] = phi * (state[j] + gain * away)
+        variance = phi * phi * variance * (1.0 - gain) + (1.0 - phi * phi) * process[i]
+        log_det += np.log(total)
+    return out, log_det
+
+
+@njit(cache=True)
+def _carried(columns: FloatArray, fresh: BoolArray, phi: float) -> FloatArray:
+    n, k = columns.shape
+    out = np.zeros((n, k))
+    for i in range(1, n):
+        if not fresh[i]:
+            for j in range(k):
+                out[i, j] = phi * (out[i - 1, j] + columns[i - 1, j])
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """The variation of rows around a model.
+
+    Attributes
+    ----------
+    run : ndarray of int, (n,)
+        Number of the run of each row.
+    fresh : ndarray of bool, (n,)
+        Whether a row has no predecessor with which it is correlated.
+    moving : ndarray of bool, (n,)
+        False for stationary intervals, which are correlated with nothing.
+    scale : ndarray of float, (n,)
+        `s_i` [J, or A s].
+    weight : ndarray of float, (n,)
+        Of an outlier less than 1.
+    length_rows : float
+        Rows over which the correlation falls to 1/e.
+    process : float
+        Variance of the autoregression over that of the noise.
+    """
+
+    run: NDArray[np.int64]
+    fresh: BoolArray
+    moving: BoolArray
+    scale: FloatArray
+    weight: FloatArray
+    length_rows: float = 1.0
+    process: float = 0.0
+
+    def scaled(self, columns: FloatArray) -> FloatArray:
+        """Return columns in standard deviations of their rows, outliers with less weight.
+
+        Parameters
+        ----------
+        columns : ndarray of float, (n, k)
+            Energies [J, or A s].
+
+        Returns
+        -------
+        ndarray of float, (n, k)
+            Ready for least squares.
+        """
+        return np.ascontiguousarray(columns * (np.sqrt(self.weight) / self.scale)[:, None])
+
+    @property
+    def phi(self) -> float:
+        """Correlation of the autoregression from row to row."""
+        return float(np.exp(-1.0 / self.length_rows))
+
+    @property
+    def serial_share(self) -> float:
+        """Share of the variance that is serially correlated."""
+        return self.process / (1.0 + self.process)
+
+    def carried(self, columns: FloatArray) -> FloatArray:
+        """Return the sum of all earlier rows of the run, each times its correlation with the row.
+
+        Parameters
+        ----------
+        columns : ndarray of float, (n, k)
+            As `scaled` returns them.
+
+        Returns
+        -------
+        ndarray of float, (n, k)
+            The variance of a sum of correlated rows is that of independent ones and twice the product with this.
+        """
+        weighted = np.ascontiguousarray(columns * np.sqrt(self.weight)[:, None])
+        return _carried(weighted, self.fresh, self.phi) * np.sqrt(self.weight)[:, None]
+
+    def _filtered(self, scaled: FloatArray) -> tuple[FloatArray, float]:
+        process = np.where(self.moving, self.process, 0.0)
+        out, log_det = _filtered(np.ascontiguousarray(scaled), self.fresh, 1.0 / self.weight, process, self.phi)
+        return out, float(log_det)
+
+
+def starts_of(run: NDArray[np.int64], moving: BoolArray) -> BoolArray:
+    """Return which rows have no predecessor with which they are correlated.
+
+    Parameters
+    ----------
+    run : ndarray of int, (n,)
+        Number of the run.
+    moving : ndarray of bool, (n,)
+        Whether the robot moves.
+
+    Returns
+    -------
+    ndarray of bool, (n,)
+        First rows of runs, and stationary intervals.
+    """
+    first = np.ones(run.size, dtype=bool)
+    first[1:] = (np.diff(run) != 0) | ~moving[1:] | ~moving[:-1]
+    return first
+
+
+def spread_of(predicted: FloatArray, residual: FloatArray, moving: BoolArray) -> FloatArray:
+    """Return the standard deviation of each row.
+
+    Parameters
+    ----------
+    predicted : ndarray of float, (n,)
+        Energy [J, or A s].
+    residual : ndarray of float, (n,)
+        Of every row.
+    moving : ndarray of bool, (n,)
+        Whether the robot moves. A stationary interval varies in proportion to its energy.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        A constant and a part proportional to the prediction, fitted to the spread in ten bands of the prediction.
+    """
+    p, r = np.maximum(predicted[moving], 0.0), residual[moving]
+    bands = [b for b in np.array_split(np.argsort(p), min(_BANDS, max(1, p.size // _BANDS))) if b.size]
+    level = np.array([p[b].mean() for b in bands])
+    spread = np.array([1.4826 * np.median(np.abs(r[b] - np.median(r[b]))) for b in bands])  # of a normal variable
+    (constant, share), _ = nnls(np.stack([np.ones_like(level), level], axis=1), spread)
+    floor = max(float(np.median(spread)), 1e-9 * max(float(np.median(p)), 1e-12), 1e-12)
+    if constant + share * float(np.median(p)) <= 0.0:
+        constant = floor
+    out = constant + share * np.maximum(predicted, 0.0)
+    still = np.maximum(predicted, 0.05 * float(np.median(p))) * max(share, 0.02)
+    return np.where(moving, np.maximum(out, 0.1 * floor), still)
+
+
+def fit_variation(start: Variation, predicted: FloatArray, residual: FloatArray, fixed: FloatArray) -> Variation:
+    """Fit spread, serial correlation and weights to the residuals of a model.
+
+    Parameters
+    ----------
+    start : Variation
+        Of the same rows: an earlier fit, or one without correlation.
+    predicted : ndarray of float, (n,)
+        Fitted energy [J, or A s].
+    residual : ndarray of float, (n,)
+        Measured minus fitted.
+    fixed : ndarray of float, (n, k)
+        Columns of the fit: the restricted likelihood leaves out what they could explain.
+
+    Returns
+    -------
+    Variation
+        Of these rows.
+    """
+    run, moving = start.run, start.moving
+    scale = spread_of(predicted, residual, moving)
+    found = replace(start, scale=scale)
+    levels = np.stack([np.where(run == k, np.maximum(predicted, 0.0), 0.0) for k in np.unique(run)], axis=1)
+    design = _independent(np.concatenate([levels, fixed], axis=1) / scale[:, None])
+    z = (residual / scale)[:, None]
+    for _ in range(_ROUNDS):
+        found = _correlated(found, design, z)
+        both, _log_det = found._filtered(np.concatenate([z, design], axis=1))
+        rest = both[:, 0] - both[:, 1:] @ np.linalg.lstsq(both[:, 1:], both[:, 0], rcond=None)[0]
+        away = np.abs(rest) / np.sqrt(found.weight)  # whitening made outliers smaller by the root of their weight
+        size = away / max(1.4826 * float(np.median(np.abs(rest))), 1e-12)
+        weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-12))
+        found = replace(found, weight=weight)
+    return found
+
+
+def _independent(design: FloatArray) -> FloatArray:
+    """The columns that are no combination of others."""
+    size = np.sqrt((design**2).sum(axis=0))
+    scaled = design[:, size > 0] / size[size > 0]
+    _, r, order = qr(scaled, mode="economic", pivoting=True)
+    return scaled[:, order[: int((np.abs(np.diag(r)) > _COLLINEAR).sum())]]
+
+
+def _correlated(found: Variation, design: FloatArray, z: FloatArray) -> Variation:
+    """With the length and the variance of the autoregression that maximise the restricted likelihood."""
+    columns = np.concatenate([design, z], axis=1)
+    longest = float(np.max(np.bincount(found.run)))
+
+    def at(x: FloatArray) -> Variation:
+        length = float(np.clip(np.exp(min(x[0], 20.0)), 0.3, longest))
+        process = float(np.clip(np.exp(min(x[1], 20.0)), 1e-4, 1e4))
+        return replace(found, length_rows=length, process=process)
+
+    def loss(candidate: Variation) -> float:
+        both, log_det = candidate._filtered(columns)
+        size = np.sqrt(np.maximum((both**2).sum(axis=0), 1e-300))
+        factor = np.linalg.cholesky((both / size).T @ (both / size) + _ROUNDING * np.eye(len(size)))
+        free = np.log(np.diag(factor) * size)
+        freedom = max(len(both) - len(size) + 1, 1)
+        return float(log_det + 2.0 * free[:-1].sum() + 2.0 * freedom * free[-1])
+
+    starts = [(found.length_rows, found.process)] if found.process > 0.0 else list(_STARTS)
+    options = {"xatol": 0.1, "fatol": 0.1, "maxiter": 60}
+    tried = [minimize(lambda x: loss(at(x)), np.log(s), method="Nelder-Mead", options=options) for s in starts]
+    best = at(min(tried, key=lambda result: float(result.fun)).x)
+    white = replace(found, length_rows=1.0, process=0.0)
+    return best if loss(best) < loss(white) else white
