@@ -153,9 +153,8 @@ def joulemap(
 
 def _answer(effect: Effect) -> Answer:
     term = effect.term
-    unit = term.form.unit.format(E="J")
     stated = tuple(
         Stated(float(value), float(low), float(high), unit)
-        for value, low, high in zip(term.coefficients, effect.low, effect.high, strict=True)
+        for value, low, high, unit in zip(term.coefficients, effect.low, effect.high, term.form.units("J"), strict=True)
     )
     return Answer(term.form.name, term.form.label, stated, float(effect.p_value))

@@ -104,7 +104,7 @@ class Cargo(HiddenEffect):
     """A load that changes from run to run and is logged, in kg."""
 
     kind = "cargo"
-    right = (r"payload", r"load mass", r"mass")
+    right = (r"payload",)
     unit = "kg/kg"
     between = True
 

@@ -11,7 +11,7 @@ from tests.loop.generators.site import Site
 
 FloatArray = NDArray[np.float64]
 
-_PLACE = (r"place", r"position(?! index)", r"local", r"patch", r"region", r"disk", r"(^|[^a-z])[xy]($|[^a-z])")
+_PLACE = (r"place", r"position(?![ _]index)", r"local", r"patch", r"region", r"disk", r"(^|[^a-z])[xy]($|[^a-z])")
 
 
 class WetPatch(HiddenEffect):
@@ -43,7 +43,7 @@ class LowMud(HiddenEffect):
     """Mud that stays below a certain height above the sea."""
 
     kind = "low_mud"
-    right = (r"elevation", r"height", r"hollow", r"topographic", *_PLACE)
+    right = (r"elevation", r"height", r"hollow", r"topographic", r"position.index", *_PLACE)
     why_none = "a step in the height"
 
     def force_n(self, scene: Scene) -> FloatArray:
