@@ -143,6 +143,7 @@ class Heater(HiddenEffect):
     kind = "heater"
     right = (r"aux_2",)
     unit = "W"
+    either_sign = True  # on against off, or off against on
 
     def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Power [W]."""
