@@ -211,10 +211,11 @@ def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str
 
 
 def _costs_of(config: Mapping[str, Any]) -> DriveCosts:
-    """Costs of driving; models of version 0.1 know that of turning alone."""
+    """Costs of driving. Models that version 0.1 trained on runs know that of turning alone, and none of time."""
     if "drive_costs" in config:
         return DriveCosts.from_dict(dict(config["drive_costs"]))
-    return DriveCosts(turn_j_per_rad=float(config.get("turn_j_per_rad", 0.0)))
+    on_runs = "runs" in (config.get("training") or {})
+    return DriveCosts(turn_j_per_rad=float(config.get("turn_j_per_rad", 0.0)), driving_w=None if on_runs else 0.0)
 
 
 def _read_config(folder: Path) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from joulemap.model.errors import ModelError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
 
@@ -28,11 +27,6 @@ class DriveCosts:
     ----------
     turn_j_per_rad : float
         Energy of turning [J/rad].
-    slow_turn_j_per_rad : tuple of float
-        Further energy of turning [J/rad], for each of `TURN_LIMITS_RADPS`, as long as the robot turns no faster. Of a
-        faster turn only the part counts that this rate would have turned: the cost saturates. Empty where it does not.
-    slow_share : tuple of float
-        Share of the turning in the runs that counts for each of them, 0..1.
     driving_w : float, optional
         Power while the robot moves, beyond its declared idle power [W], for the time that it took more, or less, than
         at its declared speed. None where the time of a segment does not count.
@@ -44,20 +38,14 @@ class DriveCosts:
     """
 
     turn_j_per_rad: float = 0.0
-    slow_turn_j_per_rad: tuple[float, ...] = ()
-    slow_share: tuple[float, ...] = ()
     driving_w: float | None = None
     speed_up_kg: float = 0.0
     mass_kg: float = 0.0
 
     def __post_init__(self) -> None:
-        slow = (*self.slow_turn_j_per_rad, *self.slow_share)
-        numbers = [self.turn_j_per_rad, self.driving_w or 0.0, self.speed_up_kg, self.mass_kg, *slow]
+        numbers = [self.turn_j_per_rad, self.driving_w or 0.0, self.speed_up_kg, self.mass_kg]
         if not all(isinstance(value, int | float) and math.isfinite(value) for value in numbers):
             raise ModelError(f"the costs of a drive are finite numbers, got {asdict(self)}")
-        lengths = {len(self.slow_turn_j_per_rad), len(self.slow_share)}
-        if lengths not in ({0}, {len(TURN_LIMITS_RADPS)}):
-            raise ModelError(f"slow turns have {len(TURN_LIMITS_RADPS)} costs and shares, got {slow}")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers, JSON-able."""
@@ -83,13 +71,12 @@ class DriveCosts:
             If the values are no costs.
         """
         try:
-            slow = {key: tuple(values[key]) for key in ("slow_turn_j_per_rad", "slow_share") if key in values}
-            return cls(**{**values, **slow})
+            return cls(**values)
         except TypeError as error:
             raise ModelError(f"the model has no valid costs of driving: {error}") from error
 
     def planned_turn_j_per_rad(self, robot: Robot) -> float:
-        """Return the energy of turning that a plan counts: that of the runs in the mean.
+        """Return the energy of turning that a plan counts.
 
         Parameters
         ----------
@@ -101,8 +88,7 @@ class DriveCosts:
         float
             Energy [J/rad].
         """
-        slow = sum(share * cost for share, cost in zip(self.slow_share, self.slow_turn_j_per_rad, strict=True))
-        return self._scale(robot) * (self.turn_j_per_rad + slow)
+        return self._scale(robot) * self.turn_j_per_rad
 
     def energy_j(self, robot: Robot, segments: Segments) -> FloatArray:
         """Return what measured segments cost beyond going straight ahead at the declared speed.
@@ -121,8 +107,6 @@ class DriveCosts:
         """
         scale = self._scale(robot)
         energy = scale * self.turn_j_per_rad * segments.turned_abs_rad
-        if self.slow_turn_j_per_rad:
-            energy = energy + scale * segments.gentle_turn_rad @ np.array(self.slow_turn_j_per_rad)
         if self.speed_up_kg:
             energy = energy + scale * self.speed_up_kg * segments.gained_m2ps2
         if self.driving_w is not None:

@@ -20,6 +20,7 @@ SMOOTHING_S = 0.3
 
 _TRACK_HEADING_S = 0.5  # directions need more smoothing than places
 _COMPASS_AGREES_RAD = 0.25
+_JUMP_RAD, _JUMP_S = math.pi / 2.0, 0.25
 _STATIONARY_WITHIN_M = 0.05
 _STATIONARY_EVENLY = 0.25
 
@@ -110,13 +111,36 @@ def compass_headings(
     if compass is None or np.isfinite(compass[good]).mean() < 0.8:
         return None
     t, known = run.t[good], np.isfinite(compass)
-    turns = np.unwrap(np.radians(compass[known]))
+    turns = without_jumps(run.t[known], np.unwrap(np.radians(compass[known])))
     pointed = np.interp(t, run.t[known], turns)
     clear = speed > 0.5 * float(np.quantile(speed, 0.9))
     if np.median(np.abs(wrap_angle(pointed - track)[clear])) > _COMPASS_AGREES_RAD:
         return None
     north, east, _, _ = smooth(t, np.cos(pointed), np.sin(pointed), piece, max(SMOOTHING_S, interval))
     return heading_of(east, north)
+
+
+def without_jumps(t: FloatArray, heading: FloatArray) -> FloatArray:
+    """Take jumps out of a heading, as when a registration starts and replaces its first guess.
+
+    A change by more than a quarter turn between two rows less than a quarter second apart is no turning: no ground
+    vehicle turns by a full circle in a second.
+
+    Parameters
+    ----------
+    t : ndarray of float, (n,)
+        Stamps [s].
+    heading : ndarray of float, (n,)
+        Unwrapped [rad].
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        The heading [rad]; what lies before a jump is turned by it.
+    """
+    step = np.diff(heading)
+    jump = np.where((np.abs(step) > _JUMP_RAD) & (np.diff(t) < _JUMP_S), step, 0.0)
+    return heading + np.concatenate([np.cumsum(jump[::-1])[::-1], [0.0]])
 
 
 def turns_between(t: FloatArray, heading: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -11,20 +11,19 @@ from scipy.optimize import lsq_linear
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 FloatArray = NDArray[np.float64]
 
-_HUBER = 1.345
-"""Residuals beyond so many standard deviations count linearly: 95 % efficient for normal ones. Source: Huber 1981."""
+_HUBER = 3.0
+"""Residuals beyond so many standard deviations count linearly (Huber 1981). A setting: 0.3 % of normal ones do."""
 _PASSES = 10  # of reweighting; the coefficients no longer move in their third digit
 _LEAST_SHARE = 0.2  # of the mean energy: the least that a segment's variance grows with
 SHIPPED_RUN_SHARE = 0.186
 """Standard deviation of the level of a run over the rolling resistance: that of the shipped network on other sites.
 Source: `spread.run_share` of model/weights/config.json."""
-_ARM_M = 0.5
-"""Turning energy per radian over the weight [m], as a prior standard deviation: a friction coefficient of 1 at half a
-metre from the centre of rotation."""
+_ARM_M = 2.0
+"""Turning energy per radian over the weight [m], as a prior standard deviation: far more than a
+friction coefficient of 1 at half the length of most robots, so that it decides only where runs hardly turn."""
 _MOST_SPEED_UP = 2.0
 """Most energy of speeding up over the kinetic energy gained: half of what the motors draw is lost."""
 
@@ -128,7 +127,7 @@ class CostFit:
         ndarray of float, (n,)
             Energy [J]; NaN on unknown ground.
         """
-        columns, names, known_j = _design(rows)
+        columns, names, known_j = _design(rows, self.level, self.climb, self.shape)
         mass = self.costs.mass_kg
         value = {
             "level": self.level,
@@ -138,8 +137,6 @@ class CostFit:
             "slower": self.costs.driving_w or 0.0,
             "speed_up": self.costs.speed_up_kg / mass,
         }
-        slow = self.costs.slow_turn_j_per_rad
-        value |= {_slow_name(limit): cost / mass for limit, cost in zip(TURN_LIMITS_RADPS, slow, strict=True)}
         return known_j + columns @ np.array([value[name] for name in names])
 
 
@@ -160,8 +157,7 @@ def fit_costs(rows: CostRows) -> CostFit:
     -----
     energy = price(traction + level * weight + climb * weight * tan grade + shape * its part for the shape) * driven
     + idle * (time - driven / speed) + driving_w * slower
-    + turn * turned + sum over limits of slow_turn * turned as far as slower than the limit + speed_up_kg * gained.
-    The cost of turning is thus a concave function of the rate. Residuals have a variance
+    + turn * turned + speed_up_kg * gained. Residuals have a variance
     in proportion to the energy and count by Huber's loss. Bounds are physical: no energy comes from turning or speeding
     up, no power below zero, no rolling resistance below zero, and speeding up costs at most twice the kinetic energy.
     Normal priors keep what the runs do not show near what is declared. Runs differ in level by a random effect, which
@@ -172,12 +168,8 @@ def fit_costs(rows: CostRows) -> CostFit:
     names, found = _fit(rows)
     value = dict(zip(names, found.tolist(), strict=True))
     mass = rows.robots[0].mass_kg
-    turned = float(rows.segments.turned_abs_rad.sum())
-    slow = rows.segments.gentle_turn_rad.sum(axis=0) / max(turned, 1e-9)
     costs = DriveCosts(
         turn_j_per_rad=round(mass * value["turn"], 3),
-        slow_turn_j_per_rad=tuple(round(mass * value[_slow_name(limit)], 3) for limit in TURN_LIMITS_RADPS),
-        slow_share=tuple(round(float(share), 4) for share in slow),
         driving_w=round(value["slower"], 3),
         speed_up_kg=round(mass * value["speed_up"], 3),
         mass_kg=mass,
@@ -187,38 +179,45 @@ def fit_costs(rows: CostRows) -> CostFit:
 
 def _fit(rows: CostRows) -> tuple[list[str], FloatArray]:
     """Names and coefficients."""
-    columns, names, known_j = _design(rows)
+    _, names, _ = _design(rows)
     low, high, centre, spread = _priors(rows, names)
     terms = len(names)
     runs = np.unique(rows.segments.run)
-    if runs.size > 1:  # a level of its own for each run
-        own = columns[:, [names.index("level")]] * (rows.segments.run[:, None] == runs)
-        columns = np.concatenate([columns, own], axis=1)
-        deviation = SHIPPED_RUN_SHARE * float(np.mean(rows.of_robot("rolling_resistance")))
-        low, high = np.append(low, np.full(runs.size, -np.inf)), np.append(high, np.full(runs.size, np.inf))
-        centre, spread = np.append(centre, np.zeros(runs.size)), np.append(spread, np.full(runs.size, deviation))
-    rest = rows.segments.energy_j - known_j
+    own = (rows.segments.run[:, None] == runs) if runs.size > 1 else np.zeros((len(rows.segments), 0))
+    deviation = SHIPPED_RUN_SHARE * float(np.mean(rows.of_robot("rolling_resistance")))
+    infinite, none = np.full(own.shape[1], np.inf), np.zeros(own.shape[1])
+    low, high = np.concatenate([low, -infinite]), np.concatenate([high, infinite])
+    centre, spread = np.concatenate([centre, none]), np.concatenate([spread, none + max(deviation, 1e-6)])
     found = np.clip(centre, low, high)
+    energy = rows.segments.energy_j
     for _ in range(_PASSES):
+        columns, _, known_j = _design(rows, *found[:3])
+        columns = np.concatenate([columns, columns[:, :1] * own], axis=1)  # each run has a level of its own
         predicted = known_j + columns @ found
-        root = 1.0 / np.sqrt(_scale_j(predicted, rows.segments.energy_j))
-        scaled = np.abs(rows.segments.energy_j - predicted) * root
+        root = 1.0 / np.sqrt(_scale_j(predicted, energy))
+        scaled = np.abs(energy - predicted) * root
         sigma = max(1.4826 * float(np.median(scaled)), 1e-9)
         weight = root / sigma * np.sqrt(np.minimum(1.0, _HUBER * sigma / np.maximum(scaled, 1e-12)))
         design = np.concatenate([columns * weight[:, None] * spread, np.eye(spread.size)])
-        target = np.concatenate([(rest - columns @ centre) * weight, np.zeros(spread.size)])
+        target = np.concatenate([(energy - known_j - columns @ centre) * weight, np.zeros(spread.size)])
         bounds = (low - centre) / spread, (high - centre) / spread
         found = centre + spread * lsq_linear(design, target, bounds=bounds).x
     return names, found[:terms]
 
 
-def _design(rows: CostRows) -> tuple[FloatArray, list[str], FloatArray]:
-    """Columns (n, terms), their names, and the energy that is known without them (n,)."""
+def _design(
+    rows: CostRows, level: float = 0.0, climb: float = 0.0, shape: float = 0.0
+) -> tuple[FloatArray, list[str], FloatArray]:
+    """Columns (n, terms), their names, and the energy that is known without them (n,).
+
+    Where the traction with its corrections is negative, only the regenerated share of it counts.
+    """
     s = rows.segments
     mass, weight = rows.of_robot("mass_kg"), rows.of_robot("weight_n")
     idle, speed = rows.of_robot("idle_power_w"), rows.of_robot("speed_mps")
     share = rows.of_robot("regeneration")
-    driving = rows.traction_per_m > 0.0
+    corrected = weight * (level + climb * rows.tan_grade) + shape * rows.shape_per_m
+    driving = rows.traction_per_m + corrected > 0.0
     traction = np.where(driving, rows.traction_per_m, share * rows.traction_per_m)
     counts_m = s.driven_m * np.where(driving, 1.0, share)
     known_j = idle * s.duration_s + traction * s.driven_m + rows.of_robot("turn_j_per_rad") * s.turned_abs_rad
@@ -230,7 +229,6 @@ def _design(rows: CostRows) -> tuple[FloatArray, list[str], FloatArray]:
         "slower": s.duration_s - s.standing_s - s.driven_m / speed,
         "speed_up": mass * s.gained_m2ps2,
     }
-    terms |= {_slow_name(limit): mass * s.gentle_turn_rad[:, k] for k, limit in enumerate(TURN_LIMITS_RADPS)}
     return np.stack(list(terms.values()), axis=1), list(terms), known_j
 
 
@@ -250,12 +248,7 @@ def _priors(rows: CostRows, names: list[str]) -> tuple[FloatArray, FloatArray, F
         "slower": (idle, np.inf, 0.0, max(usual_w, 1.0)),
         "speed_up": (0.0, _MOST_SPEED_UP, 1.0, 1.0),
     }
-    table |= {_slow_name(limit): (0.0, np.inf, 0.0, arm) for limit in TURN_LIMITS_RADPS}
     return tuple(np.array(column, dtype=np.float64) for column in zip(*(table[name] for name in names), strict=True))  # type: ignore[return-value]
-
-
-def _slow_name(limit: float) -> str:
-    return f"turn up to {limit:g} rad/s"
 
 
 def _scale_j(predicted_j: FloatArray, energy_j: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,9 @@ from joulemap.model.energy.metrics import LEAST_J, relative_errors
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import LEVELS, Spread
 from joulemap.model.errors import InputError
-from joulemap.model.loop.prediction import predict_segments
+from joulemap.model.loop.prediction import joined, predict_segments
 from joulemap.model.robot import Robot
-from joulemap.model.runs.consistency import check_runs
-from joulemap.model.runs.files import read_segments
+from joulemap.model.runs.sites import Site, read_sites
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.run_record import seen_runs
 
@@ -71,6 +70,27 @@ def errors(predicted_j: ArrayLike, energy_j: ArrayLike, run: ArrayLike) -> dict[
     }
 
 
+def named(found: Mapping[str, Any], runs: Sequence[str]) -> dict[str, Any]:
+    """Return errors in which runs have their names.
+
+    Parameters
+    ----------
+    found : mapping
+        As from `errors`, with the numbers of the runs.
+    runs : sequence of str
+        Names by number.
+
+    Returns
+    -------
+    dict
+        The same errors.
+    """
+    return {
+        key: {runs[int(number)]: one for number, one in value.items()} if isinstance(value, dict) else value
+        for key, value in found.items()
+    }
+
+
 def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spread: Spread) -> dict[str, float]:
     """Count how many measured segments are inside the predicted intervals.
 
@@ -97,7 +117,7 @@ def coverage(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, spre
 def evaluate_on_runs(
     predictor: Predictor, heightmap: Heightmap, robot: Robot, files: Sequence[Path], *, charge: bool = False
 ) -> dict[str, Any]:
-    """Judge a predictor by measured runs over a heightmap.
+    """Judge a predictor by measured runs over one heightmap, as `evaluate_on_sites`.
 
     Parameters
     ----------
@@ -115,10 +135,29 @@ def evaluate_on_runs(
     Returns
     -------
     dict
+        As `evaluate_on_sites`.
+    """
+    return evaluate_on_sites(predictor, [Site(heightmap, tuple(files), robot)], charge=charge)
+
+
+def evaluate_on_sites(predictor: Predictor, sites: Sequence[Site], *, charge: bool = False) -> dict[str, Any]:
+    """Judge a predictor by measured runs over their heightmaps.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        The model.
+    sites : sequence of Site
+        Heightmaps, their runs, and the robot of each.
+    charge : bool, optional
+        Count charge times the nominal voltage instead of energy.
+
+    Returns
+    -------
+    dict
         JSON-able. The numbers of `errors`, with runs named; `coverage`, the share of segments inside the predicted 50,
         80 and 90 % intervals (None where the model has none); `unknown`, the number of segments on unknown ground;
-        `repairs` and `left_out`, what was repaired in the logs and what was not made a segment, by rule; `metres`, as
-        `Segments.coverage`;
+        `repairs` and `left_out`, what was repaired in the logs and what was not made a segment, by rule;
         `used`, metres of track as `Segments.coverage` returns them;
         `seen_in_training`, those of the runs that the model was trained with; `warnings`, which say so in words.
 
@@ -129,16 +168,20 @@ def evaluate_on_runs(
     InputError
         If no segment is on known ground.
     """
-    runs, segments = read_segments(files, robot, crs=heightmap.frame.crs, charge=charge)
-    check_runs(segments, heightmap, robot)
-    said = predict_segments(predictor, heightmap, robot, segments)
+    measured = read_sites(sites, charge=charge)
+    runs, segments = measured.runs, measured.segments
+    said = joined(
+        [
+            predict_segments(predictor, site.heightmap, site.robot, segments.take(measured.on(k)))
+            for k, site in enumerate(sites)
+        ]
+    )
     known = np.isfinite(said.energy_j)
-    found = errors(said.energy_j[known], segments.energy_j[known], segments.run[known])
-    for key in ("route_relative_errors", "rmse_j_by_run", "mean_absolute_error_j_by_run"):
-        found[key] = {segments.runs[int(k)]: value for k, value in found[key].items()}
+    found = named(errors(said.energy_j[known], segments.energy_j[known], segments.run[known]), segments.runs)
     covered = None
     if said.std_j is not None:
         covered = coverage(segments.energy_j[known], said.energy_j[known], said.std_j[known], predictor.spread)
+    beyond = [warning for site in sites for warning in predictor.warnings(site.heightmap, site.robot)]
     seen, warnings = seen_runs(predictor.provenance(), runs)
     return {
         "model": predictor.name,
@@ -149,5 +192,5 @@ def evaluate_on_runs(
         "left_out": segments.left_out,
         "used": segments.coverage(),
         "seen_in_training": seen,
-        "warnings": [*warnings, *predictor.warnings(heightmap, robot)],
+        "warnings": list(dict.fromkeys([*warnings, *beyond])),
     }

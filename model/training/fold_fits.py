@@ -25,7 +25,7 @@ from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.sites import SiteRuns
 from joulemap.model.training.baselines import baseline_predictions
 from joulemap.model.training.cost_regression import CostFit, CostRows, fit_costs
-from joulemap.model.training.evaluation import errors
+from joulemap.model.training.evaluation import errors, named
 from joulemap.model.training.optimisation import TrainingOptions, averaged, choose_held_out, train_network
 
 FloatArray = NDArray[np.float64]
@@ -241,7 +241,7 @@ class FoldFits:
             energy = np.concatenate([told[name] for _, told in self._told])[order]
             both = known & np.isfinite(energy)
             if both.any():
-                found[name] = errors(energy[both], segments.energy_j[both], segments.run[both])
+                found[name] = named(errors(energy[both], segments.energy_j[both], segments.run[both]), segments.runs)
         return found
 
     def forget(self) -> None:

@@ -20,7 +20,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import Protocol
 from joulemap.model.runs.sites import Site, read_sites
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.training.evaluation import errors
+from joulemap.model.training.evaluation import errors, named
 from joulemap.model.training.fold_fits import NOT_TUNED, FoldFits
 from joulemap.model.training.optimisation import TrainingOptions
 from joulemap.model.training.run_record import runs_record
@@ -199,7 +199,10 @@ def train_on_sites(
     judged = fits.judged()
     costs = judged.costs
     known = judged.known
-    held_out = errors(judged.energy_j[known], judged.segments.energy_j[known], judged.segments.run[known])
+    held_out = named(
+        errors(judged.energy_j[known], judged.segments.energy_j[known], judged.segments.run[known]),
+        measured.segments.runs,
+    )
     spread = Spread()
     if known.sum() >= FEWEST and judged.std_j is not None:
         spread = fit_spread(
@@ -232,7 +235,9 @@ def train_on_sites(
     (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
     keeps_runs = False
     if len(sites) == 1 and all(run.has_energy for run in measured.runs) and not charge:
-        keeps_runs = keep_base_runs(out, sites[0].heightmap, robot, judged.segments, judged.traction_per_m)
+        keeps_runs = keep_base_runs(
+            out, sites[0].heightmap, robot, judged.segments, judged.traction_per_m, judged.energy_j
+        )
     fits.forget()
     return TrainedModel(
         version,

@@ -13,14 +13,14 @@ import typer
 from joulemap.model.energy.architectures import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
 from joulemap.service.commands.options import (
-    HeightmapFile,
+    Campaign,
     MaybeHeightmap,
     MaybeRuns,
     ModelName,
     Overwrite,
     Reading,
     RobotFile,
-    Runs,
+    Sites,
     known_model,
     reads_heightmap,
     refuse_to_replace,
@@ -31,6 +31,7 @@ from joulemap.service.words import runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
+    from joulemap.model.runs.sites import Site
 
 
 class SiteName(StrEnum):
@@ -206,6 +207,8 @@ def train(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write the model to.")],
     heightmap: MaybeHeightmap = None,
     runs: MaybeRuns = None,
+    site: Sites = None,
+    campaign: Campaign = None,
     robot: RobotFile = None,
     architecture: Annotated[
         Architecture,
@@ -260,11 +263,14 @@ def train(
 ) -> None:
     """Train a **model** on measured runs, for your robot on your ground.
 
-    Without `--runs` and `--heightmap` the shipped network is trained again, on simulated data.
+    Turning, time and speeding up are fitted together with the network, from every driven metre. Without runs the
+    shipped network is trained again, on simulated data.
 
     Examples:
 
     `joulemap train --heightmap dem.tif --robot robot.toml --runs logs/*.csv --out mine`
+
+    `joulemap train --site a.tif=a/*.csv --site b.tif=b.csv --robot robot.toml --out mine` (several maps)
 
     `joulemap train --out weights` (the shipped network)
     """
@@ -272,7 +278,7 @@ def train(
 
     output = Output(json_file)
     refuse_to_replace(out, overwrite=overwrite, mark=CONFIG_FILE)
-    if heightmap is None and not runs:
+    if heightmap is None and not runs and not site and campaign is None:
         given = {
             "--robot": robot,
             "--from": start_from,
@@ -284,7 +290,7 @@ def train(
             "--arch": architecture is not _DEFAULT,
         }
         if idle := [name for name, value in given.items() if value]:
-            raise typer.BadParameter(f"{', '.join(idle)}: only with --heightmap and --runs")
+            raise typer.BadParameter(f"{', '.join(idle)}: only with runs")
         from joulemap.model.training.pretraining import DEFAULT_SEED, train_default
 
         with progress_bar("Training the shipped network") as report:
@@ -292,17 +298,14 @@ def train(
         output.say(f"[bold]Trained[/] {out}: held-out error {trained['held_out']['mean_relative_error']:.1%}")
         output.document({"out": str(out), **trained})
         return
-    if heightmap is None or not runs:
-        raise typer.BadParameter("--heightmap and --runs go together")
-    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.model.runs.segments import coverage_words
     from joulemap.service.library import models as library
 
+    sites = _sites(heightmap, runs, site, campaign, robot, reading)
     with progress_bar("Training") as report:
         made = library.train(
-            read_heightmap(heightmap, **reading),
-            runs,
             out=out,
-            robot=robot,
+            sites=sites,
             architecture=architecture.value,
             start_from=start_from,
             backbone=weights,
@@ -320,19 +323,31 @@ def train(
             "learned from": f"{made['segments']:,} segments of {runs_words(len(made['runs']))}",
             "held out": f"{_held_out_words(made)}: {_errors_words(made['held_out'])}"
             + (" (a little too low: these runs decided when to stop)" if made["stopped_by_held_out"] else ""),
+            "held-out error": _share_words(made["held_out"]),
+            **{
+                f"  {name}": _share_words(found)
+                for name, found in made["baselines"].items()
+                if name != "the same without fine-tuning"
+            },
+            "track used": coverage_words(made["coverage"]),
             "turning": f"{made['turn_j_per_rad']:.1f} J/rad more than straight driving, used in plans too",
+            "speeding up": f"{made['drive_costs']['speed_up_kg']:.3g} J for each m2/s2 of half the squared speed",
+            "driving": f"{made['drive_costs']['driving_w'] or 0.0:.3g} W more than the declared idle power",
         }
     )
+    output.warn(made["warnings"])
     if not made["keeps_runs"]:
-        why = "they are too few, or lack a voltage"
+        why = "they are too few, lack a voltage, or lie on several maps"
         output.warn([f"the runs are not kept beside the model ({why}): give them to `calibrate` as --baseline-runs"])
     output.document({"out": str(out), **made})
 
 
 @reads_heightmap
 def evaluate(
-    heightmap: HeightmapFile,
-    runs: Runs,
+    heightmap: MaybeHeightmap = None,
+    runs: MaybeRuns = None,
+    site: Sites = None,
+    campaign: Campaign = None,
     model: ModelName = "default",
     robot: RobotFile = None,
     charge: Charge = False,
@@ -346,12 +361,11 @@ def evaluate(
     """
     from joulemap.model.loop.words import left_out_words, repair_words
     from joulemap.model.runs.segments import coverage_words
-    from joulemap.model.terrain.readers import read_heightmap
     from joulemap.service.library import models as library
 
     output = Output(json_file)
-    ground = read_heightmap(heightmap, **reading)
-    found = library.evaluate(ground, runs, model=model, robot=robot, charge=charge).document
+    sites = _sites(heightmap, runs, site, campaign, robot, reading)
+    found = library.evaluate(sites=sites, model=model, charge=charge).document
     output.say(
         f"[bold]Model {found['model']}[/] on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}"
     )
@@ -369,6 +383,39 @@ def evaluate(
     )
     output.warn(found["warnings"])
     output.document(found)
+
+
+def _sites(
+    heightmap: Path | None,
+    runs: list[str] | None,
+    site: list[str] | None,
+    campaign: Path | None,
+    robot: Path | None,
+    reading: Reading,
+) -> list[Site]:
+    """The sites of a command line. Raises typer.BadParameter where none or several ways of naming them are used."""
+    from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.service.library.sites import sites_given, sites_of_options
+
+    ways = [heightmap is not None or bool(runs), bool(site), campaign is not None]
+    if sum(ways) != 1:
+        raise typer.BadParameter("give --heightmap and --runs, or --site, or --campaign")
+    if campaign is not None:
+        return sites_given(campaign=campaign, robot=robot)
+    if site:
+        named = sites_of_options(site)
+    elif heightmap is None or not runs:
+        raise typer.BadParameter("--heightmap and --runs go together")
+    else:
+        named = [(heightmap, runs)]
+    return sites_given(sites=[(read_heightmap(ground, **reading), files) for ground, files in named], robot=robot)
+
+
+def _share_words(found: dict[str, Any]) -> str:
+    return (
+        f"{found['rmse_j']:.4g} J root mean square, {found['mean_absolute_error_j']:.4g} J mean absolute error of a "
+        f"segment ({found['error_share']:.1%} of its energy)"
+    )
 
 
 def _coverage_words(covered: dict[str, float] | None) -> str:

@@ -74,6 +74,24 @@ _RUNS = typer.Option(
 )
 HeightmapFile = Annotated[Path, _HEIGHTMAP]
 MaybeHeightmap = Annotated[Path | None, _HEIGHTMAP]
+Sites = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--site",
+        metavar="MAP=RUNS",
+        help="A heightmap and its runs, like 'dem.tif=runs/*.csv', instead of --heightmap and --runs; repeat it for "
+        "several maps.",
+    ),
+]
+Campaign = Annotated[
+    Path | None,
+    typer.Option(
+        "--campaign",
+        metavar="FILE",
+        callback=there,
+        help="TOML file with a table [[site]] for every map: heightmap, runs and, where another robot drove, robot.",
+    ),
+]
 Runs = Annotated[list[str], _RUNS]
 MaybeRuns = Annotated[list[str] | None, _RUNS]
 RobotFile = Annotated[

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE
 from joulemap.model.errors import ConflictError
-from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
+from joulemap.service.library.heightmaps import GroundLike, RobotLike
 from joulemap.service.library.html import html_table, text_table
-from joulemap.service.library.run_files import RunsLike, find_run_files
+from joulemap.service.library.run_files import RunsLike
+from joulemap.service.library.sites import SiteLike, sites_given
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.words import runs_words
 
@@ -69,6 +70,11 @@ class Model:
         """Errors on runs that a network had not seen, as `evaluate` gives them."""
         return dict(self.facts["held_out"])
 
+    @property
+    def warnings(self) -> list[str]:
+        """What the training warned of."""
+        return list(self.facts.get("warnings", []))
+
     def _rows(self) -> dict[str, str]:
         facts = self.facts
         return {
@@ -76,7 +82,7 @@ class Model:
             "learned from": f"{facts['segments']:,} segments of 1 m of {runs_words(len(facts['runs']))}",
             "held-out error": f"{facts['held_out']['mean_relative_error']:.1%} of the energy of a metre in the mean",
             "turning": f"{facts['turn_j_per_rad']:.1f} J/rad beyond straight driving",
-        }
+        } | ({"warning": "; ".join(self.warnings)} if self.warnings else {})
 
     def __repr__(self) -> str:
         return f"<Model {self.folder}: held-out error {self.facts['held_out']['mean_relative_error']:.1%} a metre>"
@@ -89,10 +95,12 @@ class Model:
 
 
 def train(
-    ground: GroundLike,
-    runs: RunsLike,
+    ground: GroundLike | None = None,
+    runs: RunsLike | None = None,
     *,
     out: str | Path,
+    sites: Sequence[SiteLike] | None = None,
+    campaign: str | Path | None = None,
     robot: RobotLike = None,
     architecture: str = DEFAULT_ARCHITECTURE,
     start_from: ModelLike | None = None,
@@ -109,12 +117,17 @@ def train(
 
     Parameters
     ----------
-    ground : Heightmap, str or Path
-        The heightmap that the runs were driven on.
-    runs : Runs, str, Path or sequence of these
+    ground : Heightmap, str or Path, optional
+        The heightmap that the runs were driven on. Not with `sites` or `campaign`.
+    runs : Runs, str, Path or sequence of these, optional
         The runs, or their files.
     out : str or Path
         Folder for the model.
+    sites : sequence of tuple, optional
+        Several heightmaps and the runs on each, like [("a.tif", "a/*.csv"), ("b.tif", "b.csv", "other.toml")]: the
+        third item is the robot, where another one drove.
+    campaign : str or Path, optional
+        A campaign file, which lists such sites.
     robot : Robot, mapping, str, Path or None, optional
         The robot that drove.
     architecture : str, optional
@@ -146,6 +159,8 @@ def train(
 
     Raises
     ------
+    InputError
+        If none or several of `ground` with `runs`, `sites` and `campaign` are given.
     RunsError
         If the runs cannot be used.
     ConflictError
@@ -156,17 +171,15 @@ def train(
     from dataclasses import asdict
 
     from joulemap.model.energy.artifact import CONFIG_FILE
-    from joulemap.model.training.measured_runs import train_on_runs
+    from joulemap.model.training.measured_runs import train_on_sites
     from joulemap.service.models import start_folder
 
     folder = Path(out)
     if not overwrite and (folder / CONFIG_FILE).exists():
         raise ConflictError(f"{folder} holds a model already: choose another folder, or say overwrite=True")
     start = start_from if start_from is not None else ("default" if architecture == DEFAULT_ARCHITECTURE else "none")
-    made = train_on_runs(
-        ground_of(ground),
-        robot_of(robot),
-        find_run_files(runs),
+    made = train_on_sites(
+        sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot),
         out=folder,
         architecture=architecture,
         start_from=start_folder(model_folder(start)),
@@ -228,9 +241,11 @@ class Evaluation:
 
 
 def evaluate(
-    ground: GroundLike,
-    runs: RunsLike,
+    ground: GroundLike | None = None,
+    runs: RunsLike | None = None,
     *,
+    sites: Sequence[SiteLike] | None = None,
+    campaign: str | Path | None = None,
     model: ModelLike = DEFAULT_MODEL,
     robot: RobotLike = None,
     charge: bool = False,
@@ -239,10 +254,14 @@ def evaluate(
 
     Parameters
     ----------
-    ground : Heightmap, str or Path
-        The heightmap that the runs were driven on.
-    runs : Runs, str, Path or sequence of these
+    ground : Heightmap, str or Path, optional
+        The heightmap that the runs were driven on. Not with `sites` or `campaign`.
+    runs : Runs, str, Path or sequence of these, optional
         The runs, or their files.
+    sites : sequence of tuple, optional
+        Several heightmaps and the runs on each, as in `train`.
+    campaign : str or Path, optional
+        A campaign file, as in `train`.
     model : str, Path or Model, optional
         "default", "physics", a model's folder, or what `train` and `calibrate` return.
     robot : Robot, mapping, str, Path or None, optional
@@ -257,14 +276,16 @@ def evaluate(
 
     Raises
     ------
+    InputError
+        If none or several of `ground` with `runs`, `sites` and `campaign` are given.
     RunsError
         If the runs cannot be used.
     ModelError
         If there is no such model.
     """
-    from joulemap.model.training.evaluation import evaluate_on_runs
+    from joulemap.model.training.evaluation import evaluate_on_sites
     from joulemap.service.models import find_predictor
 
     predictor = find_predictor(model_folder(model))
-    found = evaluate_on_runs(predictor, ground_of(ground), robot_of(robot), find_run_files(runs), charge=charge)
-    return Evaluation(found)
+    given = sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot)
+    return Evaluation(evaluate_on_sites(predictor, given, charge=charge))

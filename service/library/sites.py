@@ -56,6 +56,51 @@ def sites_of(sites: Sequence[SiteLike], *, robot: RobotLike = None) -> list[Site
     return found
 
 
+def sites_given(
+    ground: GroundLike | None = None,
+    runs: RunsLike | None = None,
+    *,
+    sites: Sequence[SiteLike] | None = None,
+    campaign: str | Path | None = None,
+    robot: RobotLike = None,
+) -> list[Site]:
+    """Return the sites of a call that takes one heightmap with its runs, or several, or a campaign file.
+
+    Parameters
+    ----------
+    ground : Heightmap, str or Path, optional
+        Of the runs.
+    runs : Runs, str, Path or sequence of these, optional
+        On it.
+    sites : sequence of tuple, optional
+        As `sites_of`.
+    campaign : str or Path, optional
+        As `read_campaign`.
+    robot : Robot, mapping, str, Path or None, optional
+        Of the sites that name none.
+
+    Returns
+    -------
+    list of Site
+        At least one.
+
+    Raises
+    ------
+    InputError
+        If none or several ways are used, or there is no site.
+    """
+    ways = [ground is not None or runs is not None, sites is not None, campaign is not None]
+    if sum(ways) != 1 or (ways[0] and (ground is None or runs is None)):
+        raise InputError("give a heightmap and its runs, or `sites`, or a `campaign` file")
+    if campaign is not None:
+        return read_campaign(campaign, robot=robot)
+    if sites is not None:
+        return sites_of(sites, robot=robot)
+    assert ground is not None
+    assert runs is not None
+    return sites_of([(ground, runs)], robot=robot)
+
+
 def sites_of_options(values: Sequence[str]) -> list[tuple[Path, list[str]]]:
     """Return heightmaps and runs of values like `dem.tif=runs/*.csv`.
 

@@ -140,11 +140,11 @@ def test_plans_pay_for_the_turns_that_a_models_runs_paid_for(tmp_path):
     train([drive(tmp_path, "run.csv", y=4.0)], tmp_path / "model")
     config = tmp_path / "model" / "config.json"
     values = json.loads(config.read_text())
-    costs = {"turn_j_per_rad": 4.0, "slow_turn_j_per_rad": [6.0] + 6 * [0.0], "slow_share": [0.5] + 6 * [1.0]}
+    costs = {"turn_j_per_rad": 4.0}
     config.write_text(json.dumps(values | {"drive_costs": costs}))
     declared = Robot(turn_j_per_rad=2.0)
     lattice = make_cost_lattice(waves(), declared, model=tmp_path / "model", headings=8)
-    assert lattice.robot.turn_j_per_rad == 2.0 + 4.0 + 0.5 * 6.0
+    assert lattice.robot.turn_j_per_rad == 6.0
     del values["drive_costs"]  # as version 0.1 wrote it
     config.write_text(json.dumps(values | {"turn_j_per_rad": 7.0}))
     assert planning_robot(find_predictor(tmp_path / "model"), declared).turn_j_per_rad == 9.0
