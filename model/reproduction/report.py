@@ -14,7 +14,7 @@ from joulemap.model.reproduction.experiments import Setting
 from joulemap.model.reproduction.figures import draw_all
 from joulemap.model.reproduction.profiles import FIRST_SEED, STRATEGIES
 from joulemap.model.reproduction.runner import read_results, read_setting
-from joulemap.model.reproduction.summary import METHODS, PAPER, PAPER_PHYSICS, Summary, checks
+from joulemap.model.reproduction.summary import METHODS, PAPER, PAPER_PHYSICS, PAPER_STRATEGY, Summary, checks
 
 _TITLES = {
     "physics": "physics",
@@ -38,6 +38,7 @@ _TESTS = {
 _STRATEGY_WORDS = dict(
     zip(STRATEGIES, ("backbone frozen", "from scratch", "backbone fine-tuned (the paper's choice)"), strict=True)
 )
+_ERROR = "mean_relative_error"
 _NOTES = """
 Paper: its network on its own data (in brackets its physics baseline); not the same ground, so only the pattern can be
 compared. Physics: equation 5 with one mu fitted by least squares. GP: mu as a Gaussian process over the map (Quann et
@@ -56,12 +57,18 @@ the gap between fitted friction and a regression on shape, on seed 0.** That suc
 put in; it is not evidence that real grass has one. Which of the learned methods is best, and how far they are from the
 floors, is not put in. Every seed shown ({FIRST_SEED} and up) is another robot on other ground, and none of them was
 looked at while grass A and the dirt were made. Site B is another meadow. Its soil is softer or firmer than that of A,
-with a standard deviation of 10 % that no heightmap shows (5 % for its bumps), balanced over the seeds. A first version
-made it always 10.8 % softer and 5.5 % bumpier. The map floor of V-C could learn that from other such sites, and the
-network could not. There, on seeds 1001 to 1005, the error of one fitted friction was 8.1 points larger than that of the
-compact network, whose error was 1.21 times the map floor, and 7.7 % on whole routes. The compact network learns every
-segment from random directions. This was decided after seeds 1001 and 1002 had shown how large errors at other headings
-are when all training drives go north and south.
+with a standard deviation of 10 % that no heightmap shows (5 % for its bumps), balanced over the seeds. The compact
+network learns every segment from random directions. This was decided after seeds 1001 and 1002 had shown how large
+errors at other headings are when all training drives go north and south.
+
+**The site of V-C was changed after its results had been seen.** The first version of this document (21 November 2026,
+16:07 UTC, commit 43854cb) had a site B that was always 10.8 % softer and 5.5 % bumpier than A. The map floor of V-C
+could learn that from other such sites, and the network could not. On seeds 1001 to 1005 the error of one fitted
+friction was there 8.1 points larger than that of the compact network (wanted: 10), whose error was 1.21 times the map
+floor (wanted: 1.20), and 7.7 % on whole routes (wanted: 6.6 %): 13 of the 16 results then wanted held. Site B got its
+balanced soil at 19:57 UTC that day (commit 3cf4dc4). In the version of 21:35 UTC (commit d396419), with the same seeds
+and that site, all 16 held, as in this one (22 November 2026). The two results on a heightmap from driven positions were
+added to the wanted ones after that.
 
 Against published values:
 - Rolling loss over load is 0.065 (grass A; grass B around it) and 0.045 (dirt). Carvill, *Mechanical Engineer's Data
@@ -188,13 +195,24 @@ def _missed(summary: Summary) -> str:
             "paper. On this ground roughness changes from metre to metre, so that the last five metres say little of "
             "the next five."
         )
-    gap = summary.compared("V-A", "resnet_finetuned", "resnet_scratch")
-    if gap and sum(tuned - scratch for tuned, scratch in gap) >= 0.0:
-        lines.append(
-            "- Fine-tuning the backbone, the best of the paper's three strategies, is not better than training from "
-            "scratch here."
-        )
+    for other, words in (("resnet_frozen", "leaving it frozen"), ("resnet_scratch", "training from scratch")):
+        equal = [row for row in PAPER if _no_better(summary, row, PAPER_STRATEGY, other)]
+        if equal:
+            errors = [
+                f"{row} {_cell(summary, PAPER_STRATEGY, row, _ERROR)} against {_cell(summary, other, row, _ERROR)} %"
+                for row in equal
+            ]
+            lines.append(
+                "- Fine-tuning the backbone, the best of the paper's three strategies, is not better than "
+                f"{words} here: {', '.join(errors)}."
+            )
     return "\n".join(lines) + "\n" if lines else "All expected results hold.\n"
+
+
+def _no_better(summary: Summary, row: str, method: str, other: str) -> bool:
+    """Whether a method has no smaller error than another on a test set, to the tenth of a point that tables show."""
+    mine, its = summary.interval(method, row), summary.interval(other, row)
+    return mine is not None and its is not None and round(100 * mine.mean, 1) >= round(100 * its.mean, 1)
 
 
 def _strategies(summary: Summary) -> str:

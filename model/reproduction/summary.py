@@ -287,4 +287,30 @@ def checks(summary: Summary) -> list[Check]:
                     route.mean < limit,
                 )
             )
+    return made + _checks_of_other_heightmaps(summary)
+
+
+def _checks_of_other_heightmaps(summary: Summary) -> list[Check]:
+    """What is expected of V-A, on the other source of heightmaps than that of the main table.
+
+    The map floor is always on surveys, so that it is no yardstick here.
+    """
+    made: list[Check] = []
+    for source, words in (("driven", "driven positions"), ("survey", "a survey")):
+        ours = summary.interval(f"compact_{source}", "V-A")
+        physics = summary.interval(f"physics_{source}", "V-A")
+        if ours is None:
+            continue
+        if physics is not None:
+            made.append(
+                Check(
+                    f"V-A on a heightmap from {words}: the error of one fitted friction is at least 10 points larger "
+                    "than the compact network's",
+                    f"{100 * physics.mean:.1f} % and {100 * ours.mean:.1f} %",
+                    physics.mean - ours.mean >= 0.10,
+                )
+            )
+        paper = PAPER["V-A"]
+        wanted = f"V-A on a heightmap from {words}: below the paper's {100 * paper:.1f} %"
+        made.append(Check(wanted, f"{ours.words()} %", ours.mean < paper))
     return made

@@ -13,6 +13,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.reproduction.experiments import EXPERIMENTS, Setting
 from joulemap.model.reproduction.fieldwork import roughness_m3
 from joulemap.model.reproduction.profiles import PROFILES
+from joulemap.model.reproduction.report import _missed
 from joulemap.model.reproduction.runner import plan
 from joulemap.model.reproduction.summary import Interval, Summary, checks
 from joulemap.model.terrain.heightmap import Heightmap
@@ -47,6 +48,26 @@ def test_checks_compare_methods_seed_by_seed() -> None:
     paper = next(check for wanted, check in found.items() if "9.1" in wanted)
     assert not paper.holds  # 9.5 %
     assert next(check for wanted, check in found.items() if "routes" in wanted).holds
+
+
+def test_a_heightmap_from_driven_positions_is_among_the_checks() -> None:
+    rows = {"physics_driven": 0.196, "compact_driven": 0.113}
+    found = {"kind": "driven", "seed": 1, "methods": {k: {"V-A": {"mean_relative_error": v}} for k, v in rows.items()}}
+    gap, paper = checks(Summary([_result(1, physics=0.20, compact=0.08, map_floor=0.08), found]))[-2:]
+    assert (gap.found, gap.holds) == ("19.6 % and 11.3 %", False)
+    assert gap.wanted.startswith("V-A on a heightmap from driven positions: the error of one fitted friction")
+    assert (paper.found, paper.holds) == ("11.3 (1 seed) %", False)
+
+
+def test_a_strategy_that_is_no_better_than_another_is_said() -> None:
+    errors = {"resnet_finetuned": (0.095, 0.102), "resnet_frozen": (0.098, 0.100), "resnet_scratch": (0.112, 0.116)}
+    methods = {
+        name: {row: {"mean_relative_error": error} for row, error in zip(("V-A", "V-C"), pair, strict=True)}
+        for name, pair in errors.items()
+    }
+    said = _missed(Summary([{"kind": "resnet", "seed": 1, "methods": methods}]))
+    assert "not better than leaving it frozen here: V-C 10.2 (1 seed) against 10.0 (1 seed) %." in said
+    assert "scratch" not in said
 
 
 def test_a_plan_has_the_paper_network_once_and_the_backbone_first() -> None:
