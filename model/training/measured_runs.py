@@ -22,8 +22,11 @@ from joulemap.model.runs.sites import Site, read_sites
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import errors, named
 from joulemap.model.training.fold_fits import NOT_TUNED, FoldFits
+from joulemap.model.training.model_card import card_of_runs
 from joulemap.model.training.optimisation import TrainingOptions
 from joulemap.model.training.run_record import runs_record
+
+CARD_FILE = "MODEL_CARD.md"
 
 
 @dataclass(frozen=True)
@@ -232,6 +235,8 @@ def train_on_sites(
     }
     artifact = replace(fits.artifact(net, costs), spread=spread, training=training)
     version = save_artifact(out, artifact)
+    card = card_of_runs(version, training, fits.domain, costs)
+    (out / CARD_FILE).write_text(card, encoding="utf-8")
     (out / RECORD_FILE).unlink(missing_ok=True)  # an earlier model's, in the same folder
     keeps_runs = False
     if len(sites) == 1 and all(run.has_energy for run in measured.runs) and not charge:

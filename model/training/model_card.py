@@ -1,4 +1,4 @@
-"""The model card of the shipped network, written by its training so that card and weights cannot disagree."""
+"""Model cards of the shipped network and of models of measured runs, written by their trainings."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from joulemap.model.energy.domain import Domain
+from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.uncertainty import LEVELS, Spread
 
 _METHODS = {
@@ -101,6 +102,62 @@ Outside of them the answer comes with a warning, and the network clamps the robo
 - It is not exactly equivariant: turning or mirroring the map changes a price by a few percent.
 - A place whose surrounding 2 m square touches an unknown height has no answer.
 - At 1 m per pixel it knows how rough such ground usually is, but not how rough this ground is.
+"""
+
+
+def card_of_runs(version: str, training: Mapping[str, Any], domain: Domain, costs: DriveCosts) -> str:
+    """Write the model card of a model that was trained on measured runs.
+
+    Parameters
+    ----------
+    version : str
+        Of the model.
+    training : mapping
+        As in the model's config.json.
+    domain : Domain
+        Ranges of what it was trained on.
+    costs : DriveCosts
+        Of turning, time and speeding up.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
+    rows = [("this model", training["held_out"]), *training["baselines"].items()]
+    table = "\n".join(
+        f"| {name} | {e['rmse_j']:.4g} | {e['mean_absolute_error_j']:.4g} | {100 * e['error_share']:.1f} % | "
+        f"{100 * e['route_relative_error']:.1f} % |"
+        for name, e in rows
+    )
+    driven = "\n".join(f"| {name} | {low:.3g} .. {high:.3g} |" for name, (low, high) in domain.driven.items())
+    warnings = "".join(f"\n**{warning[:1].upper()}{warning[1:]}.**\n" for warning in training["warnings"])
+    used, robot, runs = training["coverage"], training["robot"], ", ".join(training["runs"])
+    return f"""# Model card: a model of measured runs
+
+Version `{version}`, trained on runs of {robot["name"]} ({robot["mass_kg"]:g} kg): {runs}.
+{used["used_m"]:.0f} of {used["track_m"]:.0f} m of track were used.
+It was started from `{training["started_from"] or "random weights"}`, seed {training["seed"]}.
+{warnings}
+## Held-out error
+Runs {", ".join(training["held_out_runs"])}, each predicted by a fit that had not seen it:
+
+| model | root mean square [J] | mean absolute [J] | of the energy | whole runs |
+|---|---|---|---|---|
+{table}
+
+## Costs beside the ground
+Turning costs {costs.turn_j_per_rad:.4g} J/rad, in plans too.
+Speeding up costs {costs.speed_up_kg:.4g} J for each m2/s2 of half the squared speed.
+Driving takes {costs.driving_w or 0.0:.4g} W beyond the declared idle power, for the time beyond that at the declared
+speed.
+
+## What the runs showed
+The middle 98 % of the metres:
+
+| | range |
+|---|---|
+{driven}
 """
 
 

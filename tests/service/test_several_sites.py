@@ -51,6 +51,9 @@ def test_pairs_options_and_a_campaign_file_are_one_training(two_maps):
     made = jm.train(sites=pairs, robot=ROBOT, out=two_maps / "one", epochs=1)
     assert made.facts["runs"] == ["a/first.csv", "a/run.csv", "b/first.csv", "b/run.csv"]
     assert set(made.held_out["rmse_j_by_run"]) == set(made.facts["runs"])
+    card = (two_maps / "one" / "MODEL_CARD.md").read_text()
+    assert "a ridge regression on shape, turning, time and speeding up |" in card
+    assert "| speed_mps | 0.5 .. 0.5 |" in card
     assert len(read_artifact(two_maps / "one").training["heightmaps"]) == 2
     campaign = jm.train(campaign=two_maps / "campaign.toml", out=two_maps / "two", epochs=1)
     assert campaign.facts["version"] == made.facts["version"]
