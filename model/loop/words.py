@@ -140,6 +140,22 @@ def quantity_name(key: str) -> str:
     return _QUANTITIES[key][0] if key in _QUANTITIES else key.removeprefix("column:")
 
 
+def quantity_words(key: str) -> tuple[str, str]:
+    """Return the name and the unit of a quantity.
+
+    Parameters
+    ----------
+    key : str
+        As `quantity_name` takes it.
+
+    Returns
+    -------
+    tuple of str
+        The unit is empty where there is none, or where it is not known.
+    """
+    return quantity_name(key), _QUANTITIES.get(key, ("", ""))[1]
+
+
 def quantity_value(key: str, value: float) -> str:
     """Return a value of a quantity with its unit.
 

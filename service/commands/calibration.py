@@ -99,7 +99,25 @@ def calibrate(
             metavar="X,Y", parser=parse_point, help="Its goal. [default: a few routes between places of the runs]"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the permutations: the same seed gives the same report.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of the places that are tried for the route and the next drive.")
+    ] = 0,
+    campaigns: Annotated[
+        bool,
+        typer.Option(
+            "--campaigns",
+            help="For the errors, leave out whole campaigns instead of single runs. Runs of one campaign have the same "
+            "date in their name, or the same name before the last underscore: 2018-11_00 and 2018-11_01.",
+        ),
+    ] = False,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Calibrate once, without repeating everything on parts of the runs: the errors are then those of the "
+            "fit, which are too small.",
+        ),
+    ] = False,
     json_file: JsonFile = None,
     *,
     reading: Reading,
@@ -108,7 +126,7 @@ def calibrate(
 
     Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs new/*.csv --out found`
     """
-    from joulemap.service.loop.calibration import calibrate_on_runs
+    from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
     from joulemap.service.loop.report_page import report_page
 
     if (start is None) != (goal is None):
@@ -133,6 +151,8 @@ def calibrate(
             read,
             out=out,
             task=None if start is None else (start, goal),
+            groups=campaigns_of(read.segments.runs) if campaigns else None,
+            cross_validate=not quick,
             seed=seed,
             progress=report,
         )
@@ -212,18 +232,16 @@ def _next_steps(
     """What to type after a calibration."""
     from joulemap.service.loop.summary import NextStep, likeliest
 
-    steps = []
-    if document["model"]["after"] is not None:
-        words = ["joulemap", "costmap", str(heightmap or "HEIGHTMAP"), *(reading_words(reading) if heightmap else [])]
-        words += ["--robot", str(robot)] if robot is not None else []
-        made = out.with_name("after.zarr")
-        words += ["--model", str(out / "model"), "--out", str(made)]
-        steps.append(NextStep("Make a cost map with the calibrated model", shlex.join(words)))
-        task = document["route"].get("task", {"start": None, "goal": None})
-        ends = (task[end] and f"{task[end][0]:.1f},{task[end][1]:.1f}" for end in ("start", "goal"))
-        start, goal = (place or "X,Y" for place in ends)
-        words = ["joulemap", "path", str(made), "--start", start, "--goal", goal]
-        steps.append(NextStep("Plan a path on it", shlex.join(words)))
+    words = ["joulemap", "costmap", str(heightmap or "HEIGHTMAP"), *(reading_words(reading) if heightmap else [])]
+    words += ["--robot", str(robot)] if robot is not None else []
+    made = out.with_name("after.zarr")
+    words += ["--model", str(out / "model"), "--out", str(made)]
+    steps = [NextStep("Make a cost map with the calibrated model", shlex.join(words))]
+    task = document["route"].get("task", {"start": None, "goal": None})
+    ends = (task[end] and f"{task[end][0]:.1f},{task[end][1]:.1f}" for end in ("start", "goal"))
+    start, goal = (place or "X,Y" for place in ends)
+    words = ["joulemap", "path", str(made), "--start", start, "--goal", goal]
+    steps.append(NextStep("Plan a path on it", shlex.join(words)))
     words = ["joulemap", "suggest-drive", *asked]
     if document["effects"]:
         steps.append(NextStep("Get the drive that would make the answer more certain", shlex.join(words)))
@@ -235,9 +253,9 @@ def _next_steps(
 
 
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
-    from joulemap.model.loop.words import left_out_words, p_words
+    from joulemap.model.loop.words import left_out_words
     from joulemap.model.runs.segments import coverage_words
-    from joulemap.service.loop.summary import collinear_words, drive_words, summary_lines, unit_of
+    from joulemap.service.loop.summary import drive_words, summary_lines
 
     title, *lines = summary_lines(document)
     output.say(f"[bold]{escape(title)}[/]")
@@ -245,32 +263,15 @@ def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[Ne
         output.say(escape(line))
     for step in steps:
         output.say(f"{escape(step.purpose)}:\n  [bold]{escape(step.command)}[/]")
-    rows = {effect["label"]: f"p {p_words(effect['p_value'])}" for effect in document["effects"]}
-    if words := collinear_words(document):
-        rows["collinear"] = words
-    if "test_set" in document:
-        rows |= _error_rows(document["test_set"]["error"], unit_of(document), ", test runs")
-    rows |= _error_rows(document["error"], unit_of(document), ", held out" if document["effects"] else "")
-    rows["a route"] = _route_words(document["route"])
-    rows["drive next"] = drive_words(document["next_drive"])
-    rows["track used"] = coverage_words(document["runs"]["coverage"])
+    rows = {
+        "track used": coverage_words(document["runs"]["coverage"]),
+        "a route": _route_words(document["route"]),
+        "drive next": drive_words(document["next_drive"]),
+    }
     if left_out := left_out_words(document["runs"]["left_out"]):
         rows["not used"] = left_out
     output.table(rows)
-    output.say(f"Written to {out}: report.json, report.html" + (", model/" if document["model"]["after"] else ""))
-
-
-def _error_rows(error: Mapping[str, Any], unit: str, where: str) -> dict[str, str]:
-    from joulemap.service.loop.summary import error_states
-
-    states = error_states(error)
-    return {
-        f"{name} error{where}": ", ".join(f"{scale * error[k][key]:.3g}{suffix} {words}" for k, words in states.items())
-        for key, name, scale, suffix in (
-            ("mean_relative", "mean relative", 100.0, " %"),
-            ("rmse", "root mean square", 1.0, f" {unit}"),
-        )
-    }
+    output.say(f"Written to {out}: report.json, report.html, model/")
 
 
 def _route_words(route: Mapping[str, Any]) -> str:

@@ -44,15 +44,7 @@ class CalibrationResult:
 
     @property
     def folder(self) -> Path:
-        """Folder of the calibrated model.
-
-        Raises
-        ------
-        InputError
-            If nothing was found, so that there is no calibrated model.
-        """
-        if self.report["model"]["after"] is None:
-            raise InputError(f"nothing was found that the model lacks: {self.out} holds a report and no model")
+        """Folder of the calibrated model."""
         return self.out / CALIBRATED_FOLDER
 
     @property

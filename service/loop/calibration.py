@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,17 +15,19 @@ from numpy.typing import NDArray
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.energy.uncertainty import fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
+from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibrated import (
     CalibratedPredictor,
     Correction,
     save_calibrated,
 )
-from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.report import report_document
+from joulemap.model.loop.residuals import Residuals
 from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import CalibrationRuns
+from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.next_drive import next_drive
@@ -33,6 +36,7 @@ from joulemap.service.models import CALIBRATED_FOLDER, load_model, model_name, p
 
 FloatArray = NDArray[np.float64]
 
+_LEAST_M = 1e-6  # of track: rounding
 BASE_FOLDER = "base"
 """Where a calibrated model's folder keeps its base model."""
 
@@ -86,7 +90,7 @@ def calibrate_on_runs(
     task : tuple of tuple of float, optional
         Start and goal [m] whose routes before and after are compared, see `compare_routes`.
     groups : sequence of str, optional
-        Of each run, such as its day: groups are left out together.
+        Of each run, such as its campaign: groups are left out together.
     cross_validate : bool
         Repeat the whole procedure without each group of runs for the errors.
     seed : int
@@ -156,6 +160,8 @@ def calibrate_on_runs(
         except InfeasibleError as error:  # a report all the same
             why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
+    if groups is not None and measured.whole_runs:
+        report["validation"]["left_out"] = "campaigns"
     if any(e.term.form.name == "turning" and e.term.form.known_before for e in found.effects):
         total = base_turn + correction.turn_j_per_rad
         report["turning_in_plans"] = {"j_per_rad": max(total, 0.0), "new_j_per_rad": correction.turn_j_per_rad}
@@ -171,13 +177,22 @@ def calibrate_on_runs(
         "rows": runs.rows,
         "repairs": runs.repairs,
         "left_out": segments.left_out,
-        "coverage": segments.coverage(),
+        "coverage": _coverage(segments, measured),
     }
     report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
     report["warnings"] = predictor.warnings(heightmap, robot)
     begun.rename(target)
     _report(progress, 1.0)
     return Calibrated(with_former_keys(report), found, routes)
+
+
+def _coverage(segments: Segments, measured: Residuals) -> dict[str, Any]:
+    """Coverage of the track: what was compared with the model are the segments on ground that the map knows."""
+    found = segments.coverage()
+    used_m = float(measured.features.length_m.sum())
+    if (unknown_m := found["used_m"] - used_m) > _LEAST_M:
+        found["left_out_m"]["unknown_ground"] = unknown_m
+    return found | {"used_m": used_m}
 
 
 def _next_drive(
@@ -190,6 +205,7 @@ def _next_drive(
 
 
 _READ, _CALIBRATED = 0.3, 0.8  # of the work
+_DATE = re.compile(r"(?<!\d)(19|20)\d\d([-_]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])(?!\d)")
 
 
 def _report(progress: Callable[[float], None] | None, share: float) -> None:
@@ -199,6 +215,37 @@ def _report(progress: Callable[[float], None] | None, share: float) -> None:
 
 def _part(progress: Callable[[float], None] | None, start: float, end: float) -> Callable[[float], None] | None:
     return None if progress is None else lambda share: progress(start + (end - start) * share)
+
+
+def campaigns_of(runs: Sequence[str]) -> list[str]:
+    """Return the campaign that each run belongs to, by its name.
+
+    Parameters
+    ----------
+    runs : sequence of str
+        Names of runs.
+
+    Returns
+    -------
+    list of str
+        The date in the name, or else the part of the name before the last underscore.
+
+    Raises
+    ------
+    InputError
+        If all runs belong to one campaign.
+    """
+    names = []
+    for run in runs:
+        date = _DATE.search(run)
+        names.append(date[0] if date else Path(run).stem.rpartition("_")[0] or Path(run).stem)
+    if len(set(names)) < 2:
+        raise InputError(
+            f"all {len(runs)} runs belong to the campaign {names[0]!r}, so that none can be left out. A campaign of "
+            "runs is the date in their names, or the name before the last underscore",
+            campaign=names[0],
+        )
+    return names
 
 
 def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
@@ -248,6 +295,7 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
         fitted.terms,
         fitted.planner_terms,
         ranges=fitted.ranges,
+        coasting_shift=fitted.coasting_shift,
         charge=found.residuals.charge,
         turn_j_per_rad=rows.unit_j * turning_per_rad(fitted.planner_terms, rows),
         conditions=conditions,

@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 FORMER_KEYS = {
-    "collinear": "shadows",
     "test_set": "kept_aside",
-    "baseline_corrections": "base_corrections",
     "confounded_with": "tells_from",
 }
 """Key today -> the key of versions before 0.2."""

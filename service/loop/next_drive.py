@@ -8,17 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError
-from joulemap.model.loop.calibration import Calibration, calibrate
+from joulemap.model.loop.calibrate import Calibration, Effect, calibrate
+from joulemap.model.loop.forms import Form
 from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.loop.suggest import Suggestion, suggest_drive
-from joulemap.model.loop.words import effect_name
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import CalibrationRuns
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.models import load_model
+
+FloatArray = NDArray[np.float64]
 
 USUAL_LENGTH_M = 200.0
 
@@ -31,8 +34,10 @@ class NextDrive:
     ----------
     suggestion : Suggestion
         The route.
-    rivals : list of str
-        Effects that these runs cannot distinguish from the one it is for.
+    effect : Form
+        Which it measures.
+    rivals : tuple of Form
+        Which these runs cannot distinguish from it.
     length_m : float
         About how far to drive in all [m].
     placed : bool
@@ -40,7 +45,8 @@ class NextDrive:
     """
 
     suggestion: Suggestion
-    rivals: list[str]
+    effect: Form
+    rivals: tuple[Form, ...]
     length_m: float
     placed: bool
 
@@ -48,8 +54,10 @@ class NextDrive:
         """Return the drive as a JSON-able document: corners [m], length of one round [m], speeds [m/s]."""
         drive = self.suggestion
         return {
-            "effect": drive.effect,
-            "confounded_with": self.rivals,
+            "effect": self.effect.name,
+            "label": self.effect.title,
+            "confounded_with": [form.name for form in self.rivals],
+            "confounded_labels": [form.title for form in self.rivals],
             "kind": drive.kind,
             "placed": self.placed,
             "points": [[round(float(x), 2), round(float(y), 2)] for x, y in drive.points],
@@ -86,7 +94,8 @@ def next_drive(
     placed : bool
         As in `CalibrationRuns`.
     effect : str, optional
-        Key or name of a candidate effect. Without it the first confounded effect, or else the least certain one found.
+        Name or label of a candidate effect. Without it the first confounded effect, or else the least certain one found
+        that a route can show.
     length_m : float
         About how far to drive in all [m].
     seed : int
@@ -100,42 +109,68 @@ def next_drive(
     Raises
     ------
     InputError
-        If no effect was found and none is named, or if there is none of that name.
+        If no effect was found that a route can show and none is named, or if there is none of that name.
     InfeasibleError
         If no route fits on the map.
     """
-    best = {c.name: found.trace.evidence.terms[v.term] for c, v in found.trace.ranking}
-    best |= {e.term.name: e.term for e in found.effects}
-    name = effect or next(iter(found.trace.confounded), None)
-    lasting = [e for e in found.effects if not e.shadow and "runs" not in e.term.where]  # another day has another wind
-    if name is None and lasting:
-        name = max(lasting, key=lambda e: float(np.max((e.high - e.low) / np.abs(e.coefficients)))).term.name
-    if name is None:
-        raise InputError("no effect was found that lasts from day to day: name the `effect` to find out about")
-    name = next((key for key in best if name in (key, effect_name(key))), name)
-    if name not in best:
+    forms = _best_forms(found) | {e.term.form.name: e.term.form for e in found.effects}
+    name = next((key for key, form in forms.items() if effect in (key, form.title)), effect) or _least_certain(found)
+    if name not in forms:
         raise InputError(
             f"these runs have no candidate effect {name!r}; the candidate effects are "
-            f"{', '.join(sorted(map(effect_name, best)))}",
+            f"{', '.join(sorted({form.title for form in forms.values()}))}",
             name=name,
         )
-    rivals = found.trace.confounded.get(name, [])
-    others = [e.term for e in found.effects if e.term.name != name]
+    names = found.rivals.get(name) or [key for key, others in found.rivals.items() if name in others]
+    rivals = tuple(forms[rival] for rival in names)
+    beside = [e.term.form for e in found.effects if e.term.form.name not in (name, *names)]
 
     def _traction(x: np.ndarray, y: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
         return predictor.segment_traction(heightmap, robot, x, y, heading_rad)
 
     suggestion = suggest_drive(
         found.residuals,
-        best[name],
-        [*(best[r] for r in rivals), *others],
+        forms[name],
+        [*rivals, *beside],
         heightmap,
         robot,
         _traction,
         length_m=length_m,
         seed=seed,
     )
-    return NextDrive(suggestion, rivals, length_m, placed)
+    return NextDrive(suggestion, forms[name], rivals, length_m, placed)
+
+
+def _least_certain(found: Calibration) -> str:
+    """Name of the effect to drive for where none is asked for."""
+    if found.rivals:
+        return next(iter(found.rivals))
+    # no choice of a route changes the weather, the load or a fault of the log
+    shown = [e for e in found.effects if e.term.form.on_map and not e.term.form.weather]
+    if not shown:
+        kind = "that a route can show" if found.effects else "to measure"
+        raise InputError(f"no effect was found {kind}: name the `effect` to find out about")
+    return max(shown, key=lambda e: float(np.max((e.high - e.low) / _sizes(e)))).term.form.name
+
+
+def _sizes(effect: Effect) -> FloatArray:
+    """Magnitudes of the coefficients; of a curve or field, whose values mean something together only, the largest."""
+    sizes = np.abs(effect.term.coefficients)
+    return np.maximum(sizes if sizes.size == 1 else np.full(sizes.size, sizes.max()), 1e-12)
+
+
+def _best_forms(found: Calibration) -> dict[str, Form]:
+    """The form of the smallest p-value for each name of a candidate effect."""
+    selection = found.fitted.selection
+    best: dict[str, int] = {}
+    for k, candidate in enumerate(selection.design.candidates):
+        verdict, known = selection.alone[k], best.get(candidate.form.name)
+        if known is None or (verdict.p_value, -verdict.gain) < (
+            selection.alone[known].p_value,
+            -selection.alone[known].gain,
+        ):
+            best[candidate.form.name] = k
+    return {name: selection.design.candidates[k].form for name, k in best.items()}
 
 
 def suggest_next_drive(
@@ -166,7 +201,7 @@ def suggest_next_drive(
     length_m : float
         About how far to drive in all [m].
     seed : int
-        Of the permutations and of the routes that are tried.
+        Of the routes that are tried.
     progress : callable, optional
         Called with the share of the work that is done, 0..1.
 
@@ -178,7 +213,7 @@ def suggest_next_drive(
     predictor = load_model(model)
     measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
     base = base_residuals(model, predictor, heightmap, robot, runs.baseline)
-    found = calibrate(measured, electric=electric, base=base, seed=seed, progress=progress)
+    found = calibrate(measured, electric=electric, base=base, cross_validate=False, progress=progress)
     return next_drive(
         found, predictor, heightmap, robot, placed=runs.placed, effect=effect, length_m=length_m, seed=seed
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -13,8 +14,10 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from joulemap.model.energy.metrics import relative_errors
-from joulemap.model.loop.calibration import Calibration
-from joulemap.model.loop.quantities import quantity
+from joulemap.model.loop.calibrate import Calibration
+from joulemap.model.loop.features import quantity
+from joulemap.model.loop.report import curve_points
+from joulemap.model.loop.words import quantity_words
 from joulemap.service.loop.rerouting import Comparison
 
 matplotlib.use("Agg")
@@ -22,7 +25,6 @@ matplotlib.use("Agg")
 FloatArray = NDArray[np.float64]
 
 _BEFORE, _AFTER = "#b9532f", "#2b6f6b"
-_NAMES = ("before", "after, held out of the fit")
 _QUANTITIES = {
     "heading change [rad]": "turning",
     "speed [m/s]": "speed",
@@ -43,6 +45,7 @@ _BINS = 14
 _WIDE, _HIGH = 4.4, 3.7  # inches of half a page
 _FULL = 5.8  # of a page
 _SMALL = (2.6, 2.0)
+_CURVE = (3.2, 2.2)
 
 
 def _figure(draw: Callable[[Axes], None], size: tuple[float, float]) -> str:
@@ -55,6 +58,56 @@ def _figure(draw: Callable[[Axes], None], size: tuple[float, float]) -> str:
         figure.savefig(buffer, format="svg", dpi=110, transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
     return text[text.index("<svg") :]
+
+
+def names_of(found: Calibration) -> tuple[str, str]:
+    """Return what the predictions before and after are called in figures.
+
+    Parameters
+    ----------
+    found : Calibration
+        What was found.
+
+    Returns
+    -------
+    tuple of str
+        The second says whether the calibration had a part in the rows that it predicts.
+    """
+    return "before", "after, left out of the calibration" if found.folds else "after, fitted to these runs"
+
+
+def curve_figure(effect: Mapping[str, Any]) -> str:
+    """Draw a fitted curve with its 95 % intervals.
+
+    Parameters
+    ----------
+    effect : mapping
+        Of a report, of the form `curve`.
+
+    Returns
+    -------
+    str
+        SVG.
+    """
+    over, middle = effect["settings"]["over"], len(effect["settings"]["knots"]) // 2
+    knots, values = (np.asarray(part) for part in curve_points(effect))
+    intervals = [c["ci95"] for c in effect["coefficients"]]
+    intervals.insert(middle, [0.0, 0.0])  # the curve is nil there
+    low, high = np.asarray(intervals).T
+    name, unit = quantity_words(over)
+    if over == "heading":  # a circle: the first point is the last one too
+        knots, unit = np.degrees(np.append(knots, 2.0 * np.pi)), "deg"
+        values, low, high = (np.append(part, part[0]) for part in (values, low, high))
+
+    def _draw(ax: Axes) -> None:
+        ax.fill_between(knots, low, high, color=_AFTER, alpha=0.2, lw=0.0)
+        ax.plot(knots, values, ".-", color=_AFTER, ms=5, lw=1.2)
+        ax.axhline(0, color="k", lw=0.6)
+        ax.set_xlabel(f"{name} [{unit}]" if unit else name, fontsize=8)
+        ax.set_ylabel(effect["coefficients"][0]["unit"], fontsize=8)
+        ax.tick_params(labelsize=7)
+
+    return _figure(_draw, _CURVE)
 
 
 def prediction_figures(found: Calibration, unit: str) -> list[str]:
@@ -84,7 +137,8 @@ def prediction_figures(found: Calibration, unit: str) -> list[str]:
 
         return _figure(_draw, (_WIDE, _HIGH))
 
-    return [_panel(_NAMES[0], found.first, _BEFORE), _panel(_NAMES[1], found.held_out, _AFTER)]
+    panels = zip(names_of(found), (found.held_out["before"], found.held_out["after"]), (_BEFORE, _AFTER), strict=True)
+    return [_panel(*panel) for panel in panels]
 
 
 def error_figure(found: Calibration) -> str:
@@ -100,18 +154,18 @@ def error_figure(found: Calibration) -> str:
     str
         SVG.
     """
-    residuals, moving, unit_j = found.residuals, found.residuals.moving, found.residuals.drive.unit_j
-    runs = np.unique(residuals.drive.run[moving])
+    residuals, moving, unit_j = found.residuals, found.residuals.moving, found.residuals.features.unit_j
+    runs = np.unique(residuals.run[moving])
 
     def _draw(ax: Axes) -> None:
         rng = np.random.default_rng(0)
         for shift, predicted, colour, label in (
-            (-0.15, found.first, _BEFORE, _NAMES[0]),
-            (0.15, found.held_out, _AFTER, _NAMES[1]),
+            (-0.15, found.held_out["before"], _BEFORE, names_of(found)[0]),
+            (0.15, found.held_out["after"], _AFTER, names_of(found)[1]),
         ):
             relative = relative_errors(unit_j * predicted, unit_j * residuals.measured)
             for k, run in enumerate(runs):
-                mine = relative[moving & (residuals.drive.run == run)]
+                mine = relative[moving & (residuals.run == run)]
                 draws = mine[rng.integers(0, mine.size, (200, mine.size))].mean(axis=1)
                 low, high = np.quantile(draws, [0.025, 0.975])
                 middle = float(mine.mean())
@@ -145,10 +199,10 @@ def residual_maps(found: Calibration) -> list[str]:
     list of str
         Two SVG figures with the same colour scale.
     """
-    drive, moving = found.residuals.drive, found.residuals.moving
-    x, y = drive.x[moving] - drive.x[moving].min(), drive.y[moving] - drive.y[moving].min()
-    before = (found.residuals.measured - found.first)[moving]
-    after = (found.residuals.measured - found.held_out)[moving]
+    rows, moving = found.residuals.features, found.residuals.moving
+    x, y = rows.x[moving] - rows.x[moving].min(), rows.y[moving] - rows.y[moving].min()
+    before = (found.residuals.measured - found.held_out["before"])[moving]
+    after = (found.residuals.measured - found.held_out["after"])[moving]
     usual = float(np.median(found.residuals.measured[moving]))
     top = max(float(np.quantile(np.abs(before), 0.95)), LEAST_SPAN * abs(usual), 1e-9)
     unit = "A s" if found.residuals.charge else "J"
@@ -162,7 +216,7 @@ def residual_maps(found: Calibration) -> list[str]:
 
         return _figure(_draw, (_WIDE, high))
 
-    return [_panel(before, _NAMES[0]), _panel(after, _NAMES[1])]
+    return [_panel(values, name) for values, name in zip((before, after), names_of(found), strict=True)]
 
 
 def change_scale(low: float, high: float, mean: float) -> tuple[str, float, float]:
@@ -240,16 +294,14 @@ def against_figures(found: Calibration, unit: str) -> list[str]:
     list of str
         An SVG figure for each quantity that varies.
     """
-    drive, moving = found.residuals.drive, found.residuals.moving
+    rows, moving = found.residuals.features, found.residuals.moving
     panels = [(label.format(unit=unit), _values(found, key)) for label, key in _QUANTITIES.items()]
     panels += [
-        (f"logged: {name}", quantity(drive, f"column:{name}"))
-        for name in drive.columns
-        if f"learned:{name}" not in found.refused
+        (f"logged: {name}", quantity(rows, f"column:{name}")) for name in rows.columns if name not in found.refused
     ]
     away = (
-        ("before", found.residuals.measured - found.first, _BEFORE),
-        ("after", found.residuals.measured - found.held_out, _AFTER),
+        ("before", found.residuals.measured - found.held_out["before"], _BEFORE),
+        ("after", found.residuals.measured - found.held_out["after"], _AFTER),
     )
 
     def _panel(name: str, values: FloatArray) -> str:
@@ -283,11 +335,11 @@ def against_figures(found: Calibration, unit: str) -> list[str]:
 
 
 def _values(found: Calibration, key: str) -> FloatArray:
-    drive = found.residuals.drive
+    rows = found.residuals.features
     special = {
-        "squared_speed": drive.gained_m2ps2,
-        "heading_deg": np.degrees(drive.heading_rad),
-        "duration": drive.duration_s,
-        "predicted": found.first,
+        "squared_speed": rows.gained_m2ps2,
+        "heading_deg": np.degrees(rows.heading_rad),
+        "duration": rows.duration_s,
+        "predicted": found.held_out["before"],
     }
-    return special[key] if key in special else quantity(drive, key)
+    return special[key] if key in special else quantity(rows, key)

@@ -11,30 +11,35 @@ from typing import Any
 
 from joulemap.model.energy.metrics import LEAST_J
 from joulemap.model.loop.selection import ALPHA
-from joulemap.model.loop.words import effect_name, left_out_words, p_words, repair_words
-from joulemap.model.runs.segments import coverage_words
+from joulemap.model.loop.words import left_out_words, p_words, quantity_name, quantity_words, repair_words
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (
     LEAST_SPAN,
     against_figures,
     change_figure,
+    curve_figure,
     error_figure,
     prediction_figures,
     residual_maps,
 )
 from joulemap.service.loop.summary import (
     NextStep,
+    base_name,
     coefficient_words,
-    collinear_words,
     drive_words,
     error_states,
     error_words,
     found_words,
     headline,
+    is_log_fault,
+    labels_of,
     likeliest,
     percent,
+    range_words,
     unit_of,
+    validation_words,
+    variation_words,
 )
 from joulemap.service.pictures import route_picture
 
@@ -55,7 +60,7 @@ code.command { display: block; white-space: pre-wrap; overflow-wrap: anywhere; b
 """
 _AGAINST = (
     '<p class="note">Mean residual in bins with equal numbers of segments, with two standard errors: red before, green '
-    "after (held out of the fit). A line that stays at zero means that the quantity explains nothing more.</p>"
+    "after. A line that stays at zero means that the quantity explains nothing more.</p>"
 )
 _ALIKE = 0.005  # of the mean energy per metre: less than this is no change of the map
 
@@ -82,9 +87,13 @@ def report_page(made: Calibrated, heightmap: Heightmap, *, steps: Sequence[NextS
     parts = [
         f"<h1>{escape(title)}</h1>" + _lead(document, steps),
         "".join(f'<p class="warning">Warning: {escape(warning)}</p>' for warning in document["warnings"]),
+        "<h2>Base parameters</h2>" + _base_parameters(document),
         "<h2>Effects found</h2>" + _effects(document),
-        _confounded(document),
+        "<h2>Variation that no effect explains</h2>" + _variation(document),
         "<h2>Prediction error</h2>" + _errors(document, unit) + _full(error_figure(found)),
+        "<h2>Track used</h2>" + _coverage(document),
+        _confounded(document),
+        "<h2>Ranges of these runs</h2>" + _ranges(document),
         "<h2>Change of the cost map</h2>" + _map(made),
         "<h2>A route before and after</h2>" + _route(made, heightmap),
         "<h2>What to drive next</h2>" + _next_drive(document),
@@ -108,7 +117,8 @@ def _lead(document: Mapping[str, Any], steps: Sequence[NextStep]) -> str:
     words = f"<p>{_text(first)}</p>"
     if rest:
         words += "<ul>" + "".join(f"<li>{_text(sentence)}</li>" for sentence in rest) + "</ul>"
-    words += f"<p>{_text(error_words(document))}</p>"
+    words += f"<p>{_text(variation_words(document))}</p>"
+    words += "".join(f"<p{_loud(sentence)}>{_text(sentence)}</p>" for sentence in error_words(document))
     if steps:
         words += "<p>Next:</p>" + "".join(
             f'<p>{escape(step.purpose)}:<code class="command">{escape(step.command)}</code></p>' for step in steps
@@ -118,6 +128,10 @@ def _lead(document: Mapping[str, Any], steps: Sequence[NextStep]) -> str:
         f'{words}<p class="note">{document["segments"]["fit"]:,} segments of 1 m from {runs}, compared with the model '
         f"{escape(base['name'])} (version {escape(base['version'])}). Residual = measured - predicted.</p>"
     )
+
+
+def _loud(words: str) -> str:
+    return ' class="warning"' if words.startswith("WARNING") else ""
 
 
 def _text(words: str) -> str:
@@ -147,6 +161,28 @@ def _figures(figures: Sequence[str], kind: str = "figures") -> str:
     return f'<div class="{kind}">' + "".join(f"<div>{figure}</div>" for figure in figures) + "</div>"
 
 
+def _base_parameters(document: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            escape(base_name(p["name"])),
+            "" if p["declared"] is None else _quantity(p["declared"], p["unit"]),
+            _quantity(p["value"], p["unit"]),
+            " to ".join(f"{end:.3g}" for end in p["ci95"]),
+        ]
+        for p in document["base_parameters"]
+    ]
+    note = (
+        '<p class="note">These are fitted before any effect is looked for. The calibrated model contains what the runs '
+        "say. An interval that does not contain the declared value means that the declaration, or the base model, does "
+        "not fit this robot and ground.</p>"
+    )
+    return _table(["base parameter", "declared", "by the runs", "95 % interval"], rows) + note
+
+
+def _quantity(value: float, unit: str) -> str:
+    return escape(f"{value:.3g} {unit}".rstrip())
+
+
 def _effects(document: Mapping[str, Any]) -> str:
     remaining = _remaining(document)
     if not document["effects"]:
@@ -161,17 +197,64 @@ def _effects(document: Mapping[str, Any]) -> str:
                 escape(e["where"]),
                 _number(e["p_value"]),
                 percent(e["share_of_residual_variance"], 0),
-                "yes" if e["in_plans"] else "no: needs a log",
+                "yes" if e["in_plans"] else "no: a fault of the log" if is_log_fault(e) else "no: needs a log",
             ]
         )
     note = (
         '<p class="note">p: p-value of a significance test that allows for all candidate effects tried. Share: of the '
-        "variance of the residuals that the effect explains. In plans: whether the quantity that the effect depends on "
-        f"is known before a drive. {escape(remaining)}</p>"
+        "squared error on left-out runs that the effect explains. In plans: whether what the effect depends on is "
+        f"known before a drive. {escape(remaining)}</p>"
     )
-    more = collinear_words(document)
     head = ["effect", "coefficients and their meaning", "where it acts", "p", "share", "in plans"]
-    return _table(head, rows) + note + (f"<p>{escape(more)}</p>" if more else "")
+    curves = [e for e in document["effects"] if e["form"] == "curve"]
+    return _table(head, rows) + note + (_curves(curves) if curves else "")
+
+
+def _curves(effects: Sequence[Mapping[str, Any]]) -> str:
+    names = ", ".join(escape(e["label"]) for e in effects)
+    note = (
+        f'<p class="note">Fitted curves with 95 % intervals ({names}). No formula of the library describes them. A '
+        "curve is zero at its middle point. Beyond its ends it keeps its value there.</p>"
+    )
+    return note + _figures([curve_figure(e) for e in effects], "figures small")
+
+
+def _variation(document: Mapping[str, Any]) -> str:
+    found = document["variation"]
+    words = escape(variation_words(document))
+    if found["serial_share"] > 0.005:
+        words += (
+            f" {percent(found['serial_share'], 0)} of the variance within a run is correlated from segment to segment, "
+            f"over about {found['correlation_segments']:.0f} segments."
+        )
+    words += f" {percent(found['outlier_share'])} of the segments are outliers. They count less and are not left out."
+    return f"<p>{words} All of this is in the uncertainty of plans.</p>"
+
+
+def _coverage(document: Mapping[str, Any]) -> str:
+    coverage = document["runs"]["coverage"]
+    rows = [["used", _metres(coverage["used_m"], coverage)]]
+    left_out = sorted(coverage["left_out_m"].items(), key=lambda item: -item[1])
+    rows += [[f"left out: {escape(key.replace('_', ' '))}", _metres(m, coverage)] for key, m in left_out if m >= 0.5]
+    note = '<p class="note">No part of the track is left out because of its energy.</p>'
+    return _table(["track", "length"], rows) + note
+
+
+def _metres(metres: float, coverage: Mapping[str, Any]) -> str:
+    share = f" ({percent(metres / coverage['track_m'])})" if coverage["track_m"] > 0 else ""
+    return f"{metres:,.0f} m{share}"
+
+
+def _ranges(document: Mapping[str, Any]) -> str:
+    rows = []
+    for key, (low, high) in document["ranges"].items():
+        name, unit = quantity_words(key)
+        rows.append([escape(name), f"{low:.3g} to {high:.3g}" + (f" {escape(unit)}" if unit else "")])
+    note = (
+        '<p class="note">Each range leaves out the outermost hundredth at either end. A cost map, a route or a verdict '
+        "beyond a range says so.</p>"
+    )
+    return f"<p>{escape(range_words(document))}</p>" + _table(["quantity", "driven"], rows) + note
 
 
 def _remaining(document: Mapping[str, Any]) -> str:
@@ -188,11 +271,13 @@ def _remaining(document: Mapping[str, Any]) -> str:
 def _confounded(document: Mapping[str, Any]) -> str:
     if not document["confounded"]:
         return ""
+    labels = labels_of(document)
     groups = "".join(
-        f"<li>{escape(', '.join(effect_name(name) for name in group))}</li>" for group in document["confounded"]
+        f"<li>{escape(', '.join(labels.get(name, name) for name in group))}</li>" for group in document["confounded"]
     )
     drives = "".join(
-        f"<li>{escape(effect_name(name))}: {escape(reveals)}</li>" for name, reveals in document["to_separate"].items()
+        f"<li>{escape(labels.get(name, name))}: {escape(reveals)}</li>"
+        for name, reveals in document["to_separate"].items()
     )
     return (
         f"<h2>Effects that these runs cannot distinguish</h2><ul>{groups}</ul><p>Drives that distinguish them:</p>"
@@ -201,7 +286,7 @@ def _confounded(document: Mapping[str, Any]) -> str:
 
 
 def _errors(document: Mapping[str, Any], unit: str) -> str:
-    judged = [("these runs, held out of the fit", document["segments"]["fit"], document["error"])]
+    judged = [(f"these runs: {validation_words(document)}", document["segments"]["fit"], document["error"])]
     if "test_set" in document:
         test = document["test_set"]
         judged.insert(0, ("test runs", test["segments"], test["error"]))
@@ -211,6 +296,7 @@ def _errors(document: Mapping[str, Any], unit: str) -> str:
             state,
             percent(error[key]["mean_relative"]),
             f"{error[key]['rmse']:.3g} {unit}",
+            percent(error[key]["absolute_share"]),
             f"{error[key]['bias']:+.3g} {unit}",
         ]
         for where, segments, error in judged
@@ -219,15 +305,16 @@ def _errors(document: Mapping[str, Any], unit: str) -> str:
     states = {state for _, _, error in judged for state in error_states(error)}
     note = (
         "Mean relative error: |measured - predicted| / |measured|, mean over the segments of 1 m; a measured energy "
-        f"below {LEAST_J:g} J counts as {LEAST_J:g} J. Bias: mean residual."
+        f"below {LEAST_J:g} J counts as {LEAST_J:g} J. Absolute share: sum of the magnitudes of the errors over the "
+        "energy. Bias: mean residual. All states are judged on the same segments."
     )
     if "test_set" in document:
         note += " Test runs had no part in the calibration."
-    if "corrected" in states:
-        note += " Corrections from the baseline runs: errors of the model that these show too, and that are no effects."
+    if any("base parameters" in state for state in states):
+        note += " With the base parameters: the values of the table above, and no effect."
     if "after_planner" in states:
         note += " Plan-time prediction: only with what is known before a drive."
-    head = ["measured on", "model", "mean relative error", "root mean square", "bias"]
+    head = ["measured on", "model", "mean relative error", "root mean square", "absolute share", "bias"]
     return _table(head, rows) + f'<p class="note">{note}</p>'
 
 
@@ -299,11 +386,11 @@ def _next_drive(document: Mapping[str, Any]) -> str:
         return f"<p>{escape(drive_words(drive))}</p>"
     drives = "".join(f"<li>{escape(name)}: {escape(reveals)}</li>" for name, reveals in likeliest(document))
     return (
-        "<p>To find out whether the model lacks something, drive what separates the candidate effects with the largest "
-        f"gain on held-out runs:</p><ul>{drives}</ul><p><code>joulemap suggest-drive</code> with <code>--effect</code> "
+        "<p>To find out whether the model lacks something, drive what separates the candidate effects with the "
+        f"smallest p-values:</p><ul>{drives}</ul><p><code>joulemap suggest-drive</code> with <code>--effect</code> "
         "and such a name finds a route on this map.</p>"
         if drives
-        else "<p>No candidate effect improves the prediction of held-out runs. Drive what these runs do not contain: "
+        else "<p>No candidate effect comes near to being significant. Drive what these runs do not contain: "
         "curves, slopes, other speeds, other ground.</p>"
     )
 
@@ -313,18 +400,19 @@ def _candidates(document: Mapping[str, Any]) -> str:
         [
             escape(c["label"]),
             _number(c["p_value"]),
-            percent(c["held_out_gain"]),
+            "" if c["held_out_gain"] is None or c["p_value"] > ALPHA else percent(c["held_out_gain"]),
             escape(c.get("why_not", "found")),
         ]
         for c in document["candidates"]
     ]
     rows += [
-        [escape(effect_name(name)), "", "", f"not tried: {escape(why)}"] for name, why in document["refused"].items()
+        [escape(quantity_name(f"column:{name}")), "", "", f"not tried: {escape(why)}"]
+        for name, why in document["refused"].items()
     ]
     note = (
         '<p class="note">p and gain are of the candidate effect alone, before any was found. p allows for everything '
-        "that was tried. Gain: by which share the squared error on held-out runs falls. The last column says what the "
-        "candidate explains beside all effects found.</p>"
+        "that was tried. Gain: by which share the squared error on left-out runs falls, of significant candidates. The "
+        "last column says why a candidate was not taken beside the effects found.</p>"
     )
     return note + _table(["candidate effect", "p alone", "gain alone", "beside the effects found"], rows)
 
@@ -335,7 +423,6 @@ def _number(value: float | None) -> str:
 
 def _repairs(runs: Mapping[str, Any]) -> str:
     left_out = left_out_words(runs["left_out"])
-    used = f" Track used: {escape(coverage_words(runs['coverage']))}." if "coverage" in runs else ""
-    note = f"<p>{runs['rows']:,} rows were read.{used} Not used: {escape(left_out or 'nothing')}.</p>"
+    note = f"<p>{runs['rows']:,} rows were read. Not used: {escape(left_out or 'nothing')}.</p>"
     rows = [[escape(name), escape(repair_words(counts))] for name, counts in runs["repairs"].items()]
     return note + (_table(["run", "rows repaired or dropped, by reason"], rows) if rows else "")

@@ -6,16 +6,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from joulemap.model.loop.residual import LEAST_FOLDS
-from joulemap.model.loop.words import effect_name, quantity_name
+from joulemap.model.loop.forms import FORMS
+from joulemap.model.loop.report import curve_points
+from joulemap.model.loop.words import p_words, quantity_name, quantity_value
 
 _FEW = 4  # coefficients of an effect that are all written out
 _SAME = 0.005  # of what turning costs in plans: less than this is no further part of it
 _SUGGESTED = 3  # effects to look for where none was found
-_OWN_RUNS = (
-    "All these runs took part in the choice of the effects. To measure the error on runs that had no part in it, "
-    "name some of them as test runs (`--test-runs`, over HTTP `test_runs`)."
-)
+_BASE = {
+    "rolling_resistance": "rolling resistance",
+    "energy_of_motion": "energy of motion, as a multiple of the model's",
+    "idle_power_w": "idle power",
+    "descents": "share of the energy of descents that is lost",
+    "speeding_up": "energy of speeding up, as a multiple of the kinetic energy",
+    "slowing_down": "energy saved by slowing down, as a multiple of the kinetic energy",
+    "measured_slope": "weight of the slope that the robot measured, beside the map's",
+    "per_metre": "charge per metre",
+    "uphill": "charge uphill, as a multiple of the work at the nominal voltage",
+    "downhill": "charge saved downhill, as a multiple of the work at the nominal voltage",
+    "per_second": "charge per second",
+}
+_SAID_RANGES = ("speed", "grade", "turning")  # in sentences; the report's table has all
 
 
 @dataclass(frozen=True)
@@ -62,10 +73,13 @@ def summary_lines(document: Mapping[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        The headline, how many effects, one indented line for each, and how much better the model predicts.
+        The headline; the base parameters; the effects found; what no effect explains; how much better the model
+        predicts; what these runs cannot distinguish; and in which ranges they were driven. Details are indented.
     """
     first, *rest = found_words(document)
-    return [headline(document), first, *(f"  {words}" for words in rest), error_words(document)]
+    lines = [headline(document), "Base parameters:", *(f"  {words}" for words in base_words(document))]
+    lines += [first, *(f"  {words}" for words in rest), variation_words(document), *error_words(document)]
+    return [*lines, *confounded_words(document), range_words(document)]
 
 
 def unit_of(document: Mapping[str, Any]) -> str:
@@ -84,6 +98,46 @@ def unit_of(document: Mapping[str, Any]) -> str:
     return "A s" if document["target"] == "charge_as" else "J"
 
 
+def base_name(key: str) -> str:
+    """Return what a reader calls a base parameter.
+
+    Parameters
+    ----------
+    key : str
+        Its name in the report.
+
+    Returns
+    -------
+    str
+        Part of a sentence.
+    """
+    return _BASE.get(key, key.replace("_", " "))
+
+
+def base_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what the runs say of the base model's own parameters.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        One line for each: what was declared, what the runs say, and its 95 % interval.
+    """
+    lines = []
+    for parameter in document["base_parameters"]:
+        unit, (low, high) = f" {parameter['unit']}".rstrip(), parameter["ci95"]
+        declared = "" if parameter["declared"] is None else f"{parameter['declared']:.3g}{unit} declared, "
+        lines.append(
+            f"{_capital(base_name(parameter['name']))}: {declared}{parameter['value']:.3g}{unit} by the runs "
+            f"(95 % interval {low:.3g} to {high:.3g})."
+        )
+    return lines
+
+
 def found_words(document: Mapping[str, Any]) -> list[str]:
     """Return what was found, with coefficients and 95 % intervals.
 
@@ -95,50 +149,72 @@ def found_words(document: Mapping[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        Sentences: first how many effects, then one for each, then what these runs cannot decide.
+        Sentences: first how many effects, then one paragraph for each.
     """
     model, effects = document["model"]["before"]["name"], document["effects"]
     if not effects:
         return [
             f"These runs show no effect that the model {model} lacks: no candidate effect is both significant and "
-            "large enough to improve the prediction of held-out runs."
+            "large enough to improve the prediction of left-out runs."
         ]
     count = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
     words = [f"These runs show {count} that the model {model} lacks."]
-    for effect in effects:
-        plans = "" if effect["in_plans"] else " Plans do not contain it: it depends on what only a log records."
-        meaning = f" This is the {effect['meaning']}." if effect["meaning"] else ""
-        size = f"{_capital(effect['label'])}: {'; '.join(coefficient_words(effect))}.{meaning}"
-        if effect["form"] == "smooth":
-            size = f"{_curve_words(effect)}."
-        words.append(f"{size} It acts {effect['where']}.{plans}")
-    if "turning_in_plans" in document:
-        words.append(_turning_words(document))
-    for name, *rivals in document["confounded"]:
-        words.append(
-            f"These runs cannot distinguish {effect_name(name)} from {_or(rivals)}: either may be the cause until "
-            "other runs separate them."
-        )
-    return words
+    words += [_effect_words(effect) for effect in effects]
+    return [*words, _turning_words(document)] if "turning_in_plans" in document else words
+
+
+def _effect_words(effect: Mapping[str, Any]) -> str:
+    sentences = [
+        f"{_capital(effect['label'])}: {'; '.join(coefficient_words(effect))}, p {p_words(effect['p_value'])}."
+    ]
+    if effect["form"] == "curve":
+        sentences.append("The report shows the curve.")
+    elif effect["meaning"]:
+        sentences.append(f"This is the {effect['meaning']}.")
+    sentences.append(f"It acts {effect['where']}.")
+    sentences.append(f"It explains {percent(effect['share_of_residual_variance'], 0)} of the squared error.")
+    if effect["between_runs"]:
+        sentences.append("The differences between runs show it, not the course within a run.")
+    return " ".join([*sentences, *_plan_words(effect)])
+
+
+def _plan_words(effect: Mapping[str, Any]) -> list[str]:
+    if effect["in_plans"]:
+        return []
+    if is_log_fault(effect):
+        return ["It is a fault of the log: plans never contain it."]
+    return ["Plans do not contain it: it depends on what only a log records."]
+
+
+def is_log_fault(effect: Mapping[str, Any]) -> bool:
+    """Return whether an effect is a fault of the log, such as a late meter, and nothing that costs energy.
+
+    Parameters
+    ----------
+    effect : mapping
+        From the report.
+
+    Returns
+    -------
+    bool
+        True for a form that no plan may contain.
+    """
+    return not FORMS[effect["form"]].on_map
 
 
 def _curve_words(effect: Mapping[str, Any]) -> str:
     """A fitted curve without its points: whether it rises or falls, and between which values."""
-    found, settings = effect["coefficients"], effect["settings"]
-    values = [c["value"] for c in found]
-    if not settings.get("level"):
-        values.insert(len(settings["knots"]) // 2, 0.0)  # the curve is nil at its middle point
+    values = curve_points(effect)[1]
     steps = [after - before for before, after in zip(values, values[1:], strict=False)]
-    unit = f" {found[0]['unit']}" if found[0]["unit"] else ""
-    digits = "+.3g" if settings["of"] == "length" else "+.2f"  # J/m, else shares
-    low, high = f"{min(values):{digits}}", f"{max(values):{digits}}"
+    unit = effect["coefficients"][0]["unit"]
+    low, high = f"{min(values):+.3g}", f"{max(values):+.3g}"
     if all(step >= 0.0 for step in steps):
-        ends = f"rising from {low} to {high}{unit}"
+        ends = f"rising from {low} to {high} {unit}"
     elif all(step <= 0.0 for step in steps):
-        ends = f"falling from {high} to {low}{unit}"
+        ends = f"falling from {high} to {low} {unit}"
     else:
-        ends = f"between {low} and {high}{unit}"
-    return f"A fitted curve over {quantity_name(settings['over'])}, {ends}; see the figure in the report"
+        ends = f"between {low} and {high} {unit}"
+    return f"a fitted curve over {quantity_name(effect['settings']['over'])}, {ends}"
 
 
 def _turning_words(document: Mapping[str, Any]) -> str:
@@ -163,26 +239,28 @@ def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        Of many coefficients the smallest and the largest; of a field over the map, whose values mean something together
-        only, their number.
+        Of a curve its ends; of other effects with many coefficients the smallest and the largest; of a field over the
+        map, whose values mean something together only, their number.
     """
     found = effect["coefficients"]
-    if effect["form"] == "place":
+    if effect["form"] == "curve":
+        return [_curve_words(effect)]
+    if effect["form"] == "local_friction":
         return [f"{len(found)} values"]
     few = len(found) <= _FEW
     shown = found if few else [f(found, key=lambda c: c["value"]) for f in (min, max)]
     words = []
     for c in shown:
         own = c["name"] == effect["name"]
-        name = "" if own and len(found) == 1 else f"{effect_name(c['name']) if own else c['name']}: "
+        name = "" if own and len(found) == 1 else f"{effect['label'] if own else c['name']}: "
         low, high = c["ci95"]
         unit = f" {c['unit']}" if c["unit"] else ""
         words.append(f"{name}{c['value']:.3g}{unit} (95 % interval {low:.3g} to {high:.3g})")
     return words if few else [f"{len(found)} values, the smallest and the largest", *words]
 
 
-def error_words(document: Mapping[str, Any]) -> str:
-    """Return how much better the calibrated model predicts.
+def variation_words(document: Mapping[str, Any]) -> str:
+    """Return by how much runs differ for no known reason.
 
     Parameters
     ----------
@@ -192,53 +270,79 @@ def error_words(document: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        Sentences: on test runs where there are some, else on the runs themselves, held out of the fit.
+        A sentence.
     """
-    test, unit = document.get("test_set"), unit_of(document)
-    error = (test or document)["error"]
-    before, after, plans = error["before"], error["after"], error["after_planner"]
-    runs = len(before["by_run"])
-    if test:
+    share = document["variation"]["run_share"]
+    if len(document["runs"]["names"]) < 2:
+        return "One run alone does not show how much runs differ."
+    if share < 5e-4:  # nothing in the digits that are shown
+        return "The runs do not differ by more than the spread within them."
+    return f"Run-to-run variation of {percent(share)} of the energy is left, cause unknown."
+
+
+def validation_words(document: Mapping[str, Any]) -> str:
+    """Return on what the errors were measured.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    str
+        Part of a sentence, such as "on runs that had no part in the calibration".
+    """
+    found = document["validation"]
+    if not found["whole_procedure"]:
+        return "on the runs that the model was fitted to"
+    left_out, folds = found["left_out"], found["folds"]
+    return f"on {left_out} that had no part in the calibration that predicts them ({folds} calibrations)"
+
+
+def error_words(document: Mapping[str, Any]) -> list[str]:
+    """Return how much better the calibrated model predicts.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        Sentences: on test runs where there are some; on the runs themselves; and how far these may be trusted.
+    """
+    lines = []
+    if test := document.get("test_set"):
+        runs = len(test["error"]["before"]["by_run"])
         count = "one test run" if runs == 1 else f"{runs} test runs"
-        where = f"On {count} that had no part in the calibration ({test['segments']:,} segments of 1 m)"
-    elif document["effects"]:
-        where = f"On these runs, {_held_out_words(document, runs)}"
-    else:
-        where = "On these runs"
-    relative = {state: percent(error[state]["mean_relative"]) for state in ("before", "after", "after_planner")}
-    if document["model"]["after"] is None:
-        return f"{where}, the mean relative error of the model is {relative['before']}. No model was written."
-    if error["corrected"] == before:
-        moves = "falls" if after["mean_relative"] < before["mean_relative"] else "does not fall: it goes"
-        words = (
-            f"{where}, the mean relative error {moves} from {relative['before']} to {relative['after']} (root mean "
-            f"square error from {before['rmse']:.3g} to {after['rmse']:.3g} {unit} per segment)."
+        lines.append(
+            f"Errors on {count} that had no part in the calibration ({test['segments']:,} segments): "
+            f"{_states(test['error'], unit_of(document))}."
         )
-    else:
-        words = f"{where}, the mean relative error is {_three_errors(document, error)}."
-    if not document["effects"]:
-        words += " The calibrated model contains only corrections that the baseline runs show as well."
-    if plans["mean_relative"] != after["mean_relative"]:
-        words += f" With what is known before a drive, as in plans, it is {relative['after_planner']}."
-    return words if test or not document["effects"] else f"{words} {_OWN_RUNS}"
+    states = _states(document["error"], unit_of(document))
+    lines.append(f"Errors {validation_words(document)}: {states}.")
+    if not document["validation"]["whole_procedure"]:
+        lines.append(
+            "WARNING: these are errors of the fit, because a quick calibration was asked for. Errors on other runs are "
+            "larger. Calibrate without `--quick` (over HTTP and in Python: `quick`) to measure them."
+        )
+    elif document["validation"]["left_out"] == "blocks":
+        lines.append(
+            "There are too few runs to leave whole ones out, so parts of each run were left out. Errors on another day "
+            "may be larger."
+        )
+    return lines
 
 
-def _held_out_words(document: Mapping[str, Any], runs: int) -> str:
-    """How the errors on the runs themselves were held out, as `Residuals.fold` and `Residuals.block` divide them."""
-    by_run = any(effect["form"] == "by_run" for effect in (*document["effects"], *document["collinear"]))
-    if runs < LEAST_FOLDS or by_run:
-        return "each part of a run predicted by a model fitted to the other parts"
-    return "each run predicted by a model fitted to the other runs"
-
-
-def _three_errors(document: Mapping[str, Any], error: Mapping[str, Any]) -> str:
-    """Errors of three models, so that what the baseline runs show already is not credited to the effects."""
-    states = {"before": "before", "corrected": "after correcting what the baseline runs show already"}
-    if document["effects"]:
-        states["after"] = f"with {_and([effect['label'] for effect in document['effects']])}"
-    sizes = "; ".join(f"{percent(error[key]['mean_relative'])} {words}" for key, words in states.items())
-    rmse = _and([f"{error[key]['rmse']:.3g}" for key in states])
-    return f"{sizes} (root mean square error {rmse} {unit_of(document)} per segment)"
+def _states(error: Mapping[str, Any], unit: str) -> str:
+    """Errors of each state of the model."""
+    return "; ".join(
+        f"{words} {percent(error[key]['mean_relative'])} mean relative, {error[key]['rmse']:.3g} {unit} root mean "
+        f"square, {percent(error[key]['absolute_share'])} of the {'charge' if unit == 'A s' else 'energy'}"
+        for key, words in error_states(error).items()
+    )
 
 
 def error_states(error: Mapping[str, Any]) -> dict[str, str]:
@@ -256,12 +360,14 @@ def error_states(error: Mapping[str, Any]) -> dict[str, str]:
     """
     states = {
         "before": "before",
-        "corrected": "with corrections from the baseline runs",
+        "corrected": "with the base parameters",
         "after": "after",
         "after_planner": "after, plan-time prediction",
     }
-    pairs = (("corrected", "before"), ("corrected", "after"), ("after_planner", "after"))
+    pairs = (("corrected", "before"), ("after", "corrected"), ("after_planner", "after"))
     same = {key for key, other in pairs if error[key] == error[other]}
+    if "after" in same:  # the base parameters are all that was found
+        states["corrected"] = "after, with the base parameters"
     return {key: words for key, words in states.items() if key not in same}
 
 
@@ -283,8 +389,46 @@ def percent(share: float, digits: int = 1) -> str:
     return f"{100.0 * share:.{digits}f} %"
 
 
-def collinear_words(document: Mapping[str, Any]) -> str:
-    """Return what the calibrated model contains besides the effects found.
+def labels_of(document: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a reader calls each effect of a report.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    dict of str to str
+        Name -> label, of the candidates and of the effects found.
+    """
+    return {row["name"]: row["label"] for row in (*document["candidates"], *document["effects"])}
+
+
+def confounded_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what these runs cannot distinguish, and what would.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        A line for each effect that another candidate would replace as well.
+    """
+    labels, lines = labels_of(document), []
+    for name, *rivals in document["confounded"]:
+        others = _or([labels.get(rival, rival) for rival in rivals])
+        drive = document["to_separate"].get(name)
+        more = f" This would: {drive}." if drive else ""
+        lines.append(f"These runs cannot distinguish {labels.get(name, name)} from {others}.{more}")
+    return lines
+
+
+def range_words(document: Mapping[str, Any]) -> str:
+    """Return in which ranges the calibrated model holds.
 
     Parameters
     ----------
@@ -294,17 +438,15 @@ def collinear_words(document: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        A sentence; empty where there is nothing.
+        Sentences.
     """
-    names = " and ".join(effect["label"] for effect in document["collinear"])
-    if not names:
-        return ""
-    one = len(document["collinear"]) == 1
-    return (
-        f"{_capital(names)} {'is' if one else 'are'} in the calibrated model too: collinear with the effects found, "
-        f"{'it corrects' if one else 'they correct'} their form and {'is' if one else 'are'} not counted as "
-        f"{'an effect' if one else 'effects'}."
-    )
+    ranges = document["ranges"]
+    driven = [
+        f"{quantity_name(key)} {ranges[key][0]:.3g} to {quantity_value(key, ranges[key][1])}"
+        for key in _SAID_RANGES
+        if key in ranges
+    ]
+    return f"Driven: {', '.join(driven)}. Beyond these, effects keep their value at the border."
 
 
 def drive_words(drive: Mapping[str, Any]) -> str:
@@ -330,11 +472,11 @@ def drive_words(drive: Mapping[str, Any]) -> str:
         else f"on {sides[0]:.1f} x {sides[1]:.1f} m of level ground, wherever there is room"
     )
     pace = " and ".join(f"{speed:.2f} m/s" for speed in drive["speeds_mps"])
-    effect, share = effect_name(drive["effect"]), percent(drive["expected_interval_share"], 0)
+    share = percent(drive["expected_interval_share"], 0)
     aim = (
-        f"to distinguish {effect} from {_or(drive['confounded_with'])}"
-        if drive["confounded_with"]
-        else f"to measure {effect} more precisely"
+        f"to distinguish {drive['label']} from {_or(drive['confounded_labels'])}"
+        if drive["confounded_labels"]
+        else f"to measure {drive['label']} more precisely"
     )
     return (
         f"Drive {drive['kind']} {where}, repeated for {drive['total_length_m']:.0f} m at {pace}, {aim}. The 95 % "
@@ -353,19 +495,15 @@ def likeliest(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     Returns
     -------
     list of tuple of str
-        (name, drive that shows it) of the candidates with the largest gain on held-out runs.
+        (label, drive that shows it) of the candidates with the smallest p-values below 1.
     """
-    ranked = sorted(document["candidates"], key=lambda c: -(c["held_out_gain"] or 0.0))
-    return [(c["label"], c["reveals"]) for c in ranked if (c["held_out_gain"] or 0.0) > 0.0][:_SUGGESTED]
+    able = [c for c in document["candidates"] if not c["taken"] and c["p_value"] < 1.0]
+    ranked = sorted(able, key=lambda c: c["p_value"])
+    return [(c["label"], c["reveals"]) for c in ranked][:_SUGGESTED]
 
 
 def _or(names: Sequence[str]) -> str:
-    words = [effect_name(name) for name in names]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
-
-
-def _and(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _capital(words: str) -> str:
