@@ -23,7 +23,7 @@ from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.jobs.steps import Step, Steps
-from joulemap.service.loop.calibration import calibrate_on_runs
+from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
 from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.rerouting import Task
 from joulemap.service.loop.summary import NextStep
@@ -48,6 +48,8 @@ class _Work:
     base_files: list[Path]
     test_files: list[Path]
     task: Task | None
+    campaigns: bool
+    quick: bool
     seed: int
     out: Path
     request: str
@@ -98,22 +100,21 @@ class Calibrator:
             base_files=self._files(asked["base_runs"]),
             test_files=self._files(named_test_runs(asked)),
             task=None if asked["start"] is None else (tuple(asked["start"][:2]), tuple(asked["goal"][:2])),
+            campaigns=asked.get("campaigns", False),  # not in requests of older versions
+            quick=asked.get("quick", False),
             seed=asked["seed"],
             out=out,
             request=_costmap_request(row),
         )
         try:
             _in_a_process(work, report)
-            made = out / CALIBRATED_FOLDER
-            if made.exists():
-                self._models_dir.mkdir(parents=True, exist_ok=True)
-                shutil.move(made, self._models_dir / row.id)
+            self._models_dir.mkdir(parents=True, exist_ok=True)
+            shutil.move(out / CALIBRATED_FOLDER, self._models_dir / row.id)
             out.rename(folder)
         finally:
             shutil.rmtree(out, ignore_errors=True)
         document = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        usable = row.id if (self._models_dir / row.id).exists() else None
-        self._store.finish(row.id, {"report": document, "model": usable})
+        self._store.finish(row.id, {"report": document, "model": row.id})
         if self._store.status(row.id) is None:  # deleted meanwhile
             self.discard(row.id)
 
@@ -194,11 +195,20 @@ def _work(work: _Work, there: Connection) -> None:
             heightmap = read_heightmap(file, filename=name)
             runs = read_calibration_runs(work.files, work.robot, crs=heightmap.frame.crs, **more)
         made = calibrate_on_runs(
-            work.model, heightmap, work.robot, runs, out=work.out, task=work.task, seed=work.seed, progress=there.send
+            work.model,
+            heightmap,
+            work.robot,
+            runs,
+            out=work.out,
+            task=work.task,
+            groups=campaigns_of(runs.segments.runs) if work.campaigns else None,
+            cross_validate=not work.quick,
+            seed=work.seed,
+            progress=there.send,
         )
         work.out.mkdir(parents=True, exist_ok=True)
         (work.out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
-        steps = [NextStep("Make a cost map with the calibrated model", work.request)] if made.found.terms else []
+        steps = [NextStep("Make a cost map with the calibrated model", work.request)]
         (work.out / PAGE).write_text(report_page(made, heightmap, steps=steps), encoding="utf-8")
     except JoulemapError as error:
         there.send(error)

@@ -49,7 +49,7 @@ class CalibrationResult:
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """What was found, each with name, coefficients, 95 % intervals and p-value; the strongest first."""
+        """What was found, each with name, coefficients, 95 % intervals and p-value; in the order found."""
         return list(self.report["effects"])
 
     @property
@@ -94,6 +94,8 @@ def calibrate(
     test_runs: RunsLike | None = None,
     start: Point | None = None,
     goal: Point | None = None,
+    campaigns: bool = False,
+    quick: bool = False,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> CalibrationResult:
@@ -117,8 +119,14 @@ def calibrate(
         Runs that have no part in the fit; the report has the error on them before and after.
     start, goal : sequence of float, optional
         World x, y [m] of a task whose routes before and after are compared.
+    campaigns : bool, optional
+        For the errors, leave out whole campaigns instead of single runs. Runs of one campaign have the same date in
+        their name, or the same name before the last underscore, such as `2018-11_00` and `2018-11_01`.
+    quick : bool, optional
+        Calibrate once, without repeating everything on parts of the runs: the errors are then those of the fit, which
+        are too small.
     seed : int, optional
-        Of the permutations: the same seed gives the same report.
+        Of the places that are tried for the route and the next drive.
     progress : callable, optional
         Called with the share done, 0..1.
 
@@ -134,7 +142,7 @@ def calibrate(
     ConflictError
         If `out` holds a calibrated model already: a model version is never changed.
     InputError
-        If only one of `start` and `goal` is given.
+        If only one of `start` and `goal` is given, or if all runs belong to one campaign.
     """
     from joulemap.model.runs.files import read_calibration_runs
 
@@ -155,6 +163,8 @@ def calibrate(
         read,
         out=Path(out),
         task=task,
+        campaigns=campaigns,
+        quick=quick,
         seed=seed,
         progress=progress,
     )
@@ -168,6 +178,8 @@ def calibrate_and_report(
     *,
     out: Path,
     task: Task | None = None,
+    campaigns: bool = False,
+    quick: bool = False,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> CalibrationResult:
@@ -187,8 +199,10 @@ def calibrate_and_report(
         Folder for the report and the model.
     task : pair of points, optional
         Start and goal whose routes are compared.
+    campaigns, quick : bool, optional
+        As `calibrate`.
     seed : int, optional
-        Of the permutations.
+        Of the places that are tried for the route and the next drive.
     progress : callable, optional
         Called with the share done, 0..1.
 
@@ -202,10 +216,21 @@ def calibrate_and_report(
     RunsError, ConflictError, ModelError
         As `calibrate`.
     """
-    from joulemap.service.loop.calibration import calibrate_on_runs
+    from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
     from joulemap.service.loop.report_page import report_page
 
-    made = calibrate_on_runs(model, heightmap, robot, runs, out=out, task=task, seed=seed, progress=progress)
+    made = calibrate_on_runs(
+        model,
+        heightmap,
+        robot,
+        runs,
+        out=out,
+        task=task,
+        groups=campaigns_of(runs.segments.runs) if campaigns else None,
+        cross_validate=not quick,
+        seed=seed,
+        progress=progress,
+    )
     text = json.dumps(made.document, indent=2, allow_nan=False) + "\n"
     (out / REPORT_JSON).write_text(text, encoding="utf-8")
     (out / REPORT_HTML).write_text(report_page(made, heightmap), encoding="utf-8")

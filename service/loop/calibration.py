@@ -180,7 +180,7 @@ def calibrate_on_runs(
         "coverage": _coverage(segments, measured),
     }
     report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
-    report["warnings"] = predictor.warnings(heightmap, robot)
+    report["warnings"] = after.warnings(heightmap, robot)
     begun.rename(target)
     _report(progress, 1.0)
     return Calibrated(with_former_keys(report), found, routes)

@@ -91,8 +91,21 @@ class CalibrationRequest(Request):
         default=None, description="start of the route that is compared before and after; default: a few pairs are tried"
     )
     goal: Point | None = Field(default=None, description="its goal")
+    campaigns: bool = Field(
+        default=False,
+        description="for the errors, leave out whole campaigns instead of single runs; runs of one campaign have the "
+        "same date in their name, or the same name before the last underscore (2018-11_00 and 2018-11_01)",
+    )
+    quick: bool = Field(
+        default=False,
+        description="calibrate once, without repeating everything on parts of the runs: the errors are then those of "
+        "the fit, which are too small",
+    )
     seed: int = Field(
-        default=0, ge=0, le=2**31 - 1, description="seed of the permutations: the same seed gives the same report"
+        default=0,
+        ge=0,
+        le=2**31 - 1,
+        description="seed of the places that are tried for the route and the next drive",
     )
 
     @model_validator(mode="before")
@@ -123,7 +136,7 @@ class CalibrationOut(JobOut):
     robot: RobotOut
     model: str = Field(description="the model that was calibrated", examples=["physics"])
     calibrated_model: str | None = Field(
-        description="id of the calibrated model, for cost maps; null where there is none",
+        description="id of the calibrated model, for cost maps",
         examples=["cal-2f7719c0be04"],
     )
     report: dict[str, Any] | None = Field(

@@ -105,7 +105,7 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     predictor = find_predictor(wanted.model, models_dir=settings.resolved_models_dir)
     refuse_calibrated(wanted.model, predictor)
     service.jobs.check_room(CALIBRATION)
-    asked = wanted.model_dump(include={"model", "start", "goal", "seed"})
+    asked = wanted.model_dump(include={"model", "start", "goal", "campaigns", "quick", "seed"})
     asked |= {"runs": runs, "base_runs": baseline, "test_runs": test}
     row = service.store.add_calibration(ground, {"robot": robot.as_dict(), "odometry": odometry, **asked})
     service.jobs.submit()
