@@ -14,7 +14,7 @@ from joulemap.model.loop.features import driven_ranges
 from joulemap.model.loop.forms import Form
 from joulemap.model.loop.refused_columns import refused_columns
 from joulemap.model.loop.residuals import Residuals, joined
-from joulemap.model.loop.selection import Selection, make_design, rivals_of, select
+from joulemap.model.loop.selection import Selection, coasting_shift, make_design, rivals_of, select
 from joulemap.model.loop.terms import Term, total_energy
 
 FloatArray = NDArray[np.float64]
@@ -69,6 +69,8 @@ class Fitted:
         parameters alone. Each was fitted for itself.
     ranges : dict
         In which the runs were driven.
+    coasting_shift : float
+        See `Features`.
     run_share : float
         Standard deviation between runs that no effect explains, as a share of the energy.
     """
@@ -82,6 +84,7 @@ class Fitted:
     planner_terms: tuple[Term, ...]
     base_terms: tuple[Term, ...]
     ranges: dict[str, tuple[float, float]]
+    coasting_shift: float
     run_share: float
 
     def predict(self, residuals: Residuals, terms: Sequence[Term]) -> FloatArray:
@@ -99,7 +102,8 @@ class Fitted:
         ndarray of float, (n,)
             Energy [J], or charge [A s].
         """
-        return residuals.said + total_energy(terms, residuals.features.within(self.ranges))
+        moved = residuals.coasting(self.coasting_shift)
+        return moved.said + total_energy(terms, moved.features.within(self.ranges))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +158,7 @@ class Calibration:
         dict
             As `errors`.
         """
-        return {key: errors_of(others, energy) for key, energy in _states(self.fitted, others).items()}
+        return {key: errors_of(others, energy) for key, energy in _states(self.fitted, others, faults=False).items()}
 
 
 def calibrate(
@@ -236,6 +240,8 @@ def fit(
     """
     rows = measured if base is None else joined([base, measured])
     new = np.arange(len(rows)) >= len(rows) - len(measured)
+    shift = coasting_shift(rows)
+    rows = rows.coasting(shift)
     chosen = select(make_design(rows, new, tuple(refused)), progress=progress)
     kept, estimate, index = chosen.estimate()
     low, high = estimate.interval()
@@ -256,18 +262,20 @@ def fit(
         high[:count],
         tuple(effects),
         terms,
-        _terms(chosen, lambda form: form.known_before),
+        _terms(chosen, lambda form: form.known_before, measured=False),
         _terms(chosen, lambda form: False),
         driven_ranges(measured.features),
+        shift,
         float(run_share),
     )
 
 
-def _terms(chosen: Selection, keep: Callable[[Form], bool]) -> tuple[Term, ...]:
+def _terms(chosen: Selection, keep: Callable[[Form], bool], *, measured: bool = True) -> tuple[Term, ...]:
     """Base parameters and the effects that are kept, fitted together, as new runs have them."""
-    kept, estimate, _ = chosen.estimate(keep)
-    at = len(chosen.design.fixed)
-    terms = [Term(chosen.design.base, tuple(estimate.coefficients[:at].tolist()))]
+    kept, estimate, _ = chosen.estimate(keep, measured=measured)
+    base = chosen.design.base if measured else chosen.design.base.before_driving
+    at = len(base.coefficient_names())
+    terms = [Term(base, tuple(estimate.coefficients[:at].tolist()))]
     for candidate in kept:
         k = len(candidate.tested)
         total = estimate.coefficients[at : at + k].copy()
@@ -278,12 +286,14 @@ def _terms(chosen: Selection, keep: Callable[[Form], bool]) -> tuple[Term, ...]:
     return tuple(terms)
 
 
-def _states(fitted: Fitted, rows: Residuals) -> dict[str, FloatArray]:
+def _states(fitted: Fitted, rows: Residuals, *, faults: bool = True) -> dict[str, FloatArray]:
+    """Predictions by state; `faults` of the log count in the runs in which they were found, and in no others."""
+    terms = [term for term in fitted.terms if faults or term.form.on_map]
     corrected = fitted.predict(rows, fitted.base_terms)
     return {
         "before": corrected.copy() if rows.charge else rows.said.copy(),
         "corrected": corrected,
-        "after": fitted.predict(rows, fitted.terms),
+        "after": fitted.predict(rows, terms),
         "after_planner": fitted.predict(rows, fitted.planner_terms),
     }
 

@@ -48,6 +48,8 @@ class Correction:
         The same without what is not known before a drive, fitted for themselves.
     ranges : mapping
         Lowest and highest value of every quantity in the runs. Beyond, the border's value holds.
+    coasting_shift : float
+        See `Features`.
     charge : bool
         Whether the scale of the base prediction is unknown, so that the terms replace it.
     turn_j_per_rad : float
@@ -63,6 +65,7 @@ class Correction:
     terms: tuple[Term, ...]
     planner_terms: tuple[Term, ...]
     ranges: Ranges = field(default_factory=dict)
+    coasting_shift: float = 0.0
     charge: bool = False
     turn_j_per_rad: float = 0.0
     conditions: Mapping[str, float] = field(default_factory=dict)
@@ -75,6 +78,7 @@ class Correction:
             "terms": [t.as_dict() for t in self.terms],
             "planner_terms": [t.as_dict() for t in self.planner_terms],
             "ranges": {key: list(ends) for key, ends in self.ranges.items()},
+            "coasting_shift": self.coasting_shift,
             "charge": self.charge,
             "turn_j_per_rad": self.turn_j_per_rad,
             "conditions": dict(self.conditions),
@@ -107,6 +111,7 @@ class Correction:
                 tuple(Term.from_dict(t) for t in values["terms"]),
                 tuple(Term.from_dict(t) for t in values["planner_terms"]),
                 {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
+                float(values["coasting_shift"]),
                 bool(values["charge"]),
                 float(values["turn_j_per_rad"]),
                 dict(values["conditions"]),
@@ -283,9 +288,14 @@ class CalibratedPredictor:
         said = predict_segments(self.base, heightmap, robot, segments)
         rows, _ = describe_segments(segments, heightmap, robot, said.traction_per_m, with_stationary=False)
         known = np.isfinite(said.energy_j) & np.isfinite(rows.grade)
-        start = np.zeros(len(rows)) if self.correction.charge else said.energy_j
-        energy = start + total_energy(self.correction.terms, rows.within(self.correction.ranges))
+        energy = self._energy(rows, said.energy_j - rows.predicted, self.correction.terms)
         return np.where(known, volts * energy, np.nan)
+
+    def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
+        """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
+        moved = replace(rows, coasting_shift=self.correction.coasting_shift)
+        start = np.zeros(len(rows)) if self.correction.charge else moved.predicted + beyond
+        return start + total_energy(terms, moved.within(self.correction.ranges))
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
@@ -431,8 +441,7 @@ class CalibratedPredictor:
         rows = planned_features(heightmap, robot, x, y, heading_rad, traction, self.correction.conditions)
         if self.correction.charge:
             rows = replace(rows, unit_j=robot.nominal_voltage_v)
-        start = np.zeros(x.size) if self.correction.charge else rows.predicted
-        energy = start + total_energy(self.correction.planner_terms, rows.within(self.correction.ranges))
+        energy = self._energy(rows, np.zeros(x.size), self.correction.planner_terms)
         motion = rows.unit_j * (energy - rows.hotel_part)
         down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)
         return np.where(motion >= 0, motion, down)
@@ -494,7 +503,14 @@ def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str
         version = content.pop("version")
     except (OSError, ValueError, KeyError, AttributeError) as error:
         raise ModelError(f"{path} cannot be read: {error!r}") from error
+    if (made := content.get("format")) != FORMAT:
+        raise ModelError(
+            f"{path} has format {made}, and this version of joulemap reads format {FORMAT}: calibrate again on the same "
+            "runs",
+            format=made,
+            expected=FORMAT,
+        )
     found = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-    if content.get("format") != FORMAT or found != version:
+    if found != version:
         raise ModelError(f"{path} is not the calibration {version} that was written", version=found, expected=version)
     return Correction.from_dict(content), dict(content["base"]), str(version)

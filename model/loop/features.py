@@ -82,6 +82,8 @@ class Features:
         Name and first stamp of each run, so that runs of the same name differ.
     speeds_mps : tuple of float
         Between which `speed_mps` is held.
+    coasting_shift : float
+        Tangent by which the drives coast on a steeper descent than the declared rolling resistance says.
     """
 
     robot: Robot
@@ -114,6 +116,7 @@ class Features:
     unit_j: float = 1.0
     runs: tuple[str, ...] = ()
     speeds_mps: tuple[float, float] = (0.0, math.inf)
+    coasting_shift: float = 0.0
 
     def __len__(self) -> int:
         return int(self.x.size)
@@ -213,8 +216,13 @@ class Features:
     @property
     def motion_part(self) -> FloatArray:
         """Prediction of the base model for the motion, (n,) [J, or A s], with what regeneration returns."""
-        t = self.traction_per_m
+        t = self.pull_n
         return self.length_m * (np.maximum(t, 0.0) + self.robot.regeneration * np.minimum(t, 0.0)) / self.unit_j
+
+    @property
+    def pull_n(self) -> FloatArray:
+        """Force of the drives by the base model, (n,) [N]; negative where they brake."""
+        return self.traction_per_m + self.robot.weight_n * self.coasting_shift
 
     @property
     def predicted(self) -> FloatArray:
@@ -229,12 +237,17 @@ class Features:
         return self.robot.weight_n * self.length_m / self.unit_j
 
     @property
+    def coasting_tan(self) -> float:
+        """Tangent of the descent on which the drives neither pull nor brake."""
+        return -(self.robot.rolling_resistance + self.coasting_shift)
+
+    @property
     def pulling(self) -> FloatArray:
         """Share of each row on which the drives pull, (n,) 0..1: a force costs nothing where the slope pushes harder.
 
         Where they brake, a newton more costs what regeneration would have returned.
         """
-        share = self.along(lambda grades: np.where(grades > -self.robot.rolling_resistance, 1.0, self.robot.regeneration))
+        share = self.along(lambda grades: np.where(grades > self.coasting_tan, 1.0, self.robot.regeneration))
         return np.where(self.standing, 0.0, share)
 
 
@@ -242,7 +255,7 @@ def _arrays() -> list[str]:
     return [f.name for f in fields(Features) if f.name not in _NO_ARRAYS]
 
 
-_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps"}
+_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "coasting_shift"}
 _RANGED = {
     "cross_slope": "cross_abs",
     "roughness": "roughness_m",

@@ -43,7 +43,9 @@ def refused_columns(residuals: Residuals, electric: Mapping[str, FloatArray]) ->
     kept: dict[str, FloatArray] = {}
     for key, values in sorted(rows.columns.items()):
         known = np.isfinite(values)
-        if _MEASUREMENT.search(key):
+        if key in ("pitch", "roll"):
+            refused[key] = "the robot's attitude, which the slope of the ground makes; the measured pitch is a base parameter"
+        elif _MEASUREMENT.search(key):
             refused[key] = "it is part of the measurement itself"
         elif known.mean() < 0.5:
             refused[key] = f"recorded on only {known.mean():.0%} of the segments"

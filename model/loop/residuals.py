@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +27,7 @@ class Residuals:
     Attributes
     ----------
     features : Features
-        Of the rows; their `predicted` is the base model's energy.
+        Of the rows.
     measured : ndarray of float, (n,)
         Energy [J], or charge [A s].
     runs : tuple of str
@@ -48,16 +48,28 @@ class Residuals:
         return len(self.features)
 
     @property
-    def predicted(self) -> FloatArray:
-        """Prediction of the base model, (n,) [J]; nothing for a charge."""
-        return np.zeros(len(self)) if self.charge else self.features.predicted
-
-    @property
     def said(self) -> FloatArray:
         """Prediction of the base model from all that it knows of, (n,) [J]; nothing for a charge."""
-        if self.informed is None or self.charge:
-            return self.predicted
-        return np.where(np.isfinite(self.informed), self.informed, self.predicted)
+        if self.charge:
+            return np.zeros(len(self))
+        plain = replace(self.features, coasting_shift=0.0).predicted
+        beyond = np.zeros(len(self)) if self.informed is None else np.nan_to_num(self.informed - plain)
+        return self.features.predicted + beyond
+
+    def coasting(self, shift: float) -> Residuals:
+        """Return the same rows for drives that coast on another descent.
+
+        Parameters
+        ----------
+        shift : float
+            `Features.coasting_shift`.
+
+        Returns
+        -------
+        Residuals
+            With another prediction of the motion.
+        """
+        return replace(self, features=replace(self.features, coasting_shift=shift))
 
     @property
     def run(self) -> NDArray[np.int64]:

@@ -17,18 +17,24 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
-from joulemap.model.loop.forms.base_parameters import BaseParameters, ChargeScale
+from joulemap.model.loop.forms.base_parameters import BaseParameters
 from joulemap.model.loop.mixed_model import Estimate, MixedModel, columns_of
 from joulemap.model.loop.residuals import Residuals
-from joulemap.model.loop.variation import Variation, fit_variation, starts_of
+from joulemap.model.loop.variation import HUBER, Variation, fit_variation, starts_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ALPHA = 0.01
 """Largest p-value of an effect, allowing for every test: one false find in a hundred calibrations."""
+_MOST_LOST = 0.6
+"""Share of the declared rolling resistance that may be losses of the drives, which do not hold a robot back on a descent: an
+efficiency of 40 %, about that of a small gear motor."""
+_STEEPEST = 0.3
+"""Largest tangent on which a robot coasts beyond the declared one: sand (Wong 2008, table 4.1)."""
 MOST_EFFECTS = 8
 """A report of more effects is a model of the noise, or of a base model that is no model of this robot."""
 
@@ -107,7 +113,7 @@ class Design:
     residuals: Residuals
     new: NDArray[np.bool_]
     columns: FloatArray = field(repr=False)
-    base: BaseParameters | ChargeScale
+    base: BaseParameters
     candidates: tuple[Candidate, ...] = field(repr=False)
 
     @property
@@ -146,13 +152,17 @@ class Selection:
     last: dict[int, Verdict]
     model: MixedModel
 
-    def estimate(self, keep: Callable[[Form], bool] = lambda form: True) -> tuple[list[Candidate], Estimate, IntArray]:
+    def estimate(
+        self, keep: Callable[[Form], bool] = lambda form: True, *, measured: bool = True
+    ) -> tuple[list[Candidate], Estimate, IntArray]:
         """Fit the coefficients of the chosen effects.
 
         Parameters
         ----------
         keep : callable
             Says which forms are fitted.
+        measured : bool
+            Whether the slope that the robot measured may be used.
 
         Returns
         -------
@@ -161,8 +171,9 @@ class Selection:
         """
         kept = [c for c in self.chosen if keep(c.form)]
         levels = [c.tested for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
-        index, low, high = _limits(self.design, kept)
-        return kept, self.model.estimate(index, low, high, columns_of(levels)), index
+        index, low, high = _limits(self.design, kept, measured)
+        model = self.model if measured else fit_model(self.design, kept, self.variation, measured=False)[1]
+        return kept, model.estimate(index, low, high, columns_of(levels)), index
 
 
 def rivals_of(selection: Selection) -> dict[str, list[str]]:
@@ -198,6 +209,47 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
     return out
 
 
+def coasting_shift(residuals: Residuals) -> float:
+    """Return how much steeper the descent is on which the drives coast than the declared rolling resistance says.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of all runs, as declared.
+
+    Returns
+    -------
+    float
+        `Features.coasting_shift` with the least squared error of the base parameters, scaled by the energy; outliers
+        count in proportion to their size only.
+    """
+    rolling = residuals.features.robot.rolling_resistance
+    scale = np.maximum(np.abs(residuals.said), float(np.median(np.abs(residuals.measured))))
+    levels = [(residuals.unit == u) * np.maximum(residuals.said, 0.0) / scale for u in np.unique(residuals.unit)]
+
+    def rest(shift: float) -> FloatArray:
+        moved = residuals.coasting(float(shift))
+        base = BaseParameters.of(moved.features, of_charge=moved.charge)
+        x = np.column_stack([base.columns(moved.features) / scale[:, None], *levels])
+        z = (moved.measured - moved.said) / scale
+        return np.abs(z - x @ np.linalg.solve(x.T @ x + 1e-9 * len(z) * np.eye(x.shape[1]), x.T @ z))
+
+    limit = HUBER * 1.4826 * float(np.median(rest(0.0)))
+
+    def error(shift: float) -> float:
+        away = rest(shift) / max(limit, 1e-12)
+        return float(np.where(away < 1.0, away**2, 2.0 * away - 1.0).sum())
+
+    tried = np.linspace(-_MOST_LOST * rolling, _STEEPEST, 17)
+    errors = [error(shift) for shift in tried]
+    k = int(np.argmin(errors))
+    ends = tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]
+    found = minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": 1e-3})
+    freedom = len(residuals)
+    better = freedom * np.log(error(0.0) / max(float(found.fun), 1e-12))
+    return float(found.x) if better > np.log(freedom) else 0.0  # Schwarz 1978: one parameter more
+
+
 def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str]) -> Design:
     """Return the columns of all forms on some rows.
 
@@ -223,7 +275,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     """
     rows = residuals.features
     shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused})
-    base: BaseParameters | ChargeScale = ChargeScale() if residuals.charge else BaseParameters.of(rows)
+    base = BaseParameters.of(rows, of_charge=residuals.charge)
     compared = not new.all()
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
     blocks, candidates, count = [base.columns(rows)], [], len(base.coefficient_names())
@@ -291,7 +343,7 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
 
 
 def fit_model(
-    design: Design, chosen: Sequence[Candidate], start: Variation | None = None
+    design: Design, chosen: Sequence[Candidate], start: Variation | None = None, *, measured: bool = True
 ) -> tuple[Variation, MixedModel]:
     """Fit the variation around a choice of effects.
 
@@ -303,6 +355,8 @@ def fit_model(
         The choice.
     start : Variation, optional
         Around another choice, from which the fit starts.
+    measured : bool
+        Whether the slope that the robot measured may be used.
 
     Returns
     -------
@@ -310,7 +364,7 @@ def fit_model(
         The variation, and all columns whitened by it.
     """
     residuals = design.residuals
-    index, low, high = _limits(design, chosen)
+    index, low, high = _limits(design, chosen, measured)
     x = design.columns[:, index]
     said, z = residuals.said, residuals.measured - residuals.said
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
@@ -321,7 +375,7 @@ def fit_model(
         np.maximum(np.maximum(said, 0.0), size),
         np.ones(len(z)),
     )
-    own, fixed = np.arange(len(index)), len(design.fixed)
+    own, fixed = np.arange(len(index)), len(design.fixed) - (not measured)
     level = np.maximum(np.maximum(said, 0.0), size)
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
@@ -332,10 +386,13 @@ def fit_model(
     return variation, every
 
 
-def _limits(design: Design, chosen: Sequence[Candidate]) -> tuple[IntArray, FloatArray, FloatArray]:
+def _limits(
+    design: Design, chosen: Sequence[Candidate], measured: bool = True
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """Columns of the base parameters and of a choice, with the physical limits of their coefficients."""
-    base = np.asarray(design.base.lowest)
-    index, low, high = [design.fixed], [base], [np.full(len(base), np.inf)]
+    kept = len(design.fixed) - (not measured)  # the measured slope is the last
+    base = np.asarray(design.base.lowest)[:kept]
+    index, low, high = [design.fixed[:kept]], [base], [np.full(len(base), np.inf)]
     for c in chosen:
         k, m = len(c.tested), len(c.beside)
         index.append(c.both)

@@ -8,7 +8,7 @@ from typing import Any
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms.acceleration import Acceleration
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.loop.forms.base_parameters import BaseParameters, ChargeScale
+from joulemap.model.loop.forms.base_parameters import BaseParameters
 from joulemap.model.loop.forms.baseline_change import HotelLoad, Mass, RollingResistance, SensorGain
 from joulemap.model.loop.forms.braking import Braking
 from joulemap.model.loop.forms.climbing import Climbing
@@ -30,11 +30,9 @@ from joulemap.model.loop.forms.wind import Wind
 NAMED: tuple[type[Form], ...] = (
     Turning,
     Speed,
-    Acceleration,
     CrossSlope,
     Roughness,
     Reversing,
-    Braking,
     Climbing,
     CopperLoss,
     PowerLimit,
@@ -49,13 +47,13 @@ NAMED: tuple[type[Form], ...] = (
 )
 """Forms with a formula."""
 
-CHANGES: tuple[type[Form], ...] = (RollingResistance, HotelLoad, Mass, SensorGain)
+CHANGES: tuple[type[Form], ...] = (RollingResistance, HotelLoad, Mass, SensorGain, Acceleration, Braking)
 """Forms of the base model's own parameters. They are effects where baseline runs say what these were before."""
 
 UNNAMED: tuple[type[Form], ...] = (PlaceField, Curve)
 """Structure without a formula."""
 
-FORMS: dict[str, type[Form]] = {form.key: form for form in (*NAMED, *CHANGES, *UNNAMED, BaseParameters, ChargeScale)}
+FORMS: dict[str, type[Form]] = {form.key: form for form in (*NAMED, *CHANGES, *UNNAMED, BaseParameters)}
 """Every form by its key."""
 
 

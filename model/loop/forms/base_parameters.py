@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +15,98 @@ from joulemap.model.loop.forms.base import Form
 FloatArray = NDArray[np.float64]
 
 
+def released(rows: Features) -> FloatArray:
+    """Return the energy that descents release beyond the rolling resistance.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Energy [J, or A s], from the slopes along each row, so that a metre over the top of a hill counts in part.
+    """
+    return rows.weight_length * rows.along(lambda grades: np.maximum(rows.coasting_tan - grades, 0.0))
+
+
+def kinetic(rows: Features) -> FloatArray:
+    """Return the energy of motion that is gained while speeding up.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Energy [J, or A s] of the declared mass; slowing down does not count.
+    """
+    return rows.robot.mass_kg * rows.gained_m2ps2 / rows.unit_j
+
+
+def slowed(rows: Features) -> FloatArray:
+    """Return the energy of motion that slowing down gives back, with a minus.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Energy [J, or A s] of the declared mass: what rolling needs less from the drives.
+    """
+    return rows.robot.mass_kg * (rows.kinetic_m2ps2 - rows.gained_m2ps2) / rows.unit_j
+
+
+def measured_slope(rows: Features) -> FloatArray:
+    """Return the work against the slope that the robot's own attitude sensor measured.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Energy [J, or A s]; 0 without a column `pitch` [deg]. The sensor's tilt, the median of the run, is taken out.
+    """
+    pitch = rows.columns.get("pitch", np.full(len(rows), np.nan)).copy()
+    pitch[rows.standing] = np.nan
+    for run in np.unique(rows.run):
+        mine = rows.run == run
+        if np.isfinite(pitch[mine]).any():
+            pitch[mine] -= np.nanmedian(pitch[mine])
+    return np.nan_to_num(rows.weight_length * rows.pulling * np.tan(np.radians(np.clip(pitch, -60.0, 60.0))))
+
+
+Part = tuple[str, str, Callable[[Features], FloatArray]]
+"""Name, unit and column of a parameter."""
+
+
 @dataclass(frozen=True)
 class BaseParameters(Form):
-    """Corrections of the declared rolling resistance, of the energy of motion and of the idle power.
+    """Corrections of what an owner declares, or a prediction from nothing where only charge was logged.
 
     Attributes
     ----------
+    of_charge : bool
+        Whether scale and zero of the energy are unknown, so that nothing of the base model's prediction is kept.
     lowest : tuple of float
-        Physical limits: none of the three may become negative.
+        Lower physical limit of each coefficient: rolling resistance, idle power and mass are not negative, and descents
+        return no more than they release.
+    measured : bool
+        Whether the slope that the robot measured is one of them. Plans do without.
     """
 
+    of_charge: bool
     lowest: tuple[float, ...]
+    measured: bool = True
 
     key = "base_parameters"
     label = "base parameters"
@@ -31,53 +114,72 @@ class BaseParameters(Form):
     unit = ""
     reveals = "level ground, climbs, and a minute without motion"
 
+    @property
+    def parts_of(self) -> tuple[Part, ...]:
+        """Its parameters."""
+        some = _CHARGE if self.of_charge else _DECLARED
+        return some + _ALWAYS[: 3 if self.measured else 2]
+
     def coefficient_names(self) -> tuple[str, ...]:
-        return ("rolling_resistance", "energy_of_motion", "idle_power_w")
+        return tuple(name for name, _, _ in self.parts_of)
 
     def units(self, energy: str) -> tuple[str, ...]:
-        return ("", "", "W")
+        return tuple(unit for _, unit, _ in self.parts_of)
 
     def columns(self, rows: Features) -> FloatArray:
-        return np.stack([rows.weight_length * rows.pulling, rows.motion_part, rows.duration_s], axis=1)
+        return np.stack([np.nan_to_num(column(rows)) for _, _, column in self.parts_of], axis=1)
+
+    def as_dict(self) -> dict[str, Any]:
+        lowest = [None if limit == -np.inf else limit for limit in self.lowest]  # JSON knows no infinity
+        return {**super().as_dict(), "lowest": lowest}
 
     @classmethod
-    def of(cls, rows: Features) -> BaseParameters:
+    def from_dict(cls, values: Mapping[str, Any]) -> BaseParameters:
+        lowest = [-np.inf if limit is None else float(limit) for limit in values.get("lowest", ())]
+        return super().from_dict({**values, "lowest": lowest})
+
+    @property
+    def before_driving(self) -> BaseParameters:
+        """The same without the slope that the robot measured, which no plan knows."""
+        return BaseParameters(self.of_charge, self.lowest[:6], measured=False)
+
+    @classmethod
+    def of(cls, rows: Features, *, of_charge: bool) -> BaseParameters:
         """Return the form for a robot.
 
         Parameters
         ----------
         rows : Features
-            Whose robot's declared values are the limits.
+            Whose robot's declared values give the limits.
+        of_charge : bool
+            As in the attributes.
 
         Returns
         -------
         BaseParameters
             With limits.
         """
-        return cls((-rows.robot.rolling_resistance, -1.0, -rows.robot.idle_power_w))
+        robot = rows.robot
+        low = (rows.coasting_tan, -1.0, -robot.idle_power_w, robot.regeneration - 1.0)
+        if of_charge:
+            low = (-np.inf, 0.0, 0.0, 0.0)
+        return cls(of_charge, (*low, 0.0, 0.0, -np.inf))
 
 
-@dataclass(frozen=True)
-class ChargeScale(Form):
-    """What replaces the prediction where only charge was logged, whose scale and zero are unknown."""
-
-    key = "charge_scale"
-    label = "scale of the charge"
-    meaning = "charge per metre, per joule of traction uphill and downhill, and per second"
-    unit = ""
-    reveals = "a log with a voltage"
-
-    @property
-    def lowest(self) -> tuple[float, ...]:
-        """Physical limits: charge grows with distance, with traction and with time."""
-        return (-np.inf, 0.0, 0.0, 0.0)
-
-    def coefficient_names(self) -> tuple[str, ...]:
-        return ("per metre", "uphill", "downhill", "per second")
-
-    def units(self, energy: str) -> tuple[str, ...]:
-        return ("A s/m", "1/V", "1/V", "A")
-
-    def columns(self, rows: Features) -> FloatArray:
-        t, length = rows.traction_per_m, rows.length_m
-        return np.stack([length, length * np.maximum(t, 0.0), length * np.minimum(t, 0.0), rows.duration_s], axis=1)
+_DECLARED: tuple[Part, ...] = (
+    ("rolling_resistance", "", lambda rows: rows.weight_length * rows.pulling),
+    ("energy_of_motion", "", lambda rows: rows.motion_part),
+    ("idle_power_w", "W", lambda rows: rows.duration_s / rows.unit_j),
+    ("descents", "", released),
+)
+_CHARGE: tuple[Part, ...] = (
+    ("per_metre", "A s/m", lambda rows: rows.length_m),
+    ("uphill", "1/V", lambda rows: rows.length_m * np.maximum(rows.pull_n, 0.0)),
+    ("downhill", "1/V", lambda rows: rows.length_m * np.minimum(rows.pull_n, 0.0)),
+    ("per_second", "A", lambda rows: rows.duration_s),
+)
+_ALWAYS: tuple[Part, ...] = (
+    ("speeding_up", "", kinetic),
+    ("slowing_down", "", slowed),
+    ("measured_slope", "", measured_slope),
+)

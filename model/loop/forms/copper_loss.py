@@ -46,7 +46,8 @@ class CopperLoss(Form):
 
     def column(self, rows: Features) -> FloatArray:
         if self.of_motors:
-            return rows.duration_s / rows.unit_j * (np.where(rows.standing, 0.0, rows.traction_per_m) / rows.robot.weight_n) ** 2
+            force = np.where(rows.standing, 0.0, rows.pull_n) / rows.robot.weight_n
+            return rows.duration_s / rows.unit_j * force**2
         amps = rows.predicted * rows.unit_j / np.maximum(rows.duration_s, 1e-6) / rows.robot.nominal_voltage_v
         return amps**2 * rows.duration_s / rows.unit_j
 

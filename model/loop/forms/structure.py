@@ -66,8 +66,8 @@ class Curve(Form):
 
     @property
     def weather(self) -> bool:  # type: ignore[override]
-        """Whether it is a curve over a logged column, whose law holds in the baseline runs too."""
-        return self.over.startswith("column:")
+        """Whether it is a curve over the weather or a load, whose law holds in the baseline runs too."""
+        return self.over in _FORECAST
 
     @property
     def covariates(self) -> tuple[str, ...]:

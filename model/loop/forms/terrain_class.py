@@ -51,7 +51,6 @@ class TerrainClass(Form):
     meaning = "energy added on each class of ground"
     reveals = "the same manoeuvres on each kind of ground"
     planned = False
-    weather = True
 
     @property
     def name(self) -> str:
