@@ -216,20 +216,20 @@ class CostMap:
             If points cross blocked ground.
         """
         full = self.robot.battery_wh if capacity_wh is None else capacity_wh
-        battery = Battery(full, charge=charge, reserve=reserve)
+        battery, warnings = Battery(full, charge=charge, reserve=reserve), tuple(self.warnings)
         if isinstance(route, PlannedTour):
             if round_trip:
                 raise InputError("a tour comes home already: leave out `round_trip`")
-            return Feasibility(judge_routes(self.lattice, route.legs, battery), route.legs[0])
+            return Feasibility(judge_routes(self.lattice, route.legs, battery), route.legs[0], warnings=warnings)
         if isinstance(route, PlannedRoute):
             routes = [route.route]
             if round_trip:
                 here, there = ((float(p[0]), float(p[1])) for p in (route.points[0], route.points[-1]))
                 routes.append(self.planner.plan(there, here).route)
-            return Feasibility(judge_routes(self.lattice, routes, battery), *routes)
+            return Feasibility(judge_routes(self.lattice, routes, battery), *routes, warnings=warnings)
         points = [_point(point, f"point {k}") for k, point in enumerate(route)]
         judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
-        return Feasibility(judged.verdict, judged.route_out, judged.route_back)
+        return Feasibility(judged.verdict, judged.route_out, judged.route_back, warnings)
 
     def at(self, x: float, y: float) -> PointCosts:
         """Say what driving costs at one place, in every direction.

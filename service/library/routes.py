@@ -83,6 +83,11 @@ class PlannedRoute:
         return self.found.saving_j
 
     @property
+    def warnings(self) -> list[str]:
+        """Where map or robot lie outside what the model learned."""
+        return list(self.lattice.provenance.get("warnings", []))
+
+    @property
     def notes(self) -> list[str]:
         """What the user should know about this route."""
         return self.route.notes
@@ -185,7 +190,8 @@ class PlannedRoute:
         rows = {"energy-optimal": route_words(route), "shortest": route_words(_numbers(self.shortest))}
         rows |= {f"alternative {k}": route_words(_numbers(r)) for k, r in enumerate(self.alternatives, 1)}
         rows["saved"] = saving_words(route, _numbers(self.shortest))
-        return rows | ({"note": "; ".join(self.notes)} if self.notes else {})
+        rows |= {"note": "; ".join(self.notes)} if self.notes else {}
+        return rows | ({"warning": "; ".join(self.warnings)} if self.warnings else {})
 
     def __repr__(self) -> str:
         return f"<PlannedRoute: {route_words(_numbers(self.route))}>"
@@ -231,6 +237,11 @@ class PlannedTour:
     def length_m(self) -> float:
         """Horizontal length of all legs [m]."""
         return sum(leg.length_m for leg in self.legs)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Where map or robot lie outside what the model learned."""
+        return list(self.lattice.provenance.get("warnings", []))
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the tour on the terrain.
@@ -305,11 +316,14 @@ class Feasibility:
         The way there.
     route_back : Route or None
         The way back of a round trip.
+    warnings : tuple of str
+        Where map or robot lie outside what the model learned.
     """
 
     verdict: Verdict
     route_out: Route
     route_back: Route | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -348,12 +362,13 @@ class Feasibility:
         return f"<Feasibility: {verdict_words(self.verdict)}>"
 
     def __str__(self) -> str:
-        return verdict_words(self.verdict)
+        return "\n".join([verdict_words(self.verdict), *(f"Warning: {words}" for words in self.warnings)])
 
     def _repr_html_(self) -> str:
         routes = {"way out": self.route_out, "way back": self.route_back}
         rows = {name: route_words(_numbers(route)) for name, route in routes.items() if route is not None}
         rows["time"] = duration_words(sum(r.duration_s for r in routes.values() if r is not None))
+        rows |= {"warning": "; ".join(self.warnings)} if self.warnings else {}
         return html_table(verdict_words(self.verdict), rows)
 
 

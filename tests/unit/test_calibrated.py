@@ -1,25 +1,33 @@
-"""A calibrated model plans with its effects: prices of lattices and segments are those its formulas state."""
+"""A calibrated model plans with its effects, within the ranges of its runs: prices are those that the forms state."""
 
-import inspect
+import json
 import math
-import re
 
 import numpy as np
 import pytest
 
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread
+from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame, heading_bins
-from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
-from joulemap.model.loop.effects import Term
-from joulemap.model.loop.formulas import FORMULAS, GROUND
-from joulemap.model.loop.quantities import quantity
-from joulemap.model.loop.report import where_words
+from joulemap.model.loop.calibrated import CalibratedPredictor, Correction, read_calibrated, save_calibrated
+from joulemap.model.loop.forms.base_parameters import BaseParameters
+from joulemap.model.loop.forms.baseline_change import HotelLoad, RollingResistance, SensorGain
+from joulemap.model.loop.forms.climbing import Climbing
+from joulemap.model.loop.forms.drift import Drift
+from joulemap.model.loop.forms.log_faults import MeterLag
+from joulemap.model.loop.forms.speed import Speed
+from joulemap.model.loop.forms.structure import Curve
+from joulemap.model.loop.forms.turning import Turning
+from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
+from tests.reference.drives import even
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, speed_mps=0.5, rolling_resistance=0.1)
 WEIGHT = ROBOT.weight_n
+BASE = 20.0 + 0.15 * WEIGHT  # J, a metre up a hill of 0.05 at 0.5 m/s
+EAST = math.pi / 2
 
 
 def hill(slope=0.05):
@@ -28,35 +36,31 @@ def hill(slope=0.05):
     return Heightmap(np.tile(slope * x, (60, 1)).astype(np.float32), frame)
 
 
-def calibrated(*terms, **options):
-    correction = Correction(tuple(terms), (True,) * len(terms), **options)
+def calibrated(*terms, logged=(), **options):
+    """Of effects that plans contain, and of some that only a log shows."""
+    correction = Correction((*terms, *logged), tuple(terms), **options)
     return CalibratedPredictor(PhysicsPredictor(), correction, name="mine", version="1")
 
 
+def price(model, robot=ROBOT, *, ground=None, heading=EAST):
+    return robot.price_per_m(model.segment_traction(ground or hill(), robot, [20.0], [15.0], [heading]))[0]
+
+
 EFFECTS = {  # what each adds to a metre up the hill of grade 0.05, along its heading [J/m]
-    "friction": (Term("rolling_resistance", "friction", ("",), coefficients=(0.03,)), 0.03 * WEIGHT),
-    "hotel": (Term("hotel_load", "hotel_load", ("W",), coefficients=(5.0,)), 10.0),
-    "gain": (Term("sensor_gain", "sensor_gain", ("",), coefficients=(0.1,)), 0.1 * (20.0 + 0.15 * WEIGHT)),
-    "turning": (Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {}, (50.0,)), 0.0),
-    "east wind": (Term("wind", "wind_constant", ("J/m", "J/m"), coefficients=(7.0, 3.0)), 7.0),
-    "only uphill": (
-        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "above": 0.02}, (0.03,)),
-        0.03 * WEIGHT,
-    ),
-    "only downhill": (
-        Term("rolling_resistance", "friction", ("",), {}, {"over": "grade", "below": -0.02}, (0.03,)),
-        0.0,
-    ),
+    "rolling resistance": (Term(RollingResistance(), (0.03,)), 0.03 * WEIGHT),
+    "idle power": (Term(HotelLoad(), (5.0,)), 10.0),
+    "gain": (Term(SensorGain(), (0.1,)), 0.1 * BASE),
+    "turning": (Term(Turning(), (50.0,)), 0.0),
+    "heading": (Term(Curve("heading", (0.0, EAST, math.pi, 3.0 * EAST)), (0.0, 7.0, -3.0)), 7.0),
+    "climbing": (Term(Climbing(), (0.2,)), 0.2 * 0.05 * WEIGHT),
 }
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_the_price_of_a_metre_uphill_is_base_and_effect(name):
     term, extra = EFFECTS[name]
-    east = math.pi / 2
-    traction = calibrated(term).segment_traction(hill(), ROBOT, [20.0], [15.0], [east])
-    base = 20.0 + 0.15 * WEIGHT
-    assert ROBOT.price_per_m(traction)[0] == pytest.approx(base + extra, rel=1e-5)
+    assert price(calibrated(term)) == pytest.approx(BASE + extra, rel=1e-5)
+    assert price(calibrated(logged=[term])) == pytest.approx(BASE, rel=1e-5)  # what plans do not contain
 
 
 def test_a_lattice_entry_is_the_answer_for_that_segment():
@@ -71,64 +75,103 @@ def test_a_lattice_entry_is_the_answer_for_that_segment():
         assert lattice[row, col, k] == pytest.approx(one[0], rel=1e-5)
 
 
-def test_what_was_learned_of_heights_stays_near_them():
-    """Grass below 2 m on a hill that was driven from 1 to 3 m: known from 0.5 to 3.5 m, and nowhere lower or higher."""
-    knots = {"over": "elevation", "knots": [1.0, 2.0, 3.0], "of": "length"}
-    grass = Term("learned:elevation", "smooth", ("J/m", "J/m"), knots, {}, (40.0, 0.0))
-    source, base = calibrated(grass), calibrated()
-    x = np.array([4.0, 6.0, 10.0, 15.0, 36.0])  # heights 0.4, 0.6, 1.0, 1.5 and 3.6 m
-    extra = [ROBOT.price_per_m(m.segment_traction(hill(0.1), ROBOT, x, 15.0, math.pi / 2)) for m in (source, base)]
-    np.testing.assert_allclose(extra[0] - extra[1], [0.0, 40.0, 40.0, 20.0, 0.0], atol=1e-4)
-    assert where_words(grass) == "at heights about those driven, 0.5 to 3.5 m; nothing at others"
-    assert source.warnings(hill(0.0), ROBOT)[-1].endswith(
-        "it adds nothing on the 100% of this map that lies at other heights"
-    )
-    near = Heightmap(hill().heights + 1.0, hill().frame)  # from 1 to 3 m
-    assert source.warnings(near, ROBOT) == base.warnings(near, ROBOT)
+RANGES = {"speed": (0.2, 0.6), "grade": (-0.08, 0.08), "cross_slope": (0.0, 0.1)}
+
+
+@pytest.mark.parametrize("slope", [60.0, -60.0])
+def test_beyond_the_speeds_driven_the_value_at_the_border_holds(slope):
+    """60 J/m for each m/s above 0.5: at 1.0 m/s what it is at 0.6, and not so little that only idling is left."""
+    source = calibrated(Term(Speed(0.5), (slope,)), ranges=RANGES)
+    fast = Robot(mass_kg=40.0, idle_power_w=10.0, speed_mps=1.0, rolling_resistance=0.1)
+    border, base = 0.1 * slope, 10.0 + 0.15 * WEIGHT  # 10 W for 1 s
+    assert price(source, fast) == pytest.approx(base + border, rel=1e-5)
+    unlimited = calibrated(Term(Speed(0.5), (slope,)))
+    assert price(unlimited, fast) == pytest.approx(base + 0.5 * slope, rel=1e-5)
+    (words,) = source.warnings(hill(), fast)
+    assert words.startswith("the robot's speed of 1 m/s is outside the 0.2 m/s to 0.6 m/s of the calibration runs")
+    assert source.warnings(hill(), ROBOT) == []
+
+
+def test_beyond_the_grades_driven_the_value_at_the_border_holds():
+    """40 J/m more at a grade of 0.08 than at level, by a straight line; on a hill of 0.1 what it is at 0.08."""
+    curve = Term(Curve("grade", (-0.2, 0.0, 0.2)), (0.0, 100.0))
+    source, ground = calibrated(curve, ranges=RANGES), hill(0.1)
+    assert price(source, ground=ground) == pytest.approx(20.0 + 0.2 * WEIGHT + 40.0, rel=1e-4)
+    (words,) = source.warnings(ground, ROBOT)
+    assert "of this map has a grade outside the -0.08 to 0.08 of the calibration runs" in words
+    assert words.startswith("50%")  # east and west of four headings
+    assert calibrated(curve).warnings(ground, ROBOT) == []
+
+
+def test_plans_say_which_effects_they_lack_but_not_which_faults_the_log_had():
+    source = calibrated(logged=[Term(Drift("clock"), (0.1,)), Term(MeterLag(), (0.7,))])
+    (words,) = source.warnings(hill(), ROBOT)
+    assert words.startswith("plans do not contain the effect drift over time or distance")
+
+
+def test_what_lies_beyond_is_a_share_of_the_rows():
+    correction = Correction((), (), ranges={"speed": (0.2, 0.6), "roughness": (0.0, 0.01)})
+    rows = even(4, duration_s=[2.0, 2.0, 1.0, 10.0], roughness_m=[0.0, 0.02, 0.0, 0.0])  # 0.5, 0.5, 1.0, 0.1 m/s
+    assert correction.beyond(rows) == {"speed": 0.5}  # nothing depends on the roughness
 
 
 def test_turns_go_into_the_robot():
     source = calibrated(EFFECTS["turning"][0], turn_j_per_rad=50.0)
     assert source.robot_with_turning(ROBOT).turn_j_per_rad == 50.0
     assert source.robot_with_turning(ROBOT).mass_kg == ROBOT.mass_kg
+    assert calibrated(turn_j_per_rad=-50.0).robot_with_turning(ROBOT).turn_j_per_rad == 0.0  # nothing for nothing
 
 
 def test_charge_is_planned_at_the_nominal_voltage():
-    plane = Term("level", "plane", ("A s/m", "1/V", "1/V"), coefficients=(3.0, 0.05, 0.02))
-    source, base = calibrated(plane, charge=True), calibrated()
-    for heading in (0.0, math.pi):
-        t = base.segment_traction(hill(), ROBOT, [20.0], [15.0], [heading])[0]
-        ampere_seconds = 3.0 + 0.05 * max(t, 0.0) + 0.02 * min(t, 0.0)
-        price = ROBOT.price_per_m(source.segment_traction(hill(), ROBOT, [20.0], [15.0], [heading]))[0]
-        assert price == pytest.approx(max(ROBOT.nominal_voltage_v * ampere_seconds, ROBOT.hotel_per_m))
+    form = BaseParameters.of(even(), of_charge=True).before_driving
+    values = {"per_metre": 3.0, "per_second": 1.5}
+    plane = Term(form, tuple(values.get(name, 0.0) for name in form.coefficient_names()))
+    ampere_seconds = 3.0 + 1.5 * 2.0  # a metre takes 2 s
+    assert price(calibrated(plane, charge=True)) == pytest.approx(ROBOT.nominal_voltage_v * ampere_seconds, rel=1e-5)
 
 
 def test_the_deviation_is_that_of_what_remained():
-    """Of a model without a word of its own: a tenth of the price, times the factor of the held-out runs."""
+    """Of a model without a word of its own: a tenth of the price, times the factor of the left-out runs."""
     source = calibrated(spread=Spread(factor=1.5, run_share=0.02))
-    east = math.pi / 2
-    _, std = source.segment_traction_and_std(hill(), ROBOT, [20.0], [15.0], [east])
-    assert std[0] == pytest.approx(1.5 * USUAL_SPREAD * (20.0 + 0.15 * WEIGHT), rel=1e-5)
+    _, std = source.segment_traction_and_std(hill(), ROBOT, [20.0], [15.0], [EAST])
+    assert std[0] == pytest.approx(1.5 * USUAL_SPREAD * BASE, rel=1e-5)
     frame = hill().frame.respaced(1.0)
     lattice = source.traction_and_std(hill(), ROBOT, frame, heading_bins(4))[1]
     assert lattice[15, 20, 1] == pytest.approx(std[0], rel=1e-5)
     assert source.provenance()["spread"]["run_share"] == source.spread.run_share == 0.02
-    assert Correction.from_dict(source.correction.as_dict()).spread == source.spread
     assert calibrated().traction_and_std(hill(), ROBOT, frame, heading_bins(4))[1] is None
 
 
-def test_who_reads_the_ground_says_so():
-    """Of every formula and quantity: those whose code reads the ground of a drive are listed, and no others."""
-    fields = ("grade", "along", "cross_abs", "cross_sq", "cross", "roughness_m", "elevation_m", "hollow_m")
-    for name, formula in FORMULAS.items():
-        reads = any(f"drive.{field}" in inspect.getsource(formula) for field in fields)
-        assert reads == (name in GROUND), name
-    known = re.findall(r'"(\w+)": lambda: drive\.(\w+)', inspect.getsource(quantity))
-    assert {name for name, field in known if field in fields} == GROUND - {"braking", "climbing"}
-    for name, field in known:
-        assert Term("x", "smooth", ("",), {"over": name, "knots": [0.0], "of_all": False}).reads_ground == (
-            field in fields
-        )
-    assert Term("x", "by_run", ("",), {"of": "climbing", "runs": []}).reads_ground
-    assert Term("x", "friction", ("",), {}, {"over": "roughness", "above": 0.01}).reads_ground
-    assert not Term("x", "friction", ("",), {}, {"word": "terrain", "is": "mud"}).reads_ground
+WHOLE = Correction(
+    (*(term for term, _ in EFFECTS.values()), Term(BaseParameters.of(even(), of_charge=True), (1.0,) * 7)),
+    (EFFECTS["turning"][0],),
+    ranges=RANGES,
+    turn_j_per_rad=50.0,
+    conditions={"temperature": 12.0},
+    evidence=[{"name": "turning", "p_value": 1e-6, "share": 0.4}],
+    spread=Spread(factor=1.5, run_share=0.02),
+)
+
+
+def test_a_calibration_is_kept_whole_and_never_changed(tmp_path):
+    version = save_calibrated(tmp_path, WHOLE, {"name": "physics", "version": "1"})
+    assert read_calibrated(tmp_path) == (WHOLE, {"name": "physics", "version": "1"}, version)
+    with pytest.raises(ConflictError, match="never changed"):
+        save_calibrated(tmp_path, WHOLE, {"name": "physics", "version": "1"})
+    file = tmp_path / "calibration.json"
+    file.write_text(file.read_text().replace("50.0", "51.0"))
+    with pytest.raises(ModelError, match="is not the calibration"):
+        read_calibrated(tmp_path)
+
+
+def test_a_calibration_of_an_older_version_must_be_made_again(tmp_path):
+    save_calibrated(tmp_path, WHOLE, {"name": "physics", "version": "1"})
+    file = tmp_path / "calibration.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"format": 1}))
+    with pytest.raises(ModelError, match="has format 1, and this version of joulemap reads format 2: calibrate again"):
+        read_calibrated(tmp_path)
+
+
+def test_a_calibration_that_lacks_something_is_refused():
+    with pytest.raises(ModelError, match="not complete: KeyError"):
+        Correction.from_dict({"terms": []})

@@ -1,0 +1,205 @@
+"""Forms of effects: their columns against numbers worked out by hand, their settings in files, and their words."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from joulemap.model.errors import ModelError
+from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
+from joulemap.model.loop.forms.acceleration import Acceleration
+from joulemap.model.loop.forms.base_parameters import BaseParameters
+from joulemap.model.loop.forms.baseline_change import HotelLoad, Mass, RollingResistance, SensorGain
+from joulemap.model.loop.forms.braking import Braking
+from joulemap.model.loop.forms.climbing import Climbing
+from joulemap.model.loop.forms.copper_loss import CopperLoss
+from joulemap.model.loop.forms.cross_slope import CrossSlope
+from joulemap.model.loop.forms.drift import Drift
+from joulemap.model.loop.forms.log_faults import MapShift, MeterLag
+from joulemap.model.loop.forms.payload import Payload
+from joulemap.model.loop.forms.power_limit import PowerLimit
+from joulemap.model.loop.forms.reversing import Reversing
+from joulemap.model.loop.forms.roughness import Roughness
+from joulemap.model.loop.forms.speed import Speed
+from joulemap.model.loop.forms.structure import Curve, PlaceField
+from joulemap.model.loop.forms.temperature import Temperature
+from joulemap.model.loop.forms.terrain_class import TerrainClass, TurningByClass
+from joulemap.model.loop.forms.turning import Turning
+from joulemap.model.loop.forms.wind import Wind
+from joulemap.model.loop.terms import Term, turning_per_rad
+from joulemap.model.runs.track import TURN_LIMITS_RADPS
+from tests.reference.drives import ROBOT, even, made_up
+from tests.reference.words import PRIVATE
+
+W = 40.0 * 9.80665  # N, of 40 kg
+MOTION = 0.08 * W  # J, a metre on level ground with a rolling resistance of 0.08
+PREDICTED = MOTION + 2.0 * 12.0  # J, with 12 W for 2 s
+UP = {"grade": [0.1], "grades": [[0.1] * 5], "traction_per_m": [0.18 * W]}
+DOWN = {"grade": [-0.2], "grades": [[-0.2] * 5], "traction_per_m": [-0.12 * W]}  # steeper than it rolls: nothing pulls
+LIMIT = TURN_LIMITS_RADPS[2]
+GENTLE = [[0.4 if limit == LIMIT else 0.0 for limit in TURN_LIMITS_RADPS]]
+
+
+def breeze(source_deg):
+    return even(columns={"wind_speed": np.array([2.0]), "wind_from": np.array([source_deg])})
+
+
+def on(word):
+    return even(words={"terrain": np.array([word])}, turned_abs_rad=[0.5])
+
+
+BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J])
+    "turning": (Turning(), even(turned_abs_rad=[0.7]), [0.7]),
+    "turning up to a rate": (Turning(LIMIT), even(turned_abs_rad=[0.7], gentle_turn_rad=GENTLE), [0.4]),
+    "speed": (Speed(0.5, 1), even(duration_s=[1.25]), [0.3]),  # 0.8 m/s
+    "speed squared": (Speed(0.5, 2), even(duration_s=[1.25]), [0.39]),  # 0.64 - 0.25
+    "cross slope": (CrossSlope(1), even(cross_abs=[0.1]), [0.1 * W]),
+    "cross slope squared": (CrossSlope(2), even(cross_sq=[0.02]), [0.02 * W]),
+    "cross slope where nothing pulls": (CrossSlope(1), even(cross_abs=[0.1], **DOWN), [0.0]),
+    "roughness": (Roughness(), even(roughness_m=[0.02]), [0.02 * W]),
+    "reversing": (Reversing(), even(columns={"heading": np.array([180.0])}), [1.0]),
+    "no reversing": (Reversing(), even(columns={"heading": np.array([10.0])}), [0.0]),
+    "climbing": (Climbing(False), even(**UP), [0.1 * W]),
+    "no climbing": (Climbing(False), even(**DOWN), [0.0]),
+    "slip": (Climbing(True), even(**UP), [0.1 * 0.18 * W]),
+    "battery": (CopperLoss(False), even(), [(PREDICTED / 2.0 / ROBOT.nominal_voltage_v) ** 2 * 2.0]),
+    "copper loss": (CopperLoss(True), even(), [0.08**2 * 2.0]),
+    "power limit": (PowerLimit(20.0), even(), [PREDICTED - 20.0 * 2.0]),
+    "below the power limit": (PowerLimit(100.0), even(), [0.0]),
+    "heater": (Temperature(10.0, "time"), even(columns={"temperature": np.array([15.0])}), [2.0 * 5.0]),
+    "grease": (Temperature(10.0, "motion"), even(columns={"temperature": np.array([5.0])}), [-5.0 * MOTION]),
+    "temperature unknown": (Temperature(10.0, "time"), even(columns={"temperature": np.array([np.nan])}), [0.0]),
+    "payload": (Payload(), even(columns={"payload": np.array([3.0])}), [3.0 / 40.0 * MOTION]),
+    "wind from ahead": (Wind(True), breeze(0.0), [2.5**2 - 0.5**2]),
+    "wind from behind": (Wind(True), breeze(180.0), [-(1.5**2) - 0.5**2]),
+    "wind across": (Wind(True), breeze(90.0), [0.5 * math.hypot(0.5, 2.0) - 0.5**2]),
+    "wind in proportion": (Wind(False), breeze(60.0), [2.0 * 0.5]),
+    "drift per hour": (Drift("since_start"), even(since_s=[1800.0]), [0.5 * PREDICTED]),
+    "drift per kilometre": (Drift("driven", of_all=False), even(driven_m=[250.0]), [0.25]),
+    "class": (TerrainClass("terrain", ("mud", "sand")), on("sand"), [0.0, 1.0]),
+    "class of motion": (TerrainClass("terrain", ("mud", "sand"), True), on("mud"), [MOTION, 0.0]),
+    "reference class": (TerrainClass("terrain", ("mud", "sand")), on("grass"), [0.0, 0.0]),
+    "turning by class": (TurningByClass("terrain", ("mud", "sand")), on("mud"), [0.5, 0.0]),
+    "map shift": (MapShift(), even(grade_east=[0.01], grade_north=[-0.02]), [0.01 * W, -0.02 * W]),
+    "hotel load": (HotelLoad(), even(), [2.0]),
+    "rolling resistance": (RollingResistance(), even(), [W]),
+    "mass": (Mass(), even(**UP), [0.18 * W]),
+    "acceleration": (Acceleration(), even(gained_m2ps2=[0.125]), [0.125]),  # from 0 to 0.5 m/s
+    "braking": (Braking(0.08), even(**DOWN), [0.12 * W]),
+    "sensor gain": (SensorGain(), even(), [PREDICTED]),
+    "curve per metre": (Curve("roughness", (0.0, 0.01, 0.03), "length"), even(roughness_m=[0.02]), [0.0, 0.5]),
+    "curve beyond its end": (Curve("roughness", (0.0, 0.01, 0.03), "length"), even(roughness_m=[0.3]), [0.0, 1.0]),
+    "curve per second": (
+        Curve("column:rain", (0.0, 1.0, 2.0), "time"),
+        even(columns={"rain": np.array([0.25])}),
+        [0.75 * 2.0, 0.0],
+    ),
+    "curve unknown": (Curve("column:rain", (0.0, 1.0, 2.0)), even(columns={"rain": np.array([np.nan])}), [0.0, 0.0]),
+    "curve over the heading": (
+        Curve("heading", (0.0, math.pi / 2, math.pi, 1.5 * math.pi)),
+        even(heading_rad=[1.75 * math.pi]),  # north-west, between west and north
+        [0.5, 0.0, 0.5],
+    ),
+    "place": (
+        PlaceField(((3.0, 4.5), (0.0, 0.5)), 5.0),
+        even(),  # at 0.0, 0.5: one width from the first centre, upon the second
+        [W * math.exp(-0.5), W],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BY_HAND)
+def test_a_column_is_what_the_formula_says(case):
+    form, rows, expected = BY_HAND[case]
+    np.testing.assert_allclose(form.columns(rows), [expected], rtol=1e-9, atol=1e-12)
+    assert len(form.coefficient_names()) == len(form.units("J")) == len(expected)
+    value = sum((k + 2.0) * e for k, e in enumerate(expected))
+    term = Term(form, tuple(k + 2.0 for k in range(len(expected))))
+    assert term.energy(rows)[0] == pytest.approx(value)
+
+
+@pytest.mark.parametrize("case", BY_HAND)
+def test_a_form_comes_back_from_its_file(case):
+    form = BY_HAND[case][0]
+    assert form_from_dict(json.loads(json.dumps(form.as_dict(), allow_nan=False))) == form
+
+
+def test_every_form_is_worked_out_by_hand():
+    assert {type(form) for form, _, _ in BY_HAND.values()} | {MeterLag} == {*NAMED, *CHANGES, *UNNAMED}
+
+
+def test_readings_that_are_late_belong_to_the_row_before():
+    """Powers of 30, 50 and 90 W: of the middle row 1 s late, the reading is that of its first border less its last."""
+    power = np.array([30.0, 50.0, 90.0])
+    rows = even(3, traction_per_m=(power - 12.0) * 2.0)
+    late = MeterLag().column(rows)
+    assert late[1] == pytest.approx(40.0 - 70.0)
+    assert np.isnan(late[[0, 2]]).all()  # of what comes before and after, nothing is known
+    assert (MeterLag().columns(rows)[[0, 2]] == 0.0).all()
+    assert not MeterLag.on_map
+
+
+def test_what_comes_first_are_the_declared_numbers():
+    form = BaseParameters.of(even(), of_charge=False)
+    added = dict(zip(form.coefficient_names(), form.columns(even())[0], strict=True))
+    assert added["rolling_resistance"] == pytest.approx(W)
+    assert added["energy_of_motion"] == pytest.approx(MOTION)
+    assert added["idle_power_w"] == pytest.approx(2.0)
+    lowest = dict(zip(form.coefficient_names(), form.lowest, strict=True))
+    assert lowest["rolling_resistance"] == -ROBOT.rolling_resistance  # none of them may become negative
+    assert lowest["idle_power_w"] == -ROBOT.idle_power_w
+    for one in (form, BaseParameters.of(even(), of_charge=True)):
+        assert form_from_dict(json.loads(json.dumps(one.as_dict(), allow_nan=False))) == one
+        assert len(one.units("J")) == len(one.lowest) == one.columns(even(2)).shape[1]
+
+
+def test_files_with_unknown_forms_or_settings_are_refused():
+    with pytest.raises(ModelError, match="form 'magic', which this version does not know"):
+        form_from_dict({"form": "magic"})
+    with pytest.raises(ModelError, match=r"needs the settings \['limit_radps'\], the model has \[\]"):
+        form_from_dict({"form": "turning"})
+    with pytest.raises(ModelError, match="not complete"):
+        Term.from_dict({"form": "turning", "limit_radps": None, "name": "turning"})
+
+
+def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():
+    """14 J/rad for every radian; of a second effect of turning what least squares of it on the angle say."""
+    rows = made_up(np.random.default_rng(5))
+    turned, gentle = rows.turned_abs_rad, rows.gentle_turn_rad[:, 2]
+    terms = [Term(Turning(), (14.0,)), Term(Turning(LIMIT), (100.0,)), Term(HotelLoad(), (5.0,))]
+    assert turning_per_rad(terms, rows) == pytest.approx(14.0 + 100.0 * (turned @ gentle) / (turned @ turned))
+    assert turning_per_rad(terms[2:], rows) == 0.0
+
+
+def test_where_an_effect_acts_is_said():
+    assert Turning().where((50.0,)) == "everywhere"
+    assert Turning(0.2).where((50.0,)).startswith("everywhere; a turn faster than 0.2 rad/s takes no more power")
+    assert PowerLimit(230.0).where((-0.5,)) == "above 230 W"
+    field = PlaceField(((0.0, 0.0), (100.0, 0.0)), 4.0)
+    assert field.where((0.01, -0.08)) == "a field over the map, strongest about x 100.0, y 0.0: -0.08"
+
+
+def test_forms_are_called_by_plain_names_and_say_what_to_drive():
+    rows = made_up(np.random.default_rng(1))
+    forms = [form for kind in (*NAMED, *CHANGES, *UNNAMED) for form in kind.variants(rows)]
+    titles = {form.title for form in forms}
+    assert {"turning", "late power readings", "structure in heading", "temperature"} <= titles
+    words = [*titles, *(form.reveals for form in forms), *(form.meaning for form in forms)]
+    assert [text for text in words if PRIVATE.search(text)] == []
+    assert all(words)
+    named = {form.name: form.title for form in forms}
+    assert len(set(named.values())) == len(named)  # two effects never look the same to a reader
+    for key, form in FORMS.items():
+        assert form.key == key
+
+
+def test_only_what_is_known_before_a_drive_is_planned_with():
+    known = {form.name: form.known_before for form in (Turning(), CrossSlope(), Wind(), Temperature(5.0), Climbing())}
+    assert all(known.values())
+    lasting = (Drift("clock"), Reversing(), MeterLag(), MapShift(), TerrainClass("terrain", ("mud",)))
+    assert not any(form.known_before for form in lasting)
+    assert Curve("heading", (0.0, 3.0)).known_before
+    assert Curve("column:temperature", (0.0, 3.0)).known_before
+    assert not Curve("column:motor_temperature", (0.0, 3.0)).known_before
+    assert not Curve("since_start", (0.0, 3.0)).known_before
