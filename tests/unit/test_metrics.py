@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from joulemap.model.energy.metrics import LEAST_J, mean_relative_error, relative_errors
-from joulemap.model.loop import calibration
+from joulemap.model.loop.calibrate import errors_of
 from joulemap.model.training.evaluation import errors
+from tests.reference.drives import even, measured_on
 
 
 def test_by_hand() -> None:
@@ -26,13 +27,6 @@ def test_evaluation_and_calibration_mean_the_same() -> None:
     predicted = energy + rng.normal(0.0, 10.0, 500)
     expected = float(np.mean(np.abs(predicted - energy) / energy))
 
-    class Drive:
-        run = np.zeros(500, dtype=np.int64)
-        unit_j = 1.0
-
-    class Measured:
-        moving = np.ones(500, dtype=bool)
-        measured, drive, runs = energy, Drive(), ("one",)
-
-    assert calibration._errors(Measured(), predicted)["mean_relative"] == pytest.approx(expected)
-    assert errors(predicted, energy, Drive.run)["mean_relative_error"] == pytest.approx(expected)
+    rows = even(500)
+    assert errors_of(measured_on(rows, energy), predicted)["mean_relative"] == pytest.approx(expected)
+    assert errors(predicted, energy, rows.run)["mean_relative_error"] == pytest.approx(expected)

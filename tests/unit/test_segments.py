@@ -8,7 +8,7 @@ import pytest
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.drive import describe_segments
+from joulemap.model.loop.features import describe_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.reader import Run

@@ -5,15 +5,13 @@ import pytest
 
 from joulemap.model.errors import InfeasibleError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.effects import Term
-from joulemap.model.loop.residual import residuals_of
+from joulemap.model.loop.forms.baseline_change import HotelLoad, RollingResistance
+from joulemap.model.loop.forms.turning import Turning
 from joulemap.model.loop.suggest import suggest_drive
 from joulemap.model.terrain.heightmap import Heightmap
-from tests.reference.drives import ROBOT, made_up, noisy
+from tests.reference.drives import ROBOT, made_up, measured_on, noisy
 
-TURNING = Term("turning", "turning", ("J/rad",), {"limit_radps": None})
-HOTEL = Term("hotel_load", "hotel_load", ("W",))
-FRICTION = Term("rolling_resistance", "friction", ("",))
+TURNING, HOTEL, FRICTION = Turning(), HotelLoad(), RollingResistance()
 
 
 def field(known=True):
@@ -28,13 +26,14 @@ def level(x, y, heading_rad):
 
 
 def straight_runs(seed=0):
-    """Runs that hardly turn, at one speed."""
+    """Runs that hardly turn, at one speed and on level ground."""
     rng = np.random.default_rng(seed)
-    drive = made_up(rng)
-    drive.turned_abs_rad[:] *= 0.02
-    drive.gentle_turn_rad[:] *= 0.02
-    drive.duration_s[:] = 2.0
-    return residuals_of(drive, noisy(rng, drive), tuple(f"run{k}" for k in range(6)), charge=False)
+    rows = made_up(rng)
+    rows.turned_abs_rad[:] *= 0.02
+    rows.gentle_turn_rad[:] *= 0.02
+    rows.duration_s[:] = 2.0
+    rows.grades[:] = 0.0
+    return measured_on(rows, noisy(rng, rows))
 
 
 def test_turning_is_learned_by_turning():
