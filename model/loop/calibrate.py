@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.loop.features import driven_ranges
 from joulemap.model.loop.forms import Form
+from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, SCALE, BaseParameters
 from joulemap.model.loop.refused_columns import refused_columns
 from joulemap.model.loop.residuals import Residuals, joined
 from joulemap.model.loop.selection import Selection, coasting_shift, make_design, rivals_of, select
@@ -64,9 +65,9 @@ class Fitted:
         Their 95 % confidence intervals.
     effects : tuple of Effect
         In the order in which they were taken.
-    terms, planner_terms, base_terms : tuple of Term
-        What is added to the base model's prediction: by everything, by what is known before a drive, and by the base
-        parameters alone. Each was fitted for itself.
+    terms, planner_terms, base_terms, scale_terms : tuple of Term
+        What is added to the base model's prediction: by everything, by what is known before a drive, by the base
+        parameters alone, and by the scale and the zero of a charge. Each was fitted for itself.
     ranges : dict
         In which the runs were driven.
     coasting_shift : float
@@ -83,6 +84,7 @@ class Fitted:
     terms: tuple[Term, ...]
     planner_terms: tuple[Term, ...]
     base_terms: tuple[Term, ...]
+    scale_terms: tuple[Term, ...]
     ranges: dict[str, tuple[float, float]]
     coasting_shift: float
     run_share: float
@@ -262,20 +264,24 @@ def fit(
         high[:count],
         tuple(effects),
         terms,
-        _terms(chosen, lambda form: form.known_before, measured=False),
+        _terms(chosen, lambda form: form.known_before, without=(MEASURED_SLOPE,)),
         _terms(chosen, lambda form: False),
+        _terms(chosen, lambda form: False, only=SCALE) if rows.charge else (),
         driven_ranges(measured.features),
         shift,
         float(run_share),
     )
 
 
-def _terms(chosen: Selection, keep: Callable[[Form], bool], *, measured: bool = True) -> tuple[Term, ...]:
-    """Base parameters and the effects that are kept, fitted together, as new runs have them."""
-    kept, estimate, _ = chosen.estimate(keep, measured=measured)
-    base = chosen.design.base if measured else chosen.design.base.before_driving
-    at = len(base.coefficient_names())
-    terms = [Term(base, tuple(estimate.coefficients[:at].tolist()))]
+def _terms(
+    chosen: Selection, keep: Callable[[Form], bool], *, without: Sequence[str] = (), only: Sequence[str] = ()
+) -> tuple[Term, ...]:
+    """Some base parameters and the effects that are kept, fitted together, as new runs have them."""
+    every = chosen.design.base.names
+    names = tuple(name for name in every if name not in without and (not only or name in only))
+    kept, estimate, _ = chosen.estimate(keep, None if names == every else names)
+    at = len(names)
+    terms = [Term(BaseParameters(names), tuple(estimate.coefficients[:at].tolist()))]
     for candidate in kept:
         k = len(candidate.tested)
         total = estimate.coefficients[at : at + k].copy()
@@ -289,10 +295,9 @@ def _terms(chosen: Selection, keep: Callable[[Form], bool], *, measured: bool = 
 def _states(fitted: Fitted, rows: Residuals, *, faults: bool = True) -> dict[str, FloatArray]:
     """Predictions by state; `faults` of the log count in the runs in which they were found, and in no others."""
     terms = [term for term in fitted.terms if faults or term.form.on_map]
-    corrected = fitted.predict(rows, fitted.base_terms)
     return {
-        "before": corrected.copy() if rows.charge else rows.said.copy(),
-        "corrected": corrected,
+        "before": fitted.predict(rows, fitted.scale_terms) if rows.charge else rows.said,
+        "corrected": fitted.predict(rows, fitted.base_terms),
         "after": fitted.predict(rows, terms),
         "after_planner": fitted.predict(rows, fitted.planner_terms),
     }

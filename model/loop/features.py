@@ -260,7 +260,6 @@ _RANGED = {
     "cross_slope": "cross_abs",
     "roughness": "roughness_m",
     "position_index": "position_index_m",
-    "turning": "turned_abs_rad",
 }
 _QUANTITIES: dict[str, Callable[[Features], FloatArray]] = {
     "grade": lambda rows: rows.grade,

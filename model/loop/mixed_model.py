@@ -87,6 +87,24 @@ class Estimate:
         return self.coefficients - reach, self.coefficients + reach
 
 
+@dataclass(frozen=True)
+class _Within:
+    """Rows without the levels of units, (n, k + 2), their cross products and the squares of the rows with levels."""
+
+    rows: FloatArray
+    gram: FloatArray
+    squares: FloatArray
+
+    @classmethod
+    def of(cls, every: FloatArray, unit: IntArray) -> _Within:
+        count = int(unit.max()) + 1
+        level = every[:, -2]
+        size = np.maximum(np.bincount(unit, weights=level**2, minlength=count), 1e-12)
+        parts = np.stack([level[unit == u] @ every[unit == u] for u in range(count)]) / size[:, None]
+        rows = every - level[:, None] * parts[unit]
+        return cls(rows, rows.T @ rows, (every**2).sum(axis=0))
+
+
 class MixedModel:
     """Cross products of scaled columns, by unit.
 
@@ -116,7 +134,8 @@ class MixedModel:
         *,
         whole_runs: bool,
     ) -> None:
-        every = variation.scaled(np.column_stack([columns, np.maximum(level, 0.0), residual]))
+        energies = np.column_stack([columns, np.maximum(level, 0.0), residual])
+        every = variation.scaled(energies)
         self.size = np.sqrt(np.mean(every[:, :-2] ** 2, axis=0))
         self.size[self.size == 0.0] = 1.0
         every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
@@ -125,12 +144,13 @@ class MixedModel:
         self.gram = np.stack([every[unit == u].T @ every[unit == u] for u in range(self.units)])  # (U, k + 2, k + 2)
         level_size = np.maximum(self.gram[:, -2, -2], 1e-12)
         self._h, self._gamma = self.gram[:, :, -2], level_size
-        inside = self.gram - self._h[:, :, None] * self._h[:, None, :] / level_size[:, None, None]
-        self.gram_within = inside.sum(axis=0)
-        self._squares = np.einsum("ukk->k", self.gram)
-        self._within = every - every[:, -2:-1] * (self._h / level_size[:, None])[unit]  # levels taken out
-        flat = variation.weight >= 1.0
+        self._scaled = _Within.of(every, unit)
+        white = variation.whitened(energies)
+        white[:, :-2] /= self.size
+        self._white = _Within.of(white, unit)
+        self.gram_within = self._scaled.gram
         self._level_variance = self._variances_of_levels(every[:, -2:-1])
+        flat = variation.weight >= 1.0
         self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
 
     def _variances_of_levels(self, level: FloatArray) -> FloatArray:
@@ -230,39 +250,48 @@ class MixedModel:
         Returns
         -------
         Test
-            A Wald test. Its variance is the larger of the model's and of the one that is robust against unequal spread,
-            and what serial correlation adds.
+            A Wald test by generalised least squares. Its variance is the larger of the model's and of the one that is
+            robust against unequal spread.
 
         References
         ----------
-        MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 and Satterthwaite 1946 (degrees of freedom); Bartlett 1946
-        (independent stretches of an autoregression); Hotelling 1931.
+        MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 (degrees of freedom); Hotelling 1931.
         """
-        rows = self._within
-        gram = self.gram_within[np.ix_(beside, beside)] + np.eye(len(beside))
+        found = self._fit(self._white, tested, beside)
+        return _NO_TEST if found is None else _tested(*found)
+
+    def _fit(
+        self, within: _Within, tested: IntArray, beside: IntArray, *, serial: bool = False
+    ) -> tuple[FloatArray, FloatArray, float] | None:
+        """Coefficients beside other columns, their robust variance and its degrees of freedom; None where the others
+        say what they say.
+
+        serial : add what serial correlation does to the variance.
+        """
+        gram = within.gram[np.ix_(beside, beside)] + np.eye(len(beside))
         both = np.append(tested, len(self.size) + 1)
-        rest = rows[:, both] - rows[:, beside] @ np.linalg.solve(gram, self.gram_within[np.ix_(beside, both)])
+        rest = within.rows[:, both] - within.rows[:, beside] @ np.linalg.solve(gram, within.gram[np.ix_(beside, both)])
         a, z = rest[:, :-1], rest[:, -1]
         information = a.T @ a
-        own = self._squares[tested]
-        if np.any(np.diag(information) <= _COLLINEAR * own) or _is_singular(information):
-            return _NO_TEST
+        if np.any(np.diag(information) <= _COLLINEAR * within.squares[tested]) or _is_singular(information):
+            return None
         inverse = np.linalg.inv(information)
         beta = inverse @ (a.T @ z)
         lever = np.einsum("ij,jk,ik->i", a, inverse, a)
-        rest = z - a @ beta
-        spread = a * (rest / np.maximum(1.0 - lever, 0.05))[:, None]
-        noise = float(rest @ rest) / max(len(z) - len(beside) - len(tested) - self.units, 1)
+        away = z - a @ beta
+        spread = a * (away / np.maximum(1.0 - lever, 0.05))[:, None]
+        noise = float(away @ away) / max(len(z) - len(beside) - len(tested) - self.units, 1)
         robust, model = inverse @ (spread.T @ spread) @ inverse, inverse * noise
         variance = max((robust, model), key=lambda v: -_wald(beta, v))
-        cross = a.T @ self.variation.carried(a) * (noise * self.variation.serial_share)
-        serial = inverse @ _positive(cross + cross.T) @ inverse
-        total = (variance + serial) * self.efficiency**2
-        share = float(np.max(np.diag(serial) / np.diag(variance + serial)))
-        rows_left = float(np.min(np.sum(a**2, axis=0) ** 2 / np.sum(a**4, axis=0)))
-        stretches = max(len(z) * (1.0 - self.variation.phi) / (1.0 + self.variation.phi), float(self.units))
-        freedom = 1.0 / ((1.0 - share) ** 2 / rows_left + share**2 / stretches)
-        return _tested(beta, total, freedom)
+        freedom = float(np.min(np.sum(a**2, axis=0) ** 2 / np.sum(a**4, axis=0)))
+        if serial:
+            cross = a.T @ self.variation.carried(a) * (noise * self.variation.serial_share)
+            more = inverse @ _positive(cross + cross.T) @ inverse
+            share = float(np.max(np.diag(more) / np.diag(variance + more)))
+            stretches = max(len(z) * (1.0 - self.variation.phi) / (1.0 + self.variation.phi), float(self.units))
+            variance = variance + more
+            freedom = 1.0 / ((1.0 - share) ** 2 / freedom + share**2 / stretches)
+        return beta, variance * self.efficiency**2, freedom
 
     def test_between(self, tested: IntArray, beside: IntArray, levels: IntArray) -> Test:
         """Test columns by the levels of units, with the degrees of freedom that units give.
@@ -324,8 +353,8 @@ class MixedModel:
         Returns
         -------
         Estimate
-            Degrees of freedom follow Satterthwaite: information inside units counts rows, information between them
-            counts units.
+            Degrees of freedom follow Satterthwaite (1946): information inside units counts rows, or independent
+            stretches of an autoregression (Bartlett 1946); information between them counts units.
         """
         sigma2, tau2 = self.sigma2(chosen), self.tau2(chosen)
         gram = self.marginal(chosen, tau2).sum(axis=0)
@@ -339,13 +368,14 @@ class MixedModel:
         inside = np.linalg.inv(self.gram_within[np.ix_(chosen, chosen)] + np.eye(len(chosen))) * sigma2
         freedom = np.empty(len(chosen))
         for k, column in enumerate(chosen):
-            test = self.test_within(np.array([column]), np.delete(chosen, k))
-            if test.variance.size:  # robust against unequal spread
-                ratio = max(float(test.variance[0, 0]) / float(inside[k, k]), 1.0)
+            alone = self._fit(self._scaled, np.array([column]), np.delete(chosen, k), serial=True)
+            share, rows, units = 0.0, 1.0, max(self.units - 1.0 - len(levels), 1.0)
+            if alone is not None:  # robust against unequal spread and serial correlation
+                share = float(np.clip(variance[k, k] / max(inside[k, k], 1e-300), 0.0, 1.0))
+                ratio = max(float(alone[1][0, 0]) / float(inside[k, k]), 1.0)
                 variance[k, :] *= np.sqrt(ratio)
                 variance[:, k] *= np.sqrt(ratio)
-            share = float(np.clip(variance[k, k] / max(inside[k, k], 1e-300), 0.0, 1.0)) if test.variance.size else 0.0
-            rows, units = max(test.freedom, 1.0), max(self.units - 1.0 - len(levels), 1.0)
+                rows = max(alone[2], 1.0)
             freedom[k] = 1.0 / (share**2 / rows + (1.0 - share) ** 2 / units)
         return Estimate(found / size, variance / np.outer(size, size), freedom)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -121,7 +121,7 @@ def _effect(effect: Effect, energy: str) -> dict[str, Any]:
     }
 
 
-def _best(verdicts: Mapping[int, Verdict], candidates: tuple[Candidate, ...]) -> dict[str, int]:
+def _best(verdicts: Sequence[Verdict], candidates: tuple[Candidate, ...]) -> dict[str, int]:
     """The candidate of the smallest p-value for each name."""
     best: dict[str, int] = {}
     for k, candidate in enumerate(candidates):
@@ -168,7 +168,8 @@ def _separable(found: Calibration) -> list[Candidate]:
 def _remaining(found: Calibration) -> dict[str, Any]:
     """What is left beside the effects: the smallest p-value of any candidate, and the spread on left-out runs."""
     selection = found.fitted.selection
-    p_values = [v.p_value for v in selection.last.values() if v.why_not != "it is in the model"]
+    others = zip(selection.last, selection.design.candidates, strict=True)
+    p_values = [v.p_value for v, candidate in others if not any(candidate is c for c in selection.chosen)]
     moving = found.residuals.moving
     after = found.held_out["after"][moving]
     away = found.residuals.measured[moving] - after

@@ -65,7 +65,7 @@ class Candidate:
     @property
     def complexity(self) -> tuple[bool, int]:
         """Whether it has no formula, and its number of coefficients: the order of simplicity."""
-        return isinstance(self.form, UNNAMED), len(self.tested)
+        return isinstance(self.form, UNNAMED), len(self.tested) + self.form.tuned
 
 
 class Verdict(NamedTuple):
@@ -136,10 +136,8 @@ class Selection:
         From which they were chosen.
     variation : Variation
         Around the chosen model.
-    alone : dict of int to Verdict
-        Of every candidate beside the base parameters, by its number.
-    last : dict of int to Verdict
-        Of every candidate beside the chosen ones.
+    alone, last : list of Verdict
+        Of every candidate beside the base parameters, and beside the chosen ones.
     model : MixedModel
         Of the chosen variation.
     """
@@ -148,12 +146,12 @@ class Selection:
     verdicts: tuple[Verdict, ...]
     design: Design
     variation: Variation
-    alone: dict[int, Verdict]
-    last: dict[int, Verdict]
+    alone: list[Verdict]
+    last: list[Verdict]
     model: MixedModel
 
     def estimate(
-        self, keep: Callable[[Form], bool] = lambda form: True, *, measured: bool = True
+        self, keep: Callable[[Form], bool] = lambda form: True, names: tuple[str, ...] | None = None
     ) -> tuple[list[Candidate], Estimate, IntArray]:
         """Fit the coefficients of the chosen effects.
 
@@ -161,8 +159,8 @@ class Selection:
         ----------
         keep : callable
             Says which forms are fitted.
-        measured : bool
-            Whether the slope that the robot measured may be used.
+        names : tuple of str, optional
+            Base parameters that are fitted; all without it.
 
         Returns
         -------
@@ -171,8 +169,8 @@ class Selection:
         """
         kept = [c for c in self.chosen if keep(c.form)]
         levels = [c.tested for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
-        index, low, high = _limits(self.design, kept, measured)
-        model = self.model if measured else fit_model(self.design, kept, self.variation, measured=False)[1]
+        index, low, high = _limits(self.design, kept, names)
+        model = self.model if names is None else fit_model(self.design, kept, self.variation, names)[1]
         return kept, model.estimate(index, low, high, columns_of(levels)), index
 
 
@@ -198,7 +196,7 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
     out: dict[str, list[str]] = {}
     for effect in selection.chosen:
         others = columns_of([design.fixed, *(c.both for c in selection.chosen if c is not effect)])
-        for k, verdict in selection.alone.items():
+        for k, verdict in enumerate(selection.alone):
             rival = design.candidates[k]
             known = out.get(effect.form.name, [])
             if verdict.p_value > ALPHA or rival.form.name in names or rival.form.name in known:
@@ -223,13 +221,12 @@ def coasting_shift(residuals: Residuals) -> float:
         `Features.coasting_shift` with the least squared error of the base parameters, scaled by the energy; outliers
         count in proportion to their size only.
     """
-    rolling = residuals.features.robot.rolling_resistance
+    rolling, base = residuals.features.robot.rolling_resistance, BaseParameters.of(charge=residuals.charge)
     scale = np.maximum(np.abs(residuals.said), float(np.median(np.abs(residuals.measured))))
     levels = [(residuals.unit == u) * np.maximum(residuals.said, 0.0) / scale for u in np.unique(residuals.unit)]
 
     def rest(shift: float) -> FloatArray:
         moved = residuals.coasting(float(shift))
-        base = BaseParameters.of(moved.features, of_charge=moved.charge)
         x = np.column_stack([base.columns(moved.features) / scale[:, None], *levels])
         z = (moved.measured - moved.said) / scale
         return np.abs(z - x @ np.linalg.solve(x.T @ x + 1e-9 * len(z) * np.eye(x.shape[1]), x.T @ z))
@@ -275,7 +272,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     """
     rows = residuals.features
     shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused})
-    base = BaseParameters.of(rows, of_charge=residuals.charge)
+    base = BaseParameters.of(charge=residuals.charge)
     compared = not new.all()
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
     blocks, candidates, count = [base.columns(rows)], [], len(base.coefficient_names())
@@ -313,37 +310,52 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
     """
     chosen: list[Candidate] = []
     between: dict[str, bool] = {}
-    alone: dict[int, Verdict] = {}
-    variation = None
-    while True:
-        variation, model = fit_model(design, chosen, variation)
-        verdicts = {k: _verdict(design, model, c, chosen, between) for k, c in enumerate(design.candidates)}
-        alone = alone or verdicts
-        if progress is not None:
-            progress(min(1.0, (len(chosen) + 1) / (MOST_EFFECTS + 1)))
-        best = _simplest(design, verdicts) if len(chosen) < MOST_EFFECTS else None
-        if best is None:
-            break
-        taken = design.candidates[best]
-        names = [c.form.name for c in chosen]
-        at = names.index(taken.form.name) if taken.form.name in names else len(chosen)
-        chosen[at : at + 1] = [taken]
-        between[taken.form.name] = verdicts[best].between
-    final: list[Verdict] = []
+    _, model = fit_model(design, _largest(design))
+
+    def judge(candidates: Sequence[Candidate]) -> list[Verdict]:
+        return [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in candidates]
+
+    alone = verdicts = judge(design.candidates)
+    for unnamed in (False, True):  # what has no name is asked what remains
+        while len(chosen) < MOST_EFFECTS and (best := _simplest(design, verdicts, chosen, unnamed=unnamed)) is not None:
+            taken = design.candidates[best]
+            names = [c.form.name for c in chosen]
+            at = names.index(taken.form.name) if taken.form.name in names else len(chosen)
+            chosen[at : at + 1] = [taken]
+            between[taken.form.name] = verdicts[best].between
+            verdicts = judge(design.candidates)
+            if progress is not None:
+                progress(len(chosen) / (MOST_EFFECTS + 1))
+    final = judge(chosen)
     while chosen:
-        final = [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in chosen]
         worst = max(range(len(chosen)), key=lambda k: (bool(final[k].why_not), final[k].p_value))
         needed = {name for c in chosen for name in c.form.parts}
         if (final[worst].p_value <= ALPHA and not final[worst].why_not) or chosen[worst].form.name in needed:
             break
         chosen.pop(worst)
-        variation, model = fit_model(design, chosen, variation)
-        verdicts = {k: _verdict(design, model, c, chosen, between) for k, c in enumerate(design.candidates)}
-    return Selection(tuple(chosen), tuple(final[: len(chosen)]), design, variation, alone, verdicts, model)
+        final, verdicts = judge(chosen), judge(design.candidates)
+    variation, last = fit_model(design, chosen)
+    return Selection(tuple(chosen), tuple(final), design, variation, alone, verdicts, last)
+
+
+def _largest(design: Design) -> list[Candidate]:
+    """The first variant of every named form, as far as there are ten rows for each coefficient (Harrell 2015, section
+    4.4): the variation is that around the largest model, so that no effect counts as noise in the test of another.
+    """
+    out: dict[str, Candidate] = {}
+    room = len(design.residuals) // 10
+    for candidate in design.candidates:
+        known = sum(len(c.both) for c in out.values())
+        if not isinstance(candidate.form, UNNAMED) and known + len(candidate.both) <= room:
+            out.setdefault(candidate.form.name, candidate)
+    return list(out.values())
 
 
 def fit_model(
-    design: Design, chosen: Sequence[Candidate], start: Variation | None = None, *, measured: bool = True
+    design: Design,
+    chosen: Sequence[Candidate],
+    start: Variation | None = None,
+    names: tuple[str, ...] | None = None,
 ) -> tuple[Variation, MixedModel]:
     """Fit the variation around a choice of effects.
 
@@ -355,8 +367,8 @@ def fit_model(
         The choice.
     start : Variation, optional
         Around another choice, from which the fit starts.
-    measured : bool
-        Whether the slope that the robot measured may be used.
+    names : tuple of str, optional
+        Base parameters in the model; all without it.
 
     Returns
     -------
@@ -364,7 +376,7 @@ def fit_model(
         The variation, and all columns whitened by it.
     """
     residuals = design.residuals
-    index, low, high = _limits(design, chosen, measured)
+    index, low, high = _limits(design, chosen, names)
     x = design.columns[:, index]
     said, z = residuals.said, residuals.measured - residuals.said
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
@@ -375,7 +387,8 @@ def fit_model(
         np.maximum(np.maximum(said, 0.0), size),
         np.ones(len(z)),
     )
-    own, fixed = np.arange(len(index)), len(design.fixed) - (not measured)
+    own = np.arange(len(index))
+    fixed = len(index) - sum(len(c.both) for c in chosen)
     level = np.maximum(np.maximum(said, 0.0), size)
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
@@ -387,12 +400,12 @@ def fit_model(
 
 
 def _limits(
-    design: Design, chosen: Sequence[Candidate], measured: bool = True
+    design: Design, chosen: Sequence[Candidate], names: tuple[str, ...] | None = None
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Columns of the base parameters and of a choice, with the physical limits of their coefficients."""
-    kept = len(design.fixed) - (not measured)  # the measured slope is the last
-    base = np.asarray(design.base.lowest)[:kept]
-    index, low, high = [design.fixed[:kept]], [base], [np.full(len(base), np.inf)]
+    kept = np.array([names is None or name in names for name in design.base.names])
+    base = design.base.lowest(design.residuals.features)[kept]
+    index, low, high = [design.fixed[kept]], [base], [np.full(len(base), np.inf)]
     for c in chosen:
         k, m = len(c.tested), len(c.beside)
         index.append(c.both)
@@ -407,8 +420,6 @@ def _verdict(
     """Test one candidate beside the chosen ones. Half of the error of the first kind goes to each family of tests."""
     nothing = np.zeros(model.units)
     now = columns_of([design.fixed, *(c.both for c in chosen)])
-    if any(c is candidate for c in chosen):
-        return Verdict(1.0, 0.0, nothing, False, "it is in the model")
     chosen = [c for c in chosen if c.form.name != candidate.form.name]  # another form of one effect takes its place
     if missing := set(candidate.form.parts) - {c.form.name for c in chosen}:
         return Verdict(1.0, 0.0, nothing, False, f"it needs {' and '.join(sorted(missing))} beside it")
@@ -443,9 +454,17 @@ def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool
     return bool(np.all((free[:k] >= form.low) & (free[:k] <= form.high)))
 
 
-def _simplest(design: Design, verdicts: dict[int, Verdict]) -> int | None:
+def _simplest(
+    design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool
+) -> int | None:
     """The simplest candidate whose gain is within one standard error of the largest."""
-    able = [k for k, v in verdicts.items() if not v.why_not]
+    able = [
+        k
+        for k, (verdict, candidate) in enumerate(zip(verdicts, design.candidates, strict=True))
+        if not verdict.why_not
+        and not any(candidate is c for c in chosen)
+        and (unnamed or not isinstance(candidate.form, UNNAMED))
+    ]
     if not able:
         return None
     top = verdicts[max(able, key=lambda k: verdicts[k].gain)]

@@ -5,9 +5,11 @@
 `s_i` is a standard deviation that grows with the predicted energy, `a` an autoregression along a run, `e` noise whose
 outliers get Huber's weights, and `u_run` the level of a run in shares of the predicted energy `g`. The parameters of the
 autoregression maximise the restricted likelihood with a free level of every run, so that runs that differ do not look
-like serial correlation. Coefficients are fitted by least squares of the scaled and weighted rows, because an error of
-the map is smooth too and generalised least squares would fit what is left when it is differenced away; the serial
-correlation enters the variance of the coefficients (Liang & Zeger 1986, working independence).
+like serial correlation.
+
+Tests take the serial correlation out of the rows (`whitened`). Coefficients are fitted to rows that are scaled only, with
+the serial correlation in their variance (Liang & Zeger 1986, working independence): an error of the map is smooth, and a
+fit to differences would lose the slopes of the ground with it.
 
 References
 ----------
@@ -116,6 +118,21 @@ class Variation:
             Ready for least squares.
         """
         return np.ascontiguousarray(columns * (np.sqrt(self.weight) / self.scale)[:, None])
+
+    def whitened(self, columns: FloatArray) -> FloatArray:
+        """Return columns as rows that are independent, for generalised least squares.
+
+        Parameters
+        ----------
+        columns : ndarray of float, (n, k)
+            Energies [J, or A s].
+
+        Returns
+        -------
+        ndarray of float, (n, k)
+            In standard deviations of the noise.
+        """
+        return self._filtered(columns / self.scale[:, None])[0]
 
     @property
     def phi(self) -> float:

@@ -73,6 +73,11 @@ class Form:
         return ()
 
     @property
+    def tuned(self) -> int:
+        """Number of settings that the choice among its variants fits to the runs."""
+        return 0
+
+    @property
     def known_before(self) -> bool:
         """Whether plans contain it."""
         return self.planned and self.on_map

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 from typing import Any
 
 import numpy as np
@@ -85,28 +86,17 @@ def measured_slope(rows: Features) -> FloatArray:
     return np.nan_to_num(rows.weight_length * rows.pulling * np.tan(np.radians(np.clip(pitch, -60.0, 60.0))))
 
 
-Part = tuple[str, str, Callable[[Features], FloatArray]]
-"""Name, unit and column of a parameter."""
-
-
 @dataclass(frozen=True)
 class BaseParameters(Form):
     """Corrections of what an owner declares, or a prediction from nothing where only charge was logged.
 
     Attributes
     ----------
-    of_charge : bool
-        Whether scale and zero of the energy are unknown, so that nothing of the base model's prediction is kept.
-    lowest : tuple of float
-        Lower physical limit of each coefficient: rolling resistance, idle power and mass are not negative, and descents
-        return no more than they release.
-    measured : bool
-        Whether the slope that the robot measured is one of them. Plans do without.
+    names : tuple of str
+        The parameters, of `PARTS`.
     """
 
-    of_charge: bool
-    lowest: tuple[float, ...]
-    measured: bool = True
+    names: tuple[str, ...]
 
     key = "base_parameters"
     label = "base parameters"
@@ -114,72 +104,95 @@ class BaseParameters(Form):
     unit = ""
     reveals = "level ground, climbs, and a minute without motion"
 
-    @property
-    def parts_of(self) -> tuple[Part, ...]:
-        """Its parameters."""
-        some = _CHARGE if self.of_charge else _DECLARED
-        return some + _ALWAYS[: 3 if self.measured else 2]
-
     def coefficient_names(self) -> tuple[str, ...]:
-        return tuple(name for name, _, _ in self.parts_of)
+        return self.names
 
     def units(self, energy: str) -> tuple[str, ...]:
-        return tuple(unit for _, unit, _ in self.parts_of)
+        return tuple(PARTS[name].unit for name in self.names)
 
     def columns(self, rows: Features) -> FloatArray:
-        return np.stack([np.nan_to_num(column(rows)) for _, _, column in self.parts_of], axis=1)
+        return np.stack([np.nan_to_num(PARTS[name].column(rows)) for name in self.names], axis=1)
 
-    def as_dict(self) -> dict[str, Any]:
-        lowest = [None if limit == -np.inf else limit for limit in self.lowest]  # JSON knows no infinity
-        return {**super().as_dict(), "lowest": lowest}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> BaseParameters:
-        lowest = [-np.inf if limit is None else float(limit) for limit in values.get("lowest", ())]
-        return super().from_dict({**values, "lowest": lowest})
-
-    @property
-    def before_driving(self) -> BaseParameters:
-        """The same without the slope that the robot measured, which no plan knows."""
-        return BaseParameters(self.of_charge, self.lowest[:6], measured=False)
-
-    @classmethod
-    def of(cls, rows: Features, *, of_charge: bool) -> BaseParameters:
-        """Return the form for a robot.
+    def lowest(self, rows: Features) -> FloatArray:
+        """Return the lower physical limit of each coefficient.
 
         Parameters
         ----------
         rows : Features
-            Whose robot's declared values give the limits.
-        of_charge : bool
-            As in the attributes.
+            Whose robot's declared values count: no rolling resistance, mass, power or loss is negative, and descents
+            return no more than they release.
+
+        Returns
+        -------
+        ndarray of float, (k,)
+            Limits.
+        """
+        return np.array([PARTS[name].lowest(rows) for name in self.names])
+
+    @classmethod
+    def of(cls, *, charge: bool) -> BaseParameters:
+        """Return all parameters.
+
+        Parameters
+        ----------
+        charge : bool
+            Whether scale and zero of the energy are unknown, so that nothing of the base model's prediction is kept.
 
         Returns
         -------
         BaseParameters
-            With limits.
+            Of measured runs.
         """
-        robot = rows.robot
-        low = (rows.coasting_tan, -1.0, -robot.idle_power_w, robot.regeneration - 1.0)
-        if of_charge:
-            low = (-np.inf, 0.0, 0.0, 0.0)
-        return cls(of_charge, (*low, 0.0, 0.0, -np.inf))
+        return cls((*(SCALE if charge else _DECLARED), *_DRIVING, MEASURED_SLOPE))
 
 
-_DECLARED: tuple[Part, ...] = (
-    ("rolling_resistance", "", lambda rows: rows.weight_length * rows.pulling),
-    ("energy_of_motion", "", lambda rows: rows.motion_part),
-    ("idle_power_w", "W", lambda rows: rows.duration_s / rows.unit_j),
-    ("descents", "", released),
-)
-_CHARGE: tuple[Part, ...] = (
-    ("per_metre", "A s/m", lambda rows: rows.length_m),
-    ("uphill", "1/V", lambda rows: rows.length_m * np.maximum(rows.pull_n, 0.0)),
-    ("downhill", "1/V", lambda rows: rows.length_m * np.minimum(rows.pull_n, 0.0)),
-    ("per_second", "A", lambda rows: rows.duration_s),
-)
-_ALWAYS: tuple[Part, ...] = (
-    ("speeding_up", "", kinetic),
-    ("slowing_down", "", slowed),
-    ("measured_slope", "", measured_slope),
-)
+class Part(NamedTuple):
+    """A parameter of the base model.
+
+    Attributes
+    ----------
+    unit : str
+        Of its coefficient.
+    lowest : callable
+        Lower physical limit of its coefficient, from rows.
+    column : callable
+        Energy of rows per unit of the coefficient, (n,) [J, or A s].
+    """
+
+    unit: str
+    lowest: Callable[[Features], float]
+    column: Callable[[Features], FloatArray]
+
+
+def _nothing(rows: Features) -> float:
+    return 0.0
+
+
+def _any(rows: Features) -> float:
+    return -np.inf
+
+
+PARTS: dict[str, Part] = {
+    "rolling_resistance": Part("", lambda rows: rows.coasting_tan, lambda rows: rows.weight_length * rows.pulling),
+    "energy_of_motion": Part("", lambda rows: -1.0, lambda rows: rows.motion_part),
+    "idle_power_w": Part("W", lambda rows: -rows.robot.idle_power_w, lambda rows: rows.duration_s / rows.unit_j),
+    "descents": Part("", lambda rows: rows.robot.regeneration - 1.0, released),
+    "per_metre": Part("A s/m", _any, lambda rows: rows.length_m),
+    "uphill": Part("1/V", _nothing, lambda rows: rows.length_m * np.maximum(rows.pull_n, 0.0)),
+    "downhill": Part("1/V", _nothing, lambda rows: rows.length_m * np.minimum(rows.pull_n, 0.0)),
+    "standing_current": Part("A", _nothing, lambda rows: rows.duration_s),
+    "driving_power": Part(
+        "W", _nothing, lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j
+    ),
+    "speeding_up": Part("", _nothing, kinetic),
+    "slowing_down": Part("", _nothing, slowed),
+    "measured_slope": Part("", _any, measured_slope),
+}
+"""Every parameter by name."""
+
+SCALE = ("per_metre", "uphill", "downhill", "standing_current")
+"""Scale and zero of a charge."""
+MEASURED_SLOPE = "measured_slope"
+"""What no plan knows."""
+_DECLARED = ("rolling_resistance", "energy_of_motion", "idle_power_w", "descents")
+_DRIVING = ("driving_power", "speeding_up", "slowing_down")

@@ -43,6 +43,10 @@ class Turning(Form):
     def covariates(self) -> tuple[str, ...]:
         return ("turning",)
 
+    @property
+    def tuned(self) -> int:
+        return int(self.limit_radps is not None)
+
     def column(self, rows: Features) -> FloatArray:
         if self.limit_radps is None:
             return rows.turned_abs_rad
