@@ -31,6 +31,10 @@ _COLLINEAR = 1e-3
 programs use by default (SPSS; Stata's `_rmcoll` is stricter)."""
 
 
+_LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels
+_ROUNDS = 3  # the variance between units follows the coefficients and the coefficients the variance
+
+
 class Test(NamedTuple):
     """A test of one effect against nothing.
 
@@ -301,42 +305,45 @@ class MixedModel:
         tested : ndarray of int
             Columns of the effect.
         beside : ndarray of int
-            Columns in the model, of which the courses inside units fix the coefficients.
+            Columns in the model. Their coefficients follow from all rows by generalised least squares.
         levels : ndarray of int
-            Those of them that are fitted to the levels.
+            Those of them that are fitted to the levels alone.
 
         Returns
         -------
         Test
-            A random-effects meta-regression of the levels.
+            A random-effects meta-regression of the levels. Degrees of freedom are lost to the other columns as far as
+            these are fitted to the levels too.
 
         References
         ----------
         Knapp & Hartung 2003; Mundlak 1978 (within and between).
         """
-        fixed = np.setdiff1d(beside, levels)
-        freedom = self.units - 1 - len(levels) - len(tested)
-        if not self.whole_runs or freedom < 1:
-            return _NO_TEST
-        beta = self._solved(self.gram_within, fixed)
-        away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
+        k, fixed = len(tested), np.setdiff1d(beside, levels)
         x = np.column_stack([np.ones(self.units), self._h[:, np.append(levels, tested)] / self._gamma[:, None]])
-        noise = self.sigma2(np.append(beside, tested)) * self.efficiency**2 * self._level_variance
-        weight = 1.0 / (noise + _paule_mandel(away, noise, x))
-        information = x.T @ (weight[:, None] * x)
-        sizes = np.diag(information)
-        others = information[:-len(tested), :-len(tested)]
-        cross = information[:-len(tested), -len(tested):]
-        if _is_singular(others):
+        if not self.whole_runs or self.units <= x.shape[1] or _is_singular(x.T @ x):
             return _NO_TEST
-        own = information[-len(tested):, -len(tested):] - cross.T @ np.linalg.solve(others, cross)
-        if np.any(np.diag(own) <= _COLLINEAR * sizes[-len(tested):]) or _is_singular(own):
+        every = np.concatenate([fixed, levels, tested])
+        sigma2 = self.sigma2(every)
+        noise = sigma2 * self.efficiency**2 * self._level_variance
+        between = _LARGE * sigma2
+        for _ in range(_ROUNDS):
+            gram = self.marginal(every, between / sigma2).sum(axis=0)
+            normal = gram[:-1, :-1] + np.eye(len(every))
+            beta = np.linalg.solve(normal, gram[:-1, -1])[: len(fixed)]
+            away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
+            between = _paule_mandel(away, noise, x)
+        own = np.arange(len(fixed))
+        more = gram[np.ix_(own, own)] - self.gram_within[np.ix_(fixed, fixed)]
+        used = float(np.trace(np.linalg.solve(normal[np.ix_(own, own)], more)))  # levels that the others have used up
+        freedom = self.units - x.shape[1] - used
+        if freedom < 1.0:
             return _NO_TEST
-        inverse = np.linalg.inv(information)
+        weight = 1.0 / (noise + between)
+        inverse = np.linalg.inv(x.T @ (weight[:, None] * x))
         coefficients = inverse @ (x.T @ (weight * away))
         misfit = float(weight @ (away - x @ coefficients) ** 2) / freedom
-        k = len(tested)
-        return _tested(coefficients[-k:], (inverse * max(misfit, 1.0))[-k:, -k:], float(freedom))
+        return _tested(coefficients[-k:], (inverse * max(misfit, 1.0))[-k:, -k:], freedom)
 
     def estimate(self, chosen: IntArray, low: FloatArray, high: FloatArray, levels: IntArray) -> Estimate:
         """Fit coefficients by generalised least squares within limits.

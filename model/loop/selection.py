@@ -30,6 +30,9 @@ IntArray = NDArray[np.int64]
 
 ALPHA = 0.01
 """Largest p-value of an effect, allowing for every test: one false find in a hundred calibrations."""
+LEAST_GAIN = 0.05
+"""Setting: share of the left-out squared error by which an effect must reduce it to be worth a line in a report. With
+thousands of rows every small error of a base model is significant (Cohen 1994)."""
 _MOST_LOST = 0.6
 """Share of the declared rolling resistance that may be losses of the drives, which do not hold a robot back on a descent: an
 efficiency of 40 %, about that of a small gear motor."""
@@ -420,6 +423,7 @@ def _verdict(
     """Test one candidate beside the chosen ones. Half of the error of the first kind goes to each family of tests."""
     nothing = np.zeros(model.units)
     now = columns_of([design.fixed, *(c.both for c in chosen)])
+    replaced = any(c.form.name == candidate.form.name for c in chosen)
     chosen = [c for c in chosen if c.form.name != candidate.form.name]  # another form of one effect takes its place
     if missing := set(candidate.form.parts) - {c.form.name for c in chosen}:
         return Verdict(1.0, 0.0, nothing, False, f"it needs {' and '.join(sorted(missing))} beside it")
@@ -434,13 +438,15 @@ def _verdict(
     tau2 = model.tau2(np.append(beside, candidate.tested))
     without = model.left_out(now, tau2)
     gains = without - model.left_out(np.append(beside, candidate.tested), tau2)
-    total = float(gains.sum())
+    total, gain = float(gains.sum()), float(gains.sum()) / max(float(without.sum()), 1e-12)
     why_not = ""
     if total <= float(gains.std(ddof=1)) * np.sqrt(gains.size):
         why_not = "its gain on left-out runs is within one standard error of none"
+    elif gain < LEAST_GAIN and not replaced:
+        why_not = f"it explains less than {LEAST_GAIN:.0%} of the error on left-out runs"
     elif not _physical(model, candidate, beside):
         why_not = "its coefficient has an impossible sign or size"
-    return Verdict(p_value, total / max(float(without.sum()), 1e-12), gains, across.p_value < inside.p_value, why_not)
+    return Verdict(p_value, gain, gains, across.p_value < inside.p_value, why_not)
 
 
 def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool:
