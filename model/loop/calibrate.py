@@ -15,8 +15,8 @@ from joulemap.model.loop.forms import Form
 from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, SCALE, BaseParameters
 from joulemap.model.loop.refused_columns import refused_columns
 from joulemap.model.loop.residuals import Residuals, joined
-from joulemap.model.loop.selection import Selection, coasting_shift, make_design, rivals_of, select
-from joulemap.model.loop.terms import Term, total_energy
+from joulemap.model.loop.selection import Selection, base_step, make_design, rivals_of, select
+from joulemap.model.loop.terms import Term, prepared, total_energy
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -72,6 +72,8 @@ class Fitted:
         In which the runs were driven.
     coasting_shift : float
         See `Features`.
+    first_base : Term
+        The base parameters before any effect, which forms take for the energy of motion.
     run_share : float
         Standard deviation between runs that no effect explains, as a share of the energy.
     """
@@ -87,6 +89,7 @@ class Fitted:
     scale_terms: tuple[Term, ...]
     ranges: dict[str, tuple[float, float]]
     coasting_shift: float
+    first_base: Term
     run_share: float
 
     def predict(self, residuals: Residuals, terms: Sequence[Term]) -> FloatArray:
@@ -105,7 +108,8 @@ class Fitted:
             Energy [J], or charge [A s].
         """
         moved = residuals.coasting(self.coasting_shift)
-        return moved.said + total_energy(terms, moved.features.within(self.ranges))
+        held = prepared(moved.features, self.coasting_shift, self.first_base, self.ranges)
+        return moved.said + total_energy(terms, held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,8 +246,7 @@ def fit(
     """
     rows = measured if base is None else joined([base, measured])
     new = np.arange(len(rows)) >= len(rows) - len(measured)
-    shift = coasting_shift(rows)
-    rows = rows.coasting(shift)
+    rows, first = base_step(rows)
     chosen = select(make_design(rows, new, tuple(refused)), progress=progress)
     kept, estimate, index = chosen.estimate()
     low, high = estimate.interval()
@@ -268,7 +271,8 @@ def fit(
         _terms(chosen, lambda form: False),
         _terms(chosen, lambda form: False, only=SCALE) if rows.charge else (),
         driven_ranges(measured.features),
-        shift,
+        rows.features.coasting_shift,
+        first,
         float(run_share),
     )
 

@@ -18,7 +18,7 @@ from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.features import Features, describe_segments, planned_features, quantity
 from joulemap.model.loop.prediction import predict_segments
-from joulemap.model.loop.terms import Term, total_energy
+from joulemap.model.loop.terms import Term, prepared, total_energy
 from joulemap.model.loop.words import quantity_name, quantity_value
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
@@ -50,6 +50,8 @@ class Correction:
         Lowest and highest value of every quantity in the runs. Beyond, the border's value holds.
     coasting_shift : float
         See `Features`.
+    first_base : Term, optional
+        The base parameters before any effect, which forms take for the energy of motion.
     charge : bool
         Whether the scale of the base prediction is unknown, so that the terms replace it.
     turn_j_per_rad : float
@@ -66,6 +68,7 @@ class Correction:
     planner_terms: tuple[Term, ...]
     ranges: Ranges = field(default_factory=dict)
     coasting_shift: float = 0.0
+    first_base: Term | None = None
     charge: bool = False
     turn_j_per_rad: float = 0.0
     conditions: Mapping[str, float] = field(default_factory=dict)
@@ -79,6 +82,7 @@ class Correction:
             "planner_terms": [t.as_dict() for t in self.planner_terms],
             "ranges": {key: list(ends) for key, ends in self.ranges.items()},
             "coasting_shift": self.coasting_shift,
+            "first_base": None if self.first_base is None else self.first_base.as_dict(),
             "charge": self.charge,
             "turn_j_per_rad": self.turn_j_per_rad,
             "conditions": dict(self.conditions),
@@ -112,6 +116,7 @@ class Correction:
                 tuple(Term.from_dict(t) for t in values["planner_terms"]),
                 {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
                 float(values["coasting_shift"]),
+                None if values["first_base"] is None else Term.from_dict(values["first_base"]),
                 bool(values["charge"]),
                 float(values["turn_j_per_rad"]),
                 dict(values["conditions"]),
@@ -293,9 +298,10 @@ class CalibratedPredictor:
 
     def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
-        moved = replace(rows, coasting_shift=self.correction.coasting_shift)
-        start = np.zeros(len(rows)) if self.correction.charge else moved.predicted + beyond
-        return start + total_energy(terms, moved.within(self.correction.ranges))
+        fixed = self.correction
+        moved = replace(rows, coasting_shift=fixed.coasting_shift)
+        start = np.zeros(len(rows)) if fixed.charge else moved.predicted + beyond
+        return start + total_energy(terms, prepared(rows, fixed.coasting_shift, fixed.first_base, fixed.ranges))
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

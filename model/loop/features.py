@@ -71,7 +71,7 @@ class Features:
     since_s, driven_m : ndarray of float, (n,)
         Since the start of the run.
     clock_s : ndarray of float, (n,)
-        Since the start of the first run.
+        Stamp of the log.
     columns : dict of str to ndarray of float, (n,)
         Further columns of the log; NaN where blank.
     words : dict of str to ndarray of str, (n,)
@@ -84,6 +84,8 @@ class Features:
         Between which `speed_mps` is held.
     coasting_shift : float
         Tangent by which the drives coast on a steeper descent than the declared rolling resistance says.
+    corrected : ndarray of float, (n,), optional
+        Energy of motion that base parameters add to the base model's [J, or A s].
     """
 
     robot: Robot
@@ -117,6 +119,7 @@ class Features:
     runs: tuple[str, ...] = ()
     speeds_mps: tuple[float, float] = (0.0, math.inf)
     coasting_shift: float = 0.0
+    corrected: FloatArray | None = None
 
     def __len__(self) -> int:
         return int(self.x.size)
@@ -151,6 +154,7 @@ class Features:
         """
         index = np.asarray(which)
         changed: dict[str, Any] = {name: getattr(self, name)[index] for name in _arrays()}
+        changed["corrected"] = None if self.corrected is None else self.corrected[index]
         changed["columns"] = {key: values[index] for key, values in self.columns.items()}
         changed["words"] = {key: values[index] for key, values in self.words.items()}
         return replace(self, **changed)
@@ -215,6 +219,11 @@ class Features:
 
     @property
     def motion_part(self) -> FloatArray:
+        """Energy of the motion, (n,) [J, or A s], with what regeneration returns and with the base parameters."""
+        return self.base_motion if self.corrected is None else self.base_motion + self.corrected
+
+    @property
+    def base_motion(self) -> FloatArray:
         """Prediction of the base model for the motion, (n,) [J, or A s], with what regeneration returns."""
         t = self.pull_n
         return self.length_m * (np.maximum(t, 0.0) + self.robot.regeneration * np.minimum(t, 0.0)) / self.unit_j
@@ -227,7 +236,7 @@ class Features:
     @property
     def predicted(self) -> FloatArray:
         """Prediction of the base model, (n,) [J, or A s]: idle power and motion."""
-        return self.hotel_part + self.motion_part
+        return self.hotel_part + self.base_motion
 
     @property
     def weight_length(self) -> FloatArray:
@@ -255,7 +264,7 @@ def _arrays() -> list[str]:
     return [f.name for f in fields(Features) if f.name not in _NO_ARRAYS]
 
 
-_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "coasting_shift"}
+_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "coasting_shift", "corrected"}
 _RANGED = {
     "cross_slope": "cross_abs",
     "roughness": "roughness_m",
@@ -399,7 +408,7 @@ def describe_segments(
         **_ground(heightmap, robot, segments.x, segments.y, segments.heading_rad),
         since_s=segments.t0 - (first[segments.run] if n else 0.0),
         driven_m=driven,
-        clock_s=segments.t0 - (float(first.min()) if n else 0.0),
+        clock_s=segments.t0,
         columns=dict(segments.extras),
         words={key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()},
         unit_j=robot.nominal_voltage_v if segments.charge else 1.0,

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
-from joulemap.model.loop.forms.base_parameters import BaseParameters
+from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
 from joulemap.model.loop.mixed_model import Estimate, MixedModel, columns_of
 from joulemap.model.loop.residuals import Residuals
+from joulemap.model.loop.terms import Term
 from joulemap.model.loop.variation import HUBER, Variation, fit_variation, starts_of
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +37,7 @@ thousands of rows every small error of a base model is significant (Cohen 1994).
 _MOST_LOST = 0.6
 """Share of the declared rolling resistance that may be losses of the drives, which do not hold a robot back on a descent: an
 efficiency of 40 %, about that of a small gear motor."""
+_DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
 _STEEPEST = 0.3
 """Largest tangent on which a robot coasts beyond the declared one: sand (Wong 2008, table 4.1)."""
 MOST_EFFECTS = 8
@@ -250,6 +252,28 @@ def coasting_shift(residuals: Residuals) -> float:
     return float(found.x) if better > np.log(freedom) else 0.0  # Schwarz 1978: one parameter more
 
 
+def base_step(residuals: Residuals) -> tuple[Residuals, Term]:
+    """Fit the base parameters alone, before any effect.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of all runs, as declared.
+
+    Returns
+    -------
+    tuple of (Residuals, Term)
+        The rows with what the base parameters make of the energy of motion; and the base parameters.
+    """
+    moved = residuals.coasting(coasting_shift(residuals))
+    base = BaseParameters.of(charge=residuals.charge)
+    empty = Design(moved, np.ones(len(moved), dtype=bool), base.columns(moved.features), base, ())
+    _, model = fit_model(empty, [])
+    index, low, high = _limits(empty, [])
+    term = Term(base, tuple(model.estimate(index, low, high, index[:0]).coefficients.tolist()))
+    return replace(moved, features=with_base_parameters(moved.features, base, np.asarray(term.coefficients))), term
+
+
 def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str]) -> Design:
     """Return the columns of all forms on some rows.
 
@@ -274,7 +298,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     both.
     """
     rows = residuals.features
-    shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused})
+    shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused or k in _DIRECTED})
     base = BaseParameters.of(charge=residuals.charge)
     compared = not new.all()
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.features import Features
 from joulemap.model.loop.forms import Form, form_from_dict
+from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
 
 FloatArray = NDArray[np.float64]
 
@@ -74,6 +75,33 @@ class Term:
             return cls(form, tuple(float(c) for c in values["coefficients"]))
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"an effect of the model is not complete: {error!r}") from error
+
+
+def prepared(
+    rows: Features, coasting_shift: float, first_base: Term | None, ranges: Mapping[str, tuple[float, float]]
+) -> Features:
+    """Return rows as the terms of a calibration read them.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows.
+    coasting_shift : float
+        See `Features`.
+    first_base : Term, optional
+        The base parameters that the energy of motion has in it.
+    ranges : mapping
+        In which quantities are held.
+
+    Returns
+    -------
+    Features
+        Of the same rows.
+    """
+    held = replace(rows, coasting_shift=coasting_shift).within(ranges)
+    if first_base is None or not isinstance(first_base.form, BaseParameters):
+        return held
+    return with_base_parameters(held, first_base.form, np.asarray(first_base.coefficients))
 
 
 def total_energy(terms: Sequence[Term], rows: Features) -> FloatArray:

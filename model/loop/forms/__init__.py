@@ -42,6 +42,7 @@ NAMED: tuple[type[Form], ...] = (
     Drift,
     TerrainClass,
     TurningByClass,
+    PlaceField,
     MeterLag,
     MapShift,
 )
@@ -50,7 +51,7 @@ NAMED: tuple[type[Form], ...] = (
 CHANGES: tuple[type[Form], ...] = (RollingResistance, HotelLoad, Mass, SensorGain, Acceleration, Braking)
 """Forms of the base model's own parameters. They are effects where baseline runs say what these were before."""
 
-UNNAMED: tuple[type[Form], ...] = (PlaceField, Curve)
+UNNAMED: tuple[type[Form], ...] = (Curve,)
 """Structure without a formula."""
 
 FORMS: dict[str, type[Form]] = {form.key: form for form in (*NAMED, *CHANGES, *UNNAMED, BaseParameters)}

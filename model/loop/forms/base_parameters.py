@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 from typing import Any
 
@@ -146,6 +146,27 @@ class BaseParameters(Form):
         return cls((*(SCALE if charge else _DECLARED), *_DRIVING, MEASURED_SLOPE))
 
 
+def with_base_parameters(rows: Features, base: BaseParameters, coefficients: FloatArray) -> Features:
+    """Return rows whose energy of motion has the base parameters in it.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows.
+    base : BaseParameters
+        The parameters.
+    coefficients : ndarray of float, (k,)
+        Their values.
+
+    Returns
+    -------
+    Features
+        With `corrected`.
+    """
+    of_motion = np.array([name not in _OF_TIME for name in base.names])
+    return replace(rows, corrected=base.columns(rows)[:, of_motion] @ np.asarray(coefficients)[of_motion])
+
+
 class Part(NamedTuple):
     """A parameter of the base model.
 
@@ -174,7 +195,7 @@ def _any(rows: Features) -> float:
 
 PARTS: dict[str, Part] = {
     "rolling_resistance": Part("", lambda rows: rows.coasting_tan, lambda rows: rows.weight_length * rows.pulling),
-    "energy_of_motion": Part("", lambda rows: -1.0, lambda rows: rows.motion_part),
+    "energy_of_motion": Part("", lambda rows: -1.0, lambda rows: rows.base_motion),
     "idle_power_w": Part("W", lambda rows: -rows.robot.idle_power_w, lambda rows: rows.duration_s / rows.unit_j),
     "descents": Part("", lambda rows: rows.robot.regeneration - 1.0, released),
     "per_metre": Part("A s/m", _any, lambda rows: rows.length_m),
@@ -194,5 +215,6 @@ SCALE = ("per_metre", "uphill", "downhill", "standing_current")
 """Scale and zero of a charge."""
 MEASURED_SLOPE = "measured_slope"
 """What no plan knows."""
+_OF_TIME = ("idle_power_w", "standing_current", "driving_power", "speeding_up", "slowing_down")
 _DECLARED = ("rolling_resistance", "energy_of_motion", "idle_power_w", "descents")
 _DRIVING = ("driving_power", "speeding_up", "slowing_down")

@@ -69,4 +69,4 @@ class SensorGain(Form):
     reveals = "a minute without motion, then level ground and climbs"
 
     def column(self, rows: Features) -> FloatArray:
-        return rows.predicted
+        return rows.hotel_part + rows.motion_part

@@ -21,12 +21,15 @@ class Drift(Form):
     Attributes
     ----------
     over : str
-        `since_start`, `driven`, `clock` or `odometer`.
+        `since_start`, `driven` or `clock`.
+    start : float
+        Value of the covariate at which it is nil: the first stamp of the day.
     of_all : bool
         A share of the predicted energy instead of energy per metre.
     """
 
     over: str
+    start: float = 0.0
     of_all: bool = True
 
     key = "drift"
@@ -44,9 +47,10 @@ class Drift(Form):
         return (f"{'1' if self.of_all else energy + '/m'}/{self.per[1]}",)
 
     def column(self, rows: Features) -> FloatArray:
-        return (rows.predicted if self.of_all else rows.length_m) * quantity(rows, self.over) / self.per[0]
+        return (rows.hotel_part + rows.motion_part if self.of_all else rows.length_m) * np.maximum(quantity(rows, self.over) - self.start, 0.0) / self.per[0]
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
-        for over in ("since_start", "driven", "clock", "odometer"):
-            yield from (cls(over, of_all) for of_all in (True, False))
+        for over in ("since_start", "driven", "clock"):
+            start = float(rows.clock_s.min()) if over == "clock" else 0.0
+            yield from (cls(over, start, of_all) for of_all in (True, False))

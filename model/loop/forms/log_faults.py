@@ -32,7 +32,7 @@ class MeterLag(Form):
     on_map = False
 
     def column(self, rows: Features) -> FloatArray:
-        power = rows.predicted / np.maximum(rows.duration_s, 1e-6)
+        power = (rows.hotel_part + rows.motion_part) / np.maximum(rows.duration_s, 1e-6)
         follows = (np.diff(rows.run) == 0) & ~rows.standing[1:] & ~rows.standing[:-1]
         border = np.where(follows, 0.5 * (power[1:] + power[:-1]), np.nan)
         start, end = np.concatenate([[np.nan], border]), np.concatenate([border, [np.nan]])
