@@ -337,6 +337,7 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
     """
     chosen: list[Candidate] = []
     between: dict[str, bool] = {}
+    seen: set[frozenset[int]] = set()
     _, model = fit_model(design, _largest(design))
 
     def judge(candidates: Sequence[Candidate]) -> list[Verdict]:
@@ -351,6 +352,9 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
             chosen[at : at + 1] = [taken]
             between[taken.form.name] = verdicts[best].between
             verdicts = judge(design.candidates)
+            if (now := frozenset(map(id, chosen))) in seen:  # two forms of one effect that take turns
+                break
+            seen.add(now)
             if progress is not None:
                 progress(len(chosen) / (MOST_EFFECTS + 1))
     final = judge(chosen)
