@@ -53,7 +53,7 @@ def pages() -> list[str]:
 def own_test(page: str) -> Path:
     """Where the test of a page on adding one more would be; such pages add modules, and are run by it."""
     name = Path(page).stem.replace("-", "_")
-    return ROOT / "tests/docs" / (f"test_{name}.py" if name.startswith("add_a_") else "none")
+    return ROOT / "tests/docs" / (f"test_{name}.py" if name.startswith(("add_a_", "add_an_")) else "none")
 
 
 def blocks_of(page: str) -> list[Block]:
