@@ -246,7 +246,7 @@ def fit(
     """
     rows = measured if base is None else joined([base, measured])
     new = np.arange(len(rows)) >= len(rows) - len(measured)
-    rows, first = base_step(rows)
+    rows, first = base_step(rows, rows if base is None else base)
     chosen = select(make_design(rows, new, tuple(refused)), progress=progress)
     kept, estimate, index = chosen.estimate()
     low, high = estimate.interval()

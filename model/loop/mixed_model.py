@@ -259,7 +259,7 @@ class MixedModel:
 
         References
         ----------
-        MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 (degrees of freedom); Hotelling 1931.
+        MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 (degrees of freedom, their mean over the columns).
         """
         found = self._fit(self._white, tested, beside)
         return _NO_TEST if found is None else _tested(*found)
@@ -276,10 +276,10 @@ class MixedModel:
         both = np.append(tested, len(self.size) + 1)
         rest = within.rows[:, both] - within.rows[:, beside] @ np.linalg.solve(gram, within.gram[np.ix_(beside, both)])
         a, z = rest[:, :-1], rest[:, -1]
-        information = a.T @ a
-        if np.any(np.diag(information) <= _COLLINEAR * within.squares[tested]) or _is_singular(information):
+        a = a @ _directions(a.T @ a, within.squares[tested])
+        if a.shape[1] == 0:
             return None
-        inverse = np.linalg.inv(information)
+        inverse = np.linalg.inv(a.T @ a)
         beta = inverse @ (a.T @ z)
         lever = np.einsum("ij,jk,ik->i", a, inverse, a)
         away = z - a @ beta
@@ -287,7 +287,7 @@ class MixedModel:
         noise = float(away @ away) / max(len(z) - len(beside) - len(tested) - self.units, 1)
         robust, model = inverse @ (spread.T @ spread) @ inverse, inverse * noise
         variance = max((robust, model), key=lambda v: -_wald(beta, v))
-        freedom = float(np.min(np.sum(a**2, axis=0) ** 2 / np.sum(a**4, axis=0)))
+        freedom = float(np.mean(np.sum(a**2, axis=0) ** 2 / np.sum(a**4, axis=0)))
         if serial:
             cross = a.T @ self.variation.carried(a) * (noise * self.variation.serial_share)
             more = inverse @ _positive(cross + cross.T) @ inverse
@@ -393,6 +393,13 @@ def _positive(matrix: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
+def _directions(information: FloatArray, squares: FloatArray) -> FloatArray:
+    """Combinations of columns, (k, r), of which enough is left beside the other columns."""
+    size = np.sqrt(np.maximum(squares, 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    return np.asarray((vectors / size[:, None])[:, values > _COLLINEAR])
+
+
 def _is_singular(information: FloatArray) -> bool:
     """Whether a column is a combination of others."""
     size = np.sqrt(np.diag(information))
@@ -404,13 +411,9 @@ def _wald(beta: FloatArray, variance: FloatArray) -> float:
 
 
 def _tested(beta: FloatArray, variance: FloatArray, freedom: float) -> Test:
-    """Hotelling's test of k coefficients, whose variance has so many degrees of freedom."""
+    """Wald's test of k coefficients, whose variance has so many degrees of freedom."""
     k = len(beta)
-    left = freedom - k + 1.0
-    if left < 1.0:
-        return _NO_TEST
-    statistic = _wald(beta, variance) * left / (freedom * k)
-    return Test(float(fisher.sf(statistic, k, left)), freedom, variance)
+    return Test(float(fisher.sf(_wald(beta, variance) / k, k, freedom)), freedom, variance)
 
 
 def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:

@@ -252,22 +252,25 @@ def coasting_shift(residuals: Residuals) -> float:
     return float(found.x) if better > np.log(freedom) else 0.0  # Schwarz 1978: one parameter more
 
 
-def base_step(residuals: Residuals) -> tuple[Residuals, Term]:
+def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:
     """Fit the base parameters alone, before any effect.
 
     Parameters
     ----------
     residuals : Residuals
         Of all runs, as declared.
+    known : Residuals
+        Of the runs to fit: those of the baseline, where there are any, since no effect is at work there.
 
     Returns
     -------
     tuple of (Residuals, Term)
-        The rows with what the base parameters make of the energy of motion; and the base parameters.
+        All rows with what the base parameters make of the energy of motion; and the base parameters.
     """
-    moved = residuals.coasting(coasting_shift(residuals))
+    shift = coasting_shift(known)
+    moved, fitted = residuals.coasting(shift), known.coasting(shift)
     base = BaseParameters.of(charge=residuals.charge)
-    empty = Design(moved, np.ones(len(moved), dtype=bool), base.columns(moved.features), base, ())
+    empty = Design(fitted, np.ones(len(fitted), dtype=bool), base.columns(fitted.features), base, ())
     _, model = fit_model(empty, [])
     index, low, high = _limits(empty, [])
     term = Term(base, tuple(model.estimate(index, low, high, index[:0]).coefficients.tolist()))

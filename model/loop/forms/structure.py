@@ -26,6 +26,8 @@ _NAMED = {
 """Covariates whose effect has a name, whatever its form."""
 _FORECAST = frozenset({"column:temperature", "column:payload", "column:wind_speed"})
 """Logged columns that are known before a drive."""
+_DRAGGING = frozenset({"heading", "speed", "elevation", "position_index", "cross_slope", "roughness"})
+"""Covariates of a drag, which costs nothing where a slope pushes harder."""
 _KNOTS = (4, 8)  # coarse and fine; runs left out decide
 _BANDS = (8, 24)  # of heading: 45 and 15 degrees
 _LEAST_IN_BELL = 12  # rows within one width of a centre of a field
@@ -94,7 +96,8 @@ class Curve(Form):
         values = np.where(np.isfinite(values), values, self.knots[len(self.knots) // 2])
         period = 2.0 * math.pi if self.over == "heading" else None
         hats = [np.interp(values, self.knots, np.eye(len(self.knots))[k], period=period) for k in self._kept()]
-        amount = {"length": rows.length_m, "time": rows.duration_s, "all": rows.hotel_part + rows.motion_part}[self.of]
+        driven = rows.length_m * rows.pulling if self.over in _DRAGGING else rows.length_m
+        amount = {"length": driven, "time": rows.duration_s, "all": rows.hotel_part + rows.motion_part}[self.of]
         return np.nan_to_num(np.stack(hats, axis=1) * amount[:, None])
 
     @classmethod
