@@ -1,4 +1,4 @@
-"""docs/how-to/add-an-effect.md: its form is registered as the page says, tested, found in runs and read from its file."""
+"""docs/how-to/add-an-effect.md: its form is registered as the page says, tested, found in runs and read back."""
 
 from __future__ import annotations
 
