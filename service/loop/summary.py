@@ -18,13 +18,14 @@ _BASE = {
     "energy_of_motion": "energy of motion, as a multiple of the model's",
     "idle_power_w": "idle power",
     "descents": "share of the energy of descents that is lost",
+    "driving_power": "power drawn while driving, beside the idle power",
     "speeding_up": "energy of speeding up, as a multiple of the kinetic energy",
     "slowing_down": "energy saved by slowing down, as a multiple of the kinetic energy",
     "measured_slope": "weight of the slope that the robot measured, beside the map's",
     "per_metre": "charge per metre",
-    "uphill": "charge uphill, as a multiple of the work at the nominal voltage",
-    "downhill": "charge saved downhill, as a multiple of the work at the nominal voltage",
-    "per_second": "charge per second",
+    "uphill": "charge per joule of traction",
+    "downhill": "charge saved per joule of braking",
+    "standing_current": "current drawn all the time",
 }
 _SAID_RANGES = ("speed", "grade", "turning")  # in sentences; the report's table has all
 

@@ -123,9 +123,7 @@ def test_turns_go_into_the_robot():
 
 
 def test_charge_is_planned_at_the_nominal_voltage():
-    form = BaseParameters.of(even(), of_charge=True).before_driving
-    values = {"per_metre": 3.0, "per_second": 1.5}
-    plane = Term(form, tuple(values.get(name, 0.0) for name in form.coefficient_names()))
+    plane = Term(BaseParameters(("per_metre", "standing_current")), (3.0, 1.5))
     ampere_seconds = 3.0 + 1.5 * 2.0  # a metre takes 2 s
     assert price(calibrated(plane, charge=True)) == pytest.approx(ROBOT.nominal_voltage_v * ampere_seconds, rel=1e-5)
 
@@ -143,7 +141,7 @@ def test_the_deviation_is_that_of_what_remained():
 
 
 WHOLE = Correction(
-    (*(term for term, _ in EFFECTS.values()), Term(BaseParameters.of(even(), of_charge=True), (1.0,) * 7)),
+    (*(term for term, _ in EFFECTS.values()), Term(BaseParameters(("idle_power_w",)), (1.0,))),
     (EFFECTS["turning"][0],),
     ranges=RANGES,
     turn_j_per_rad=50.0,

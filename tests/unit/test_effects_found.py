@@ -21,13 +21,9 @@ EFFECTS = {
     "roughness": lambda rows: 5.0 * ROBOT.weight_n * rows.roughness_m * rows.pulling,
     "local_friction": lambda rows: 25.0 * (np.hypot(rows.x - 25, rows.y - 25) < 8.0),
 }
-PLACE = pytest.param(
-    "local_friction",
-    marks=pytest.mark.xfail(strict=True, reason="the bells of a field add up to the rolling resistance: never tested"),
-)
 
 
-@pytest.mark.parametrize("name", ["turning", "cross_slope", "roughness", PLACE])
+@pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_is_named_first(name):
     rng = np.random.default_rng(7)
     rows = made_up(rng)

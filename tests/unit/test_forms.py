@@ -141,17 +141,17 @@ def test_readings_that_are_late_belong_to_the_row_before():
 
 
 def test_what_comes_first_are_the_declared_numbers():
-    form = BaseParameters.of(even(), of_charge=False)
+    form = BaseParameters.of(charge=False)
     added = dict(zip(form.coefficient_names(), form.columns(even())[0], strict=True))
     assert added["rolling_resistance"] == pytest.approx(W)
     assert added["energy_of_motion"] == pytest.approx(MOTION)
     assert added["idle_power_w"] == pytest.approx(2.0)
-    lowest = dict(zip(form.coefficient_names(), form.lowest, strict=True))
+    lowest = dict(zip(form.coefficient_names(), form.lowest(even()), strict=True))
     assert lowest["rolling_resistance"] == -ROBOT.rolling_resistance  # none of them may become negative
     assert lowest["idle_power_w"] == -ROBOT.idle_power_w
-    for one in (form, BaseParameters.of(even(), of_charge=True)):
+    for one in (form, BaseParameters.of(charge=True)):
         assert form_from_dict(json.loads(json.dumps(one.as_dict(), allow_nan=False))) == one
-        assert len(one.units("J")) == len(one.lowest) == one.columns(even(2)).shape[1]
+        assert len(one.units("J")) == len(one.lowest(even())) == one.columns(even(2)).shape[1]
 
 
 def test_files_with_unknown_forms_or_settings_are_refused():

@@ -5,117 +5,225 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.chance import SHIFTS
-from joulemap.model.loop.effects import Term
-from joulemap.model.loop.report import coefficient_names, report_document, where_words
-from joulemap.model.loop.words import LEAST_P, effect_name, left_out_words, p_words, quantity_name, repair_words
+from joulemap.model.loop.forms.base_parameters import PARTS
+from joulemap.model.loop.forms.log_faults import MeterLag
+from joulemap.model.loop.report import report_document
+from joulemap.model.loop.suggest import Suggestion
+from joulemap.model.loop.terms import Term
+from joulemap.model.loop.words import left_out_words, p_words, quantity_name, repair_words
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
-from joulemap.service.loop.calibration import Calibrated
+from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.next_drive import next_drive
 from joulemap.service.loop.report_figures import LEAST_SPAN, change_scale
 from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.summary import (
     NextStep,
+    base_name,
+    base_words,
+    confounded_words,
+    drive_words,
     error_states,
     error_words,
     found_words,
     headline,
     likeliest,
+    range_words,
     summary_lines,
+    variation_words,
 )
 from tests.reference.drives import ROBOT, found_in, made_up, noisy
 from tests.reference.words import PRIVATE, shown
 
 BEFORE = {"name": "made up", "version": "1"}
+COVERAGE = {"track_m": 800.0, "used_m": 720.0, "left_out_m": {"gaps": 50.0, "unknown_ground": 30.0}}
 
 
-def calibrated(measured, drive, **more):
+def calibrated(measured, rows, **options):
     """A calibration with the report that `calibrate_on_runs` makes of it, without a map."""
-    found = found_in(drive, measured)
-    document = report_document(found, before=BEFORE, after="2" if found.terms else None)
+    found = found_in(rows, measured, **options)
+    document = report_document(found, before=BEFORE, after="2")
     document |= {
         "route": {"why_not": "the runs have no positions"},
         "next_drive": {"why_not": "no route fits"},
-        "runs": {"names": list(drive.runs), "rows": 7200, "repairs": {"run0": {"held_fixes": 2}}, "left_out": {}},
+        "runs": {
+            "names": list(found.residuals.runs),
+            "rows": 7200,
+            "repairs": {"run0": {"held_fixes": 2}},
+            "left_out": {},
+            "coverage": COVERAGE,
+        },
         "warnings": [],
     }
-    return Calibrated(with_former_keys(document | more), found, None)
+    return Calibrated(with_former_keys(document), found, None)
 
 
 @pytest.fixture(scope="module")
 def turning():
     rng = np.random.default_rng(12)
-    drive = made_up(rng)
-    return calibrated(noisy(rng, drive, 60.0 * drive.turned_abs_rad), drive)
+    rows = made_up(rng, runs=4, each=80)
+    return calibrated(noisy(rng, rows, 60.0 * rows.turned_abs_rad), rows, cross_validate=True)
 
 
 @pytest.fixture(scope="module")
 def nothing():
     rng = np.random.default_rng(13)
-    drive = made_up(rng)
-    return calibrated(noisy(rng, drive), drive)
+    rows = made_up(rng)
+    return calibrated(noisy(rng, rows), rows)
+
+
+def effect_of(form, name, label, **more):
+    return {
+        "form": form,
+        "name": name,
+        "label": label,
+        "where": "everywhere",
+        "meaning": "energy",
+        "settings": {},
+        "coefficients": [{"name": name, "value": 60.0, "unit": "J/rad", "ci95": [55.0, 65.0]}],
+        "p_value": 1e-5,
+        "share_of_residual_variance": 0.6,
+        "between_runs": False,
+        "in_plans": True,
+        "reveals": "circles",
+    } | more
 
 
 def test_the_page_begins_with_what_was_found_how_much_better_it_is_and_what_to_type(turning):
     step = NextStep("Make a cost map with the calibrated model", "joulemap costmap dem.tif --model found/model")
-    page = report_page(turning, None, steps=[step])
-    text = shown(page)
-    (effect,) = turning.document["effects"]
+    text = shown(report_page(turning, None, steps=[step])).replace("&nbsp;", " ")
+    effect = turning.document["effects"][0]
     (only,) = effect["coefficients"]
+    assert effect["name"] == "turning"
     assert only["value"] == pytest.approx(60.0, rel=0.1)
     error = turning.document["error"]
     wanted = (
         "Found: turning",
-        f"Turning: {only['value']:.3g} J/rad (95 % interval {only['ci95'][0]:.3g} to {only['ci95'][1]:.3g})",
-        f"falls from {100 * error['before']['mean_relative']:.1f}&nbsp;% to",
+        f"Turning: {only['value']:.3g} J/rad (95 % interval {only['ci95'][0]:.3g} to {only['ci95'][1]:.3g}), p ",
+        "of the energy is left, cause unknown"
+        if turning.document["variation"]["run_share"] >= 5e-4
+        else "do not differ",
+        f"before {100 * error['before']['mean_relative']:.1f} % mean relative",
         step.command,
+        "Base parameters",
         "Effects found",
+        "Variation that no effect explains",
+        "Prediction error",
+        "Track used",
+        "Ranges of these runs",
+        "What to drive next",
     )
-    places = [text.replace("95&nbsp;%", "95 %").index(words) for words in wanted]
+    places = [text.index(words) for words in wanted]
     assert places == sorted(places)
-    assert "--test-runs" in error_words(turning.document)  # how to judge by runs that had no part in it
 
 
-def test_test_runs_are_what_the_error_is_stated_of(turning):
-    error = turning.document["error"]
-    better = {state: values | {"mean_relative": 0.5, "by_run": {"late.csv": 0.5}} for state, values in error.items()}
-    better["after"] |= {"mean_relative": 0.25}
-    words = error_words(turning.document | {"test_set": {"segments": 90, "error": better}})
-    assert words.startswith(
-        "On one test run that had no part in the calibration (90 segments of 1 m), the mean relative"
+def test_the_summary_tells_one_thing_after_the_other(turning):
+    lines = summary_lines(turning.document)
+    assert lines[0].startswith("Found: turning")
+    assert lines[1] == "Base parameters:"
+    count = len(turning.document["base_parameters"])
+    assert all(line.startswith("  ") for line in lines[2 : 2 + count])
+    assert lines[2 + count].startswith("These runs show")
+    assert lines[-1].startswith("Driven: speed ")
+
+
+def test_base_parameters_are_declared_and_measured(turning):
+    parameters = [
+        {"name": "rolling_resistance", "declared": 0.05, "value": 0.0812, "ci95": [0.07, 0.09], "unit": ""},
+        {"name": "idle_power_w", "declared": 12.0, "value": 9.5, "ci95": [8.0, 11.0], "unit": "W"},
+        {"name": "standing_current", "declared": None, "value": 2.0, "ci95": [1.0, 3.0], "unit": "A"},
+    ]
+    assert base_words(turning.document | {"base_parameters": parameters}) == [
+        "Rolling resistance: 0.05 declared, 0.0812 by the runs (95 % interval 0.07 to 0.09).",
+        "Idle power: 12 W declared, 9.5 W by the runs (95 % interval 8 to 11).",
+        "Current drawn all the time: 2 A by the runs (95 % interval 1 to 3).",
+    ]
+    made = Calibrated(turning.document | {"base_parameters": parameters}, turning.found, None)
+    text = shown(report_page(made, None))
+    assert text.index("rolling resistance") < text.index("0.0812") < text.index("0.07 to 0.09")
+    named = [base_name(name) for name in PARTS]
+    assert len(set(named)) == len(PARTS)
+    assert [words for words in named if " " not in words] == []  # every parameter has words
+
+
+SIZES = {"before": 0.124, "corrected": 0.107, "after": 0.096, "after_planner": 0.099}
+
+
+def errors(sizes):
+    states = {
+        key: {"mean_relative": size, "rmse": 100.0 * size, "absolute_share": 0.5 * size} for key, size in sizes.items()
+    }
+    return {key: values | {"bias": 0.0, "by_run": {"late.csv": 0.5}} for key, values in states.items()}
+
+
+def test_each_state_of_the_model_is_judged_by_three_measures(turning):
+    (words,) = error_words(turning.document | {"error": errors(SIZES)})
+    assert words == (
+        "Errors on runs that had no part in the calibration that predicts them (4 calibrations): "
+        "before 12.4 % mean relative, 12.4 J root mean square, 6.2 % of the energy; "
+        "with the base parameters 10.7 % mean relative, 10.7 J root mean square, 5.3 % of the energy; "
+        "after 9.6 % mean relative, 9.6 J root mean square, 4.8 % of the energy; "
+        "after, plan-time prediction 9.9 % mean relative, 9.9 J root mean square, 5.0 % of the energy."
     )
-    assert "falls from 50.0 % to 25.0 %" in words
-    assert "With what is known before a drive, as in plans, it is 50.0 %" in words
-    better["after"] |= {"mean_relative": 0.6}
-    assert "does not fall" in error_words(turning.document | {"test_set": {"segments": 90, "error": better}})
 
 
-def test_what_baseline_runs_show_already_is_not_credited_to_the_effects(turning):
-    before = turning.document["error"]["before"]
-    sizes = {"before": 0.124, "corrected": 0.107, "after": 0.096, "after_planner": 0.096}
-    error = {key: before | {"mean_relative": size, "rmse": 100.0 * size} for key, size in sizes.items()}
-    words = error_words(turning.document | {"error": error})
-    assert words.startswith("On these runs, each run predicted by a model fitted to the other runs, the mean relative")
-    assert "is 12.4 % before; 10.7 % after correcting what the baseline runs show already; 9.6 % with turning" in words
-    assert "(root mean square error 12.4, 10.7 and 9.6 J per segment)" in words
-    few = {key: values | {"by_run": {"a": 0.1}} for key, values in error.items()}
-    assert "each part of a run predicted by a model fitted to the other parts" in error_words(
-        turning.document | {"error": few}
+def test_states_that_do_not_differ_are_told_once():
+    told = errors(SIZES | {"after_planner": 0.096})
+    assert list(error_states(told)) == ["before", "corrected", "after"]
+    only_base = errors(SIZES | {"after": 0.107, "after_planner": 0.107})
+    assert error_states(only_base) == {"before": "before", "corrected": "after, with the base parameters"}
+    charge = errors(dict.fromkeys(SIZES, 0.1))
+    assert list(error_states(charge)) == ["before"]
+
+
+def test_test_runs_come_first(turning):
+    better = {"test_set": {"segments": 90, "error": errors(SIZES)}}
+    first, second = error_words(turning.document | better)
+    assert first.startswith(
+        "Errors on one test run that had no part in the calibration (90 segments): before 12.4 % mean relative"
     )
+    assert second.startswith("Errors on runs that had no part")
 
 
-def test_without_baseline_runs_nothing_is_said_of_them():
-    rng = np.random.default_rng(12)
-    drive = made_up(rng)
-    found = found_in(drive, noisy(rng, drive, 60.0 * drive.turned_abs_rad))
-    informed = replace(found, before=found.before | {"mean_relative": 0.9})  # of a model that is given more than plans
-    error = report_document(informed, before=BEFORE, after="2")["error"]
-    assert error["corrected"] == error["before"]
-    assert "corrected" not in error_states(error)
+def test_errors_of_the_fit_are_said_to_be_that(nothing):
+    """`nothing` is a quick calibration."""
+    said = error_words(nothing.document)
+    assert said[0].startswith("Errors on the runs that the model was fitted to: before")
+    assert said[1].startswith("WARNING: these are errors of the fit")
+    page = report_page(nothing, None)
+    assert '<p class="warning">WARNING: these are errors of the fit' in page
+    assert "after, fitted to these runs" in page
+    assert "left out of the calibration" not in shown(page)
+
+
+def test_what_was_left_out_is_said(turning):
+    def said(**changed):
+        validation = turning.document["validation"] | changed
+        return error_words(turning.document | {"validation": validation})
+
+    assert said(left_out="campaigns", folds=3)[0].startswith(
+        "Errors on campaigns that had no part in the calibration that predicts them (3 calibrations)"
+    )
+    blocks = said(left_out="blocks", folds=4)
+    assert blocks[0].startswith("Errors on blocks that had no part")
+    assert blocks[1].startswith("There are too few runs to leave whole ones out")
+    assert "after, left out of the calibration" in report_page(turning, None)
+
+
+def test_campaigns_are_dates_or_names_before_the_last_underscore():
+    assert campaigns_of(["2018-11_00.csv", "2018-11_01.csv", "2019-02_00.csv"]) == ["2018-11", "2018-11", "2019-02"]
+    assert campaigns_of(["run_20240301_1.csv", "late-20240301.csv", "x_2024-03-02_a"]) == [
+        "20240301",
+        "20240301",
+        "2024-03-02",
+    ]
+    assert campaigns_of(["hill", "lawn_1", "lawn_2"]) == ["hill", "lawn", "lawn"]
+    with pytest.raises(InputError, match="all 2 runs belong to the campaign 'run'"):
+        campaigns_of(["run_1.csv", "run_2.csv"])
 
 
 def test_the_whole_cost_of_turning_in_plans_is_stated(turning):
@@ -130,30 +238,103 @@ def test_the_whole_cost_of_turning_in_plans_is_stated(turning):
     assert not [words for words in found_words(turning.document) if words.startswith("In plans")]
 
 
-def test_a_fitted_curve_is_summed_up_by_its_direction_and_range(turning):
-    def said(*values, level=True):
-        coefficients = [
-            {"name": f"at {v}", "value": v, "unit": "of the motion's energy", "ci95": [v, v]} for v in values
-        ]
-        settings = {"over": "grade", "knots": [-0.07, 0.0, 0.07], "of": "motion", "level": level}
-        (effect,) = turning.document["effects"]
-        curve = effect | {"form": "smooth", "coefficients": coefficients, "settings": settings, "where": "everywhere"}
-        return found_words(turning.document | {"effects": [curve]})[1]
+def curve(*values, over="grade", name="learned:grade", label="structure in grade"):
+    """Of three knots; the middle one is nil."""
+    coefficients = [{"name": "at", "value": v, "unit": "J/m", "ci95": [v - 1.0, v + 1.0]} for v in values]
+    settings = {"over": over, "knots": [-0.07, 0.0, 0.07], "of": "length"}
+    return effect_of("curve", name, label, coefficients=coefficients, settings=settings)
 
-    end = "of the motion's energy; see the figure in the report. It acts everywhere."
-    assert said(-0.704, -0.1, 0.21) == f"A fitted curve over grade, rising from -0.70 to +0.21 {end}"
-    assert said(0.3, -0.1, level=False) == f"A fitted curve over grade, falling from +0.30 to -0.10 {end}"
-    assert said(0.3, 0.1, level=False) == f"A fitted curve over grade, between +0.00 and +0.30 {end}"
+
+def test_a_fitted_curve_is_summed_up_by_its_direction_and_range(turning):
+    def said(*values):
+        return found_words(turning.document | {"effects": [curve(*values)]})[1]
+
+    end = "J/m, p = 1e-05. The report shows the curve. It acts everywhere. It explains 60 % of the squared error."
+    assert said(-7.04, 2.1) == f"Structure in grade: a fitted curve over grade, rising from -7.04 to +2.1 {end}"
+    assert said(3.0, -1.0) == f"Structure in grade: a fitted curve over grade, falling from +3 to -1 {end}"
+    assert said(3.0, 1.0) == f"Structure in grade: a fitted curve over grade, between +0 and +3 {end}"
+
+
+def test_the_page_shows_a_picture_of_each_curve(turning):
+    heading = curve(4.0, -3.0, over="heading", label="structure in heading")
+    made = Calibrated(turning.document | {"effects": [curve(-7.0, 2.0), heading]}, turning.found, None)
+    page = report_page(made, None)
+    assert "Fitted curves with 95&nbsp;% intervals (structure in grade, structure in heading)" in page
+    assert ">heading [deg]<" in page
+    plain = report_page(turning, None)
+    assert page.count("<svg") == plain.count("<svg") + 2 - sum(
+        e["form"] == "curve" for e in turning.document["effects"]
+    )
+
+
+def test_faults_of_the_log_are_no_part_of_plans(turning):
+    late = effect_of("meter_lag", "meter_lag", "late power readings", in_plans=False, where="everywhere")
+    drift = effect_of("drift", "drift", "drift over time or distance", in_plans=False)
+    document = turning.document | {"effects": [late, drift]}
+    assert found_words(document)[1].endswith("It is a fault of the log: plans never contain it.")
+    assert found_words(document)[2].endswith("Plans do not contain it: it depends on what only a log records.")
+    text = shown(report_page(Calibrated(document, turning.found, None), None))
+    assert text.index("late power readings") < text.index("no: a fault of the log") < text.index("no: needs a log")
+
+
+def test_what_differs_between_runs_only_is_said(turning):
+    between = effect_of("temperature", "temperature", "temperature", between_runs=True)
+    words = found_words(turning.document | {"effects": [between]})[1]
+    assert "The differences between runs show it, not the course within a run." in words
+    assert "between runs" not in found_words(turning.document)[1]
+
+
+def test_variation_of_unknown_cause_is_a_share_of_the_energy(turning):
+    def said(share, names=("a", "b")):
+        variation = turning.document["variation"] | {"run_share": share}
+        runs = turning.document["runs"] | {"names": list(names)}
+        return variation_words(turning.document | {"variation": variation, "runs": runs})
+
+    assert said(0.0523) == "Run-to-run variation of 5.2 % of the energy is left, cause unknown."
+    assert said(0.0) == "The runs do not differ by more than the spread within them."
+    assert said(0.0, ["a"]) == "One run alone does not show how much runs differ."
+
+
+def test_what_cannot_be_distinguished_is_told_with_the_drive_that_would(turning):
+    confounded = {
+        "confounded": [["turning", "speed", "learned:heading"]],
+        "to_separate": {"turning": "circles of several radii at one place"},
+    }
+    document = turning.document | confounded
+    (words,) = confounded_words(document)
+    assert words == (
+        "These runs cannot distinguish turning from speed or structure in heading. This would: circles of several "
+        "radii at one place."
+    )
+    assert words in summary_lines(document)
+    text = shown(report_page(Calibrated(document, turning.found, None), None))
+    assert "turning, speed, structure in heading" in text
+
+
+def test_ranges_and_what_holds_beyond_them_are_told(turning):
+    ranges = {"speed": [0.2, 0.6], "grade": [-0.1, 0.1], "column:temperature": [4.0, 9.0]}
+    document = turning.document | {"ranges": ranges}
+    assert range_words(document) == (
+        "Driven: speed 0.2 to 0.6 m/s, grade -0.1 to 0.1. Beyond these, effects keep their value at the border."
+    )
+    assert "4 to 9 degC" in shown(report_page(Calibrated(document, turning.found, None), None))
+    driven = turning.document["ranges"]["speed"]  # of 2 s to a metre, more or less
+    assert 0.3 < driven[0] < 0.5 < driven[1] < 0.6
+
+
+def test_metres_used_and_left_out_are_told_by_reason(turning):
+    text = shown(report_page(turning, None)).replace("&nbsp;", " ")
+    for words in ("used</td>", "720 m (90.0 %)", "left out: gaps", "50 m (6.2 %)", "left out: unknown ground"):
+        assert words.removesuffix("</td>") in text
+    assert "No part of the track is left out because of its energy." in text
 
 
 def test_python_prints_the_summary_of_the_command_line(turning, tmp_path):
     result = CalibrationResult(tmp_path, turning.document)
     assert str(result).splitlines() == [*summary_lines(turning.document), f"Report: {tmp_path / 'report.html'}"]
-    assert str(result).startswith(
-        "Found: turning\nThese runs show one effect that the model made up lacks.\n  Turning:"
-    )
-    assert repr(result) == "<Calibration: Found: turning>"
-    assert error_words(turning.document).split("`")[0] in result._repr_html_()
+    assert repr(result) == f"<Calibration: {headline(turning.document)}>"
+    assert error_words(turning.document)[0] in result._repr_html_()
+    assert result.folder == tmp_path / "model"
 
 
 def test_counts_of_logs_are_said_in_words():
@@ -168,57 +349,34 @@ def test_counts_of_logs_are_said_in_words():
 
 
 def test_least_p_values_are_bounds(turning):
-    assert pytest.approx(1.0 / (SHIFTS + 1)) == LEAST_P
-    assert (p_words(0.001), p_words(1e-9), p_words(0.0234)) == ("<= 0.001", "<= 0.001", "= 0.023")
-    text = shown(report_page(turning, None))
-    assert "&lt;= 0.001" in text or "<= 0.001" in text
-    assert "No further candidate effect that is large enough to matter is significant" in text
-
-
-def test_what_no_log_recorded_is_said_to_be_missing(turning):
-    rows = {row["name"]: row for row in turning.document["candidates"]}
-    assert rows["wind"]["why_not"].startswith("not recorded; as a constant of the run: ")
-    assert not rows["temperature"].get("why_not", "").startswith("not recorded")  # the made-up drive has it
+    assert (p_words(1e-12), p_words(1e-9), p_words(0.0234)) == ("< 1e-9", "= 1e-09", "= 0.023")
+    assert "&lt; 1e-9" in report_page(turning, None)
 
 
 def test_nothing_found_is_said_with_what_could_be_driven(nothing):
     document = nothing.document
     assert headline(document) == "No missing effect was found"
     assert "show no effect that the model made up lacks" in found_words(document)[0]
-    assert error_words(document).endswith("No model was written.")
+    assert document["model"]["after"] == "2"  # a model is written all the same
     text = shown(report_page(nothing, None))
     for name, drive in likeliest(document):
         assert f"{name}: {drive}" in text
+    near = [c | {"p_value": 0.02} if c["name"] == "speed" else c | {"p_value": 1.0} for c in document["candidates"]]
+    assert [name for name, _ in likeliest(document | {"candidates": near})] == ["speed"]
+    made = Calibrated(document | {"candidates": near}, nothing.found, None)
+    assert "speed: the same line at several speeds" in shown(report_page(made, None))
 
 
 def test_pages_have_no_private_word(turning, nothing):
     for made in (turning, nothing):
         assert [match[0] for match in PRIVATE.finditer(shown(report_page(made, None)))] == []
+        assert [match[0] for match in PRIVATE.finditer("\n".join(summary_lines(made.document)))] == []
 
 
-def test_every_candidate_has_a_name_and_a_drive_in_plain_words(turning):
-    names = [effect_name(candidate.name) for candidate in turning.found.candidates]
-    assert len(set(names)) == len(names) > 20
-    words = [*names, *(candidate.reveals for candidate in turning.found.candidates)]
-    assert [text for text in words if PRIVATE.search(text)] == []
-
-
-def test_names_of_columns_and_interactions():
-    assert effect_name("learned:motor_temperature") == "motor_temperature (fitted curve)"  # as in the log
-    assert effect_name("terrain_class:crop") == "class of crop"
-    assert effect_name("turning x terrain_class") == "turning by terrain class"
-    assert effect_name("new") == "new"
+def test_names_of_columns():
     assert quantity_name("column:rain") == "rain"
-
-
-def test_a_depth_is_shown_as_a_topographic_position_index():
-    """It is positive on a rise and negative below the surroundings (Weiss 2001); the stored depth is the opposite."""
-    curve = Term("learned:hollow", "smooth", ("J/m",), {"over": "hollow", "knots": [-0.1, 0.2], "of": "length"}, {})
-    assert coefficient_names(curve) == ["at 0.1 m"]
-    deep = Term("rolling_resistance", "friction", ("",), {}, {"over": "hollow", "above": 0.05}, (0.03,))
-    assert where_words(deep) == "where topographic position index is below -0.05 m"
-    east = Term("rolling_resistance", "friction", ("",), {}, {"over": "x", "above": 501044.36}, (0.03,))
-    assert where_words(east) == "where x is above 501044.4 m"  # four digits of a UTM coordinate would be 10 m
+    assert quantity_name("column:temperature") == "temperature"
+    assert quantity_name("position_index") == "topographic position index"
 
 
 def test_colour_scales_of_changes_contain_zero_and_do_not_dramatise():
@@ -233,23 +391,59 @@ def test_colour_scales_of_changes_contain_zero_and_do_not_dramatise():
 
 
 def test_former_keys_are_kept_beside_todays():
-    old = with_former_keys({"collinear": [1], "test_set": {"error": 2}, "next_drive": {"confounded_with": ["a"]}})
-    assert old["shadows"] == old["collinear"]
+    old = with_former_keys({"test_set": {"error": 2}, "next_drive": {"confounded_with": ["a"]}})
     assert old["kept_aside"] == old["test_set"]
     assert old["next_drive"]["tells_from"] == ["a"]
-    assert "base_corrections" not in old
+    assert set(old) == {"test_set", "kept_aside", "next_drive"}
 
 
-def test_a_drive_is_suggested_for_an_effect_by_its_name_or_its_key(nothing):
-    class Even:
-        def segment_traction(self, heightmap, robot, x, y, heading_rad):
-            return np.full(x.shape, 40.0)
+LEVEL = Heightmap(np.zeros((120, 120), dtype=np.float32), GridFrame(0.0, 60.0, 0.5, 120, 120))
 
-    level = Heightmap(np.zeros((120, 120), dtype=np.float32), GridFrame(0.0, 60.0, 0.5, 120, 120))
-    for name in ("learned:grade", "grade (fitted curve)"):
-        drive = next_drive(nothing.found, Even(), level, ROBOT, effect=name, length_m=40.0)
-        assert drive.as_dict()["effect"] == "learned:grade"
-    with pytest.raises(InputError, match="no candidate effect 'magic'; the candidate effects are acceleration"):
-        next_drive(nothing.found, Even(), level, ROBOT, effect="magic")
-    with pytest.raises(InputError, match="name the `effect`"):
-        next_drive(nothing.found, Even(), level, ROBOT)
+
+@pytest.fixture
+def suggested(monkeypatch):
+    """What is asked of `suggest_drive`: the effect and what is fitted beside it, by label."""
+    asked = []
+
+    def suggest(residuals, effect, beside, heightmap, robot, traction, *, length_m, seed):
+        asked.append((effect.title, [form.title for form in beside]))
+        return Suggestion(np.zeros((2, 2)), "a square", effect.name, (0.5,), 0.4, 40.0)
+
+    monkeypatch.setattr("joulemap.service.loop.next_drive.suggest_drive", suggest)
+    return asked
+
+
+def drive_for(found, effect=None):
+    return next_drive(found, PhysicsPredictor(), LEVEL, ROBOT, effect=effect).as_dict()
+
+
+def test_a_drive_is_suggested_for_an_effect_by_its_name_or_its_label(nothing, suggested):
+    for name in ("learned:heading", "structure in heading"):
+        drive = drive_for(nothing.found, name)
+        assert (drive["effect"], drive["label"]) == ("learned:heading", "structure in heading")
+        assert drive["confounded_with"] == drive["confounded_labels"] == []
+        assert suggested.pop() == ("structure in heading", [])
+    with pytest.raises(InputError, match=r"no candidate effect 'magic'; the candidate effects are .*turning"):
+        drive_for(nothing.found, "magic")
+    with pytest.raises(InputError, match="no effect was found to measure: name the `effect`"):
+        drive_for(nothing.found)
+
+
+def test_without_a_name_the_drive_is_for_what_cannot_be_distinguished_or_is_least_certain(turning, suggested):
+    fitted = replace(turning.found.fitted, effects=turning.found.fitted.effects[:1])  # of turning
+    alike = replace(turning.found, fitted=fitted, rivals={"turning": ["speed", "learned:heading"]})
+    drive = drive_for(alike)
+    assert (drive["label"], drive["confounded_labels"]) == ("turning", ["speed", "structure in heading"])
+    assert suggested.pop() == ("turning", ["speed", "structure in heading"])
+    assert drive_words(drive | {"points": [[0.0, 0.0], [1.0, 1.0]]}).endswith(
+        "to distinguish turning from speed or structure in heading. The 95 % interval of its coefficient is then "
+        "expected to be 40 % as wide as now."
+    )
+    other = drive_for(alike, "speed")
+    assert (other["label"], other["confounded_with"]) == ("speed", ["turning"])
+    clear = drive_for(replace(alike, rivals={}))
+    assert (clear["label"], clear["confounded_labels"]) == ("turning", [])
+    assert "to measure turning more precisely" in drive_words(clear)
+    late = replace(fitted.effects[0], term=Term(MeterLag(), (1.0,)))
+    with pytest.raises(InputError, match="no effect was found that a route can show"):
+        drive_for(replace(alike, rivals={}, fitted=replace(fitted, effects=(late,))))
