@@ -9,15 +9,16 @@ from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import BlockedError, NoRouteError
 from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrate import calibrate
 from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
-from joulemap.model.loop.calibration import calibrate
-from joulemap.model.loop.effects import Term
-from joulemap.model.loop.residual import residuals_of
+from joulemap.model.loop.forms.baseline_change import HotelLoad
+from joulemap.model.loop.forms.turning import Turning
+from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.calibration import correction_of
 from joulemap.service.loop.rerouting import compare_routes, drawn_tasks
-from tests.reference.drives import made_up, noisy
+from tests.reference.drives import made_up, measured_on, noisy
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=10.0, rolling_resistance=0.05)
 PLACES = np.stack(np.meshgrid(np.arange(3.5, 38.0, 4.0), np.arange(3.5, 28.0, 4.0)), axis=-1).reshape(-1, 2)
@@ -31,12 +32,12 @@ def hills() -> Heightmap:
 
 
 def calibrated(*terms: Term, **options: object) -> CalibratedPredictor:
-    correction = Correction(tuple(terms), (True,) * len(terms), spread=Spread(factor=2.0), **options)  # type: ignore[arg-type]
+    correction = Correction(tuple(terms), tuple(terms), spread=Spread(factor=2.0), **options)  # type: ignore[arg-type]
     return CalibratedPredictor(PhysicsPredictor(), correction, name="mine", version="1")
 
 
 def test_turning_straightens_the_route() -> None:
-    turning = Term("turning", "turning", ("J/rad",), {"limit_radps": None}, {}, (200.0,))
+    turning = Term(Turning(), (200.0,))
     told = compare_routes(hills(), ROBOT, PhysicsPredictor(), calibrated(turning, turn_j_per_rad=200.0), PLACES)
     assert told.turn_j_per_rad == (0.0, 200.0)
     assert len(told.tried) == 6
@@ -52,24 +53,25 @@ def test_turning_straightens_the_route() -> None:
 
 
 def test_turns_cost_what_base_runs_took_and_what_is_new_beside_them() -> None:
-    """By a base model that charges 80 J/rad, whose runs show 20 of it once all else is told apart; then 60 more."""
+    """The base model charges nothing for turns. Its runs took 20 J/rad, the new ones 80: 60 are new, plans pay all."""
     rng = np.random.default_rng(8)
     drives = [made_up(rng) for _ in range(2)]
-    names = tuple(f"run{k}" for k in range(int(drives[0].run.max()) + 1))
-    took = [noisy(rng, d, extra * d.turned_abs_rad) for d, extra in zip(drives, (20.0, 80.0), strict=True)]
-    base, new = (residuals_of(d, m, names, charge=False) for d, m in zip(drives, took, strict=True))
-    same, more, alone = calibrate(base, base=base), calibrate(new, base=base), calibrate(new)
-    assert [e.term.name for e in same.effects] == []
-    (effect,) = more.effects
-    told = [correction_of(found, np.ones(len(new)), base_turn=80.0).turn_j_per_rad for found in (same, more, alone)]
-    assert told[0] == 80.0
-    assert told[1] == pytest.approx(80.0 + effect.coefficients[0], rel=1e-3)
-    assert effect.coefficients[0] == pytest.approx(60.0, rel=0.1)
-    assert told[2] == pytest.approx(80.0, rel=0.1)  # all that these runs took
+    took = [noisy(rng, rows, extra * rows.turned_abs_rad) for rows, extra in zip(drives, (20.0, 80.0), strict=True)]
+    base, new = (measured_on(rows, energy) for rows, energy in zip(drives, took, strict=True))
+    more, alone = (calibrate(new, base=known, cross_validate=False) for known in (base, None))
+    told = []
+    for found, extra in ((more, 60.0), (alone, 80.0)):
+        effect = found.effects[0]
+        assert effect.term.form.name == "turning"
+        correction = correction_of(found, np.ones(len(new)))
+        if effect.term.form.limit_radps is None:
+            assert effect.term.coefficients[0] == pytest.approx(extra, rel=0.1)
+        told.append(correction.turn_j_per_rad)
+    assert told == [pytest.approx(80.0, rel=0.1)] * 2
 
 
 def test_where_everything_got_dearer_alike_the_way_stays() -> None:
-    hotel = Term("hotel_load", "hotel_load", ("W",), coefficients=(5.0,))
+    hotel = Term(HotelLoad(), (5.0,))
     task = ((3.5, 14.5), (36.5, 15.5))
     told = compare_routes(hills(), Robot(idle_power_w=500.0), PhysicsPredictor(), calibrated(hotel), PLACES, task=task)
     assert told.chosen == "as asked for"
@@ -80,7 +82,7 @@ def test_where_everything_got_dearer_alike_the_way_stays() -> None:
 
 
 def test_a_task_that_cannot_be_driven_says_why() -> None:
-    hotel = Term("hotel_load", "hotel_load", ("W",), coefficients=(5.0,))
+    hotel = Term(HotelLoad(), (5.0,))
     models = PhysicsPredictor(), calibrated(hotel)
     with pytest.raises(BlockedError, match="goal"):
         compare_routes(hills(), ROBOT, *models, PLACES, task=((3.5, 14.5), (32.0, 8.0)))

@@ -7,7 +7,8 @@ import pytest
 from joulemap.model.energy.architectures.compact.dense import CompactPredictor
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.loop.calibrated import Correction, save_calibrated
-from joulemap.model.loop.effects import Term
+from joulemap.model.loop.forms.structure import Curve
+from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
 from joulemap.service.jobs.makers import make_makers
 from joulemap.service.jobs.worker import Worker
@@ -15,7 +16,7 @@ from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
 from tests.service.workers import fingerprint, rolling, until
 
-WIND = Term("wind", "wind_constant", ("J/m", "J/m"), coefficients=(7.0, 3.0))
+FURROWS = Term(Curve("heading", (0.0, 1.57, 3.14, 4.71)), (7.0, 3.0, 7.0))
 
 
 @pytest.fixture
@@ -24,7 +25,9 @@ def service(tmp_path: Path, monkeypatch):
     settings = Settings(data_dir=tmp_path)
     version = load_predictor("default").provenance()["version"]
     save_calibrated(
-        settings.resolved_models_dir / "windy", Correction((WIND,), (True,)), {"name": "default", "version": version}
+        settings.resolved_models_dir / "furrows",
+        Correction((FURROWS,), (FURROWS,)),
+        {"name": "default", "version": version},
     )
     asked: list[int] = []
     answer = CompactPredictor.traction_and_std
@@ -57,15 +60,15 @@ def service(tmp_path: Path, monkeypatch):
 
 def test_a_calibrated_map_reuses_the_stored_map_of_its_base(service) -> None:
     store, make, asked = service
-    afresh = fingerprint(store.lattice_path(make("windy")))
+    afresh = fingerprint(store.lattice_path(make("furrows")))
     assert sum(asked) > 80 * 80
     base = make("default")
-    reusing = make("windy")
+    reusing = make("furrows")
     assert sum(asked) < 64  # but for the question whether the network knows its spread
     assert fingerprint(store.lattice_path(reusing)) == afresh
     assert store.costmap(reusing).summary["provenance"]["model"]["kind"] == "calibrated"
-    make("windy", mass_kg=50.0)
+    make("furrows", mass_kg=50.0)
     assert sum(asked) > 80 * 80  # another robot
     store.delete_costmap(base)
-    make("windy")
+    make("furrows")
     assert sum(asked) > 80 * 80
