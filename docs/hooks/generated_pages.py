@@ -15,11 +15,22 @@ from settings_page import settings_page
 
 ROOT = Path(__file__).resolve().parents[2]
 
+VALIDATION = {
+    uri: path
+    for uri, path in {
+        "records/nulls.md": "model/loop/NULLS.md",
+        "records/unseen.md": "model/loop/UNSEEN.md",
+        "records/power.md": "model/loop/POWER.md",
+    }.items()
+    if (ROOT / path).is_file()
+}
+"""Tables of the calibration's validation, as far as they were written; they are added to the navigation."""
+
 ELSEWHERE = {
     "images/demo.png": "service/web/demo.png",
     "records/model-card.md": "model/weights/MODEL_CARD.md",
     "records/reproduction.md": "model/REPRODUCTION.md",
-    "records/validation.md": "model/loop/VALIDATION.md",
+    **VALIDATION,
     **{
         f"records/figures/{figure.name}": f"model/figures/{figure.name}"
         for figure in (ROOT / "model/figures").iterdir()
@@ -36,6 +47,19 @@ def cli_page() -> str:
     text = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", "", text)  # their first sentences, cut off in the middle
     return text.replace("# `joulemap`\n", "# Command line\n", 1)
+
+
+def on_config(config: Any) -> Any:
+    """Put the records of the validation into the navigation."""
+    records_of(config["nav"]).extend(VALIDATION)
+    return config
+
+
+def records_of(nav: list[Any]) -> list[Any]:
+    """The list of records in the navigation."""
+    explanation = next(entry["Explanation"] for entry in nav if "Explanation" in entry)
+    found: list[Any] = next(entry["Records"] for entry in explanation if isinstance(entry, dict))
+    return found
 
 
 def on_files(files: Any, config: Any) -> Any:
