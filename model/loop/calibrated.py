@@ -224,7 +224,9 @@ class CalibratedPredictor:
         planned = {t.form.name for t in self.correction.planner_terms}
         for term in self.correction.terms:
             if term.form.name not in planned and term.form.on_map:
-                found.append(f"plans do not contain the effect {term.form.label}: it depends on what only a log records")
+                found.append(
+                    f"plans do not contain the effect {term.form.label}: it depends on what only a log records"
+                )
         if self.correction.ranges:
             rows = self._on_map(heightmap, robot)
             for name, share in self.correction.beyond(rows).items():

@@ -502,7 +502,16 @@ def _with_stationary(rows: Features, run: NDArray[np.int64], seconds: FloatArray
     return replace(rows, **changed)
 
 
-_GROUND = ("grade", "grade_east", "grade_north", "cross_abs", "cross_sq", "roughness_m", "elevation_m", "position_index_m")
+_GROUND = (
+    "grade",
+    "grade_east",
+    "grade_north",
+    "cross_abs",
+    "cross_sq",
+    "roughness_m",
+    "elevation_m",
+    "position_index_m",
+)
 
 
 def _unread_ground(n: int) -> dict[str, FloatArray]:

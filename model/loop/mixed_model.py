@@ -262,13 +262,13 @@ class MixedModel:
         MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 (degrees of freedom, their mean over the columns).
         """
         found = self._fit(self._white, tested, beside)
-        return _NO_TEST if found is None else _tested(*found)
+        return _NO_TEST if found is None else _tested(*found[:3])
 
     def _fit(
         self, within: _Within, tested: IntArray, beside: IntArray, *, serial: bool = False
-    ) -> tuple[FloatArray, FloatArray, float] | None:
-        """Coefficients beside other columns, their robust variance and its degrees of freedom; None where the others
-        say what they say.
+    ) -> tuple[FloatArray, FloatArray, float, FloatArray] | None:
+        """Coefficients of combinations of columns beside other columns, their robust variance, its degrees of freedom
+        and the combinations, (k, r); None where the others say what they say.
 
         serial : add what serial correlation does to the variance.
         """
@@ -276,9 +276,10 @@ class MixedModel:
         both = np.append(tested, len(self.size) + 1)
         rest = within.rows[:, both] - within.rows[:, beside] @ np.linalg.solve(gram, within.gram[np.ix_(beside, both)])
         a, z = rest[:, :-1], rest[:, -1]
-        a = a @ _directions(a.T @ a, within.squares[tested])
-        if a.shape[1] == 0:
+        turned = _directions(a.T @ a, within.squares[tested])  # (k, r)
+        if turned.shape[1] == 0:
             return None
+        a = a @ turned
         inverse = np.linalg.inv(a.T @ a)
         beta = inverse @ (a.T @ z)
         lever = np.einsum("ij,jk,ik->i", a, inverse, a)
@@ -295,7 +296,7 @@ class MixedModel:
             stretches = max(len(z) * (1.0 - self.variation.phi) / (1.0 + self.variation.phi), float(self.units))
             variance = variance + more
             freedom = 1.0 / ((1.0 - share) ** 2 / freedom + share**2 / stretches)
-        return beta, variance * self.efficiency**2, freedom
+        return beta, variance * self.efficiency**2, freedom, turned
 
     def test_between(self, tested: IntArray, beside: IntArray, levels: IntArray) -> Test:
         """Test columns by the levels of units, with the degrees of freedom that units give.
@@ -379,7 +380,8 @@ class MixedModel:
             share, rows, units = 0.0, 1.0, max(self.units - 1.0 - len(levels), 1.0)
             if alone is not None:  # robust against unequal spread and serial correlation
                 share = float(np.clip(variance[k, k] / max(inside[k, k], 1e-300), 0.0, 1.0))
-                ratio = max(float(alone[1][0, 0]) / float(inside[k, k]), 1.0)
+                own = float(alone[1][0, 0] * alone[3][0, 0] ** 2)
+                ratio = max(own / float(inside[k, k]), 1.0)
                 variance[k, :] *= np.sqrt(ratio)
                 variance[:, k] *= np.sqrt(ratio)
                 rows = max(alone[2], 1.0)
@@ -422,7 +424,9 @@ def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:
 
     def excess(between: float) -> float:
         weight = np.sqrt(1.0 / (noise + between))
-        rest = weight * away - (weight[:, None] * x) @ np.linalg.lstsq(weight[:, None] * x, weight * away, rcond=None)[0]
+        rest = (
+            weight * away - (weight[:, None] * x) @ np.linalg.lstsq(weight[:, None] * x, weight * away, rcond=None)[0]
+        )
         return float(rest @ rest) - freedom
 
     if freedom < 1 or excess(0.0) <= 0.0:

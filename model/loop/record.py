@@ -16,7 +16,16 @@ from joulemap.model.robot import Robot
 
 RECORD_FILE = "base_runs.npz"
 
-_KEPT = {f.name for f in fields(Features)} - {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "coasting_shift", "corrected"} | {
+_KEPT = {f.name for f in fields(Features)} - {
+    "robot",
+    "columns",
+    "words",
+    "unit_j",
+    "runs",
+    "speeds_mps",
+    "coasting_shift",
+    "corrected",
+} | {
     "measured",
     "said",
 }

@@ -44,7 +44,9 @@ def refused_columns(residuals: Residuals, electric: Mapping[str, FloatArray]) ->
     for key, values in sorted(rows.columns.items()):
         known = np.isfinite(values)
         if key in ("pitch", "roll"):
-            refused[key] = "the robot's attitude, which the slope of the ground makes; the measured pitch is a base parameter"
+            refused[key] = (
+                "the robot's attitude, which the slope of the ground makes; the measured pitch is a base parameter"
+            )
         elif _MEASUREMENT.search(key):
             refused[key] = "it is part of the measurement itself"
         elif known.mean() < 0.5:

@@ -71,7 +71,11 @@ def _energy(found: Calibration) -> str:
 def _base_parameters(found: Calibration) -> list[dict[str, Any]]:
     fitted, robot = found.fitted, found.residuals.features.robot
     term = fitted.base
-    declared = {"rolling_resistance": robot.rolling_resistance, "energy_of_motion": 1.0, "idle_power_w": robot.idle_power_w}
+    declared = {
+        "rolling_resistance": robot.rolling_resistance,
+        "energy_of_motion": 1.0,
+        "idle_power_w": robot.idle_power_w,
+    }
     rows = zip(
         term.form.coefficient_names(),
         term.form.units(_energy(found)),
@@ -198,5 +202,3 @@ def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float]]:
     values = [c["value"] for c in effect["coefficients"]]
     values.insert(len(knots) // 2, 0.0)
     return knots, values
-
-

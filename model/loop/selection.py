@@ -21,6 +21,7 @@ from scipy.optimize import minimize_scalar
 
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
 from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
+from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.mixed_model import Estimate, MixedModel, columns_of
 from joulemap.model.loop.residuals import Residuals
 from joulemap.model.loop.terms import Term
@@ -380,7 +381,8 @@ def _largest(design: Design) -> list[Candidate]:
     room = len(design.residuals) // 10
     for candidate in design.candidates:
         known = sum(len(c.both) for c in out.values())
-        if not isinstance(candidate.form, UNNAMED) and known + len(candidate.both) <= room:
+        smooth = isinstance(candidate.form, (*UNNAMED, PlaceField))  # would take the serial correlation for an effect
+        if not smooth and known + len(candidate.both) <= room:
             out.setdefault(candidate.form.name, candidate)
     return list(out.values())
 
@@ -491,9 +493,7 @@ def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool
     return bool(np.all((free[:k] >= form.low) & (free[:k] <= form.high)))
 
 
-def _simplest(
-    design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool
-) -> int | None:
+def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool) -> int | None:
     """The simplest candidate whose gain is within one standard error of the largest."""
     able = [
         k

@@ -187,7 +187,9 @@ class Form:
         """
         given = {k: _as_tuple(v) for k, v in values.items() if k != "form"}
         if set(given) != (known := {f.name for f in fields(cls)}):
-            raise ModelError(f"the effect {cls.key!r} needs the settings {sorted(known)}, the model has {sorted(given)}")
+            raise ModelError(
+                f"the effect {cls.key!r} needs the settings {sorted(known)}, the model has {sorted(given)}"
+            )
         return cls(**given)
 
 

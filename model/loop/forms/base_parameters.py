@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,9 +201,7 @@ PARTS: dict[str, Part] = {
     "uphill": Part("1/V", _nothing, lambda rows: rows.length_m * np.maximum(rows.pull_n, 0.0)),
     "downhill": Part("1/V", _nothing, lambda rows: rows.length_m * np.minimum(rows.pull_n, 0.0)),
     "standing_current": Part("A", _nothing, lambda rows: rows.duration_s),
-    "driving_power": Part(
-        "W", _nothing, lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j
-    ),
+    "driving_power": Part("W", _nothing, lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j),
     "speeding_up": Part("", _nothing, kinetic),
     "slowing_down": Part("", _nothing, slowed),
     "measured_slope": Part("", _any, measured_slope),

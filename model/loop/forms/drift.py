@@ -47,7 +47,11 @@ class Drift(Form):
         return (f"{'1' if self.of_all else energy + '/m'}/{self.per[1]}",)
 
     def column(self, rows: Features) -> FloatArray:
-        return (rows.hotel_part + rows.motion_part if self.of_all else rows.length_m * rows.pulling) * np.maximum(quantity(rows, self.over) - self.start, 0.0) / self.per[0]
+        return (
+            (rows.hotel_part + rows.motion_part if self.of_all else rows.length_m * rows.pulling)
+            * np.maximum(quantity(rows, self.over) - self.start, 0.0)
+            / self.per[0]
+        )
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:

@@ -15,8 +15,20 @@ from joulemap.model.loop.forms.base import Form, steps
 FloatArray = NDArray[np.float64]
 
 
-_GEOMETRY = ("cross_slope", "roughness", "position_index", "grade", "speed", "turning", "turn", "elevation", "since_start")
-_OF_POSITION = frozenset({"heading", "yaw", "gps_course", "wind_from", "gps_error", "speed", "gps_speed", "z", "lat", "lon"})
+_GEOMETRY = (
+    "cross_slope",
+    "roughness",
+    "position_index",
+    "grade",
+    "speed",
+    "turning",
+    "turn",
+    "elevation",
+    "since_start",
+)
+_OF_POSITION = frozenset(
+    {"heading", "yaw", "gps_course", "wind_from", "gps_error", "speed", "gps_speed", "z", "lat", "lon"}
+)
 """Logged columns that are angles, or say again where and how fast the robot is."""
 _NAMED = {
     **{key: key for key in ("turning", "speed", "cross_slope", "roughness")},
