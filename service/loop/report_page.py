@@ -33,6 +33,7 @@ from joulemap.service.loop.summary import (
     found_words,
     headline,
     is_log_fault,
+    is_shown,
     labels_of,
     likeliest,
     percent,
@@ -166,8 +167,8 @@ def _base_parameters(document: Mapping[str, Any]) -> str:
         [
             escape(base_name(p["name"])),
             "" if p["declared"] is None else _quantity(p["declared"], p["unit"]),
-            _quantity(p["value"], p["unit"]),
-            " to ".join(f"{end:.3g}" for end in p["ci95"]),
+            _quantity(p["value"], p["unit"]) if is_shown(p) else "not shown by these runs",
+            " to ".join(f"{end:.3g}" for end in p["ci95"]) if is_shown(p) else "",
         ]
         for p in document["base_parameters"]
     ]

@@ -12,6 +12,7 @@ from joulemap.model.loop.words import p_words, quantity_name, quantity_value
 
 _FEW = 4  # coefficients of an effect that are all written out
 _SAME = 0.005  # of what turning costs in plans: less than this is no further part of it
+_MOVED = 1e-3  # of an interval's half: less is rounding, and the value is the one to start from
 _SUGGESTED = 3  # effects to look for where none was found
 _BASE = {
     "rolling_resistance": "rolling resistance",
@@ -126,10 +127,12 @@ def base_words(document: Mapping[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        One line for each: what was declared, what the runs say, and its 95 % interval.
+        One line for each that the runs show: what was declared, what the runs say, and its 95 % interval.
     """
     lines = []
     for parameter in document["base_parameters"]:
+        if not is_shown(parameter):
+            continue
         unit, (low, high) = f" {parameter['unit']}".rstrip(), parameter["ci95"]
         declared = "" if parameter["declared"] is None else f"{parameter['declared']:.3g}{unit} declared, "
         lines.append(
@@ -137,6 +140,24 @@ def base_words(document: Mapping[str, Any]) -> list[str]:
             f"(95 % interval {low:.3g} to {high:.3g})."
         )
     return lines
+
+
+def is_shown(parameter: Mapping[str, Any]) -> bool:
+    """Return whether the runs say anything of a base parameter.
+
+    Parameters
+    ----------
+    parameter : mapping
+        From the report.
+
+    Returns
+    -------
+    bool
+        False where the value is the one to start from and the interval is wider than any value that makes sense.
+    """
+    start = parameter["declared"] or 0.0
+    half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])
+    return half <= 1.0 or abs(parameter["value"] - start) > _MOVED * half
 
 
 def found_words(document: Mapping[str, Any]) -> list[str]:

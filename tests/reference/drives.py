@@ -104,12 +104,12 @@ def found_in(rows, energy, *, cross_validate=False, **options) -> Calibration:
     return calibrate(measured_on(rows, energy), cross_validate=cross_validate, **options)
 
 
-def wheel_logs() -> dict[str, str]:
+def wheel_logs(runs=8) -> dict[str, str]:
     """Logs in CSV of wheel speeds and currents by file name: straight on and turning, on two grounds in turn. Per metre
     of 2 s ice takes 3 A less than loam; a turn of 1 rad (track 1 m) takes 15 A more on loam, 1 A on ice."""
     rng = np.random.default_rng(2)
     logs = {}
-    for number in range(8):
+    for number in range(runs):
         ground = ("ice", "sandy_loam")[number % 2]
         speed = 0.5 + 0.1 * np.sin(np.arange(900) / rng.uniform(40, 60))
         turn = np.repeat(rng.choice([0.0, 0.25], 18, p=[0.7, 0.3]), 50)  # half the difference of the sides

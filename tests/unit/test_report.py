@@ -136,6 +136,7 @@ def test_base_parameters_are_declared_and_measured(turning):
         {"name": "rolling_resistance", "declared": 0.05, "value": 0.0812, "ci95": [0.07, 0.09], "unit": ""},
         {"name": "idle_power_w", "declared": 12.0, "value": 9.5, "ci95": [8.0, 11.0], "unit": "W"},
         {"name": "standing_current", "declared": None, "value": 2.0, "ci95": [1.0, 3.0], "unit": "A"},
+        {"name": "measured_slope", "declared": None, "value": 0.0, "ci95": [-2.3, 2.3], "unit": ""},  # no pitch
     ]
     assert base_words(turning.document | {"base_parameters": parameters}) == [
         "Rolling resistance: 0.05 declared, 0.0812 by the runs (95 % interval 0.07 to 0.09).",
@@ -144,6 +145,7 @@ def test_base_parameters_are_declared_and_measured(turning):
     ]
     made = Calibrated(turning.document | {"base_parameters": parameters}, turning.found, None)
     text = shown(report_page(made, None))
+    assert "not shown by these runs" in text
     assert text.index("rolling resistance") < text.index("0.0812") < text.index("0.07 to 0.09")
     named = [base_name(name) for name in PARTS]
     assert len(set(named)) == len(PARTS)
