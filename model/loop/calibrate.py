@@ -1,4 +1,4 @@
-"""Calibrate: base parameters first, then the effects that the model lacks, and how much better it predicts with them."""
+"""Calibrate: base parameters first, then the effects that the model lacks, and how well it predicts with them."""
 
 from __future__ import annotations
 
@@ -248,10 +248,10 @@ def fit(
     new = np.arange(len(rows)) >= len(rows) - len(measured)
     rows, first = base_step(rows, rows if base is None else base)
     chosen = select(make_design(rows, new, tuple(refused)), progress=progress)
-    kept, estimate, index = chosen.estimate()
+    _, estimate, index = chosen.estimate()
     low, high = estimate.interval()
     count = len(chosen.design.fixed)
-    effects, terms, at = [], [], count
+    effects, at = [], count
     for candidate, verdict in zip(chosen.chosen, chosen.verdicts, strict=True):
         k = len(candidate.tested)
         own = slice(at, at + k)

@@ -234,8 +234,8 @@ class CalibratedPredictor:
                 driven = f"{quantity_value(name, low)} to {quantity_value(name, high)}"
                 if name == "speed":
                     found.append(
-                        f"the robot's speed of {robot.speed_mps:g} m/s is outside the {driven} of the calibration runs: "
-                        "what depends on speed has the value at the nearest of these"
+                        f"the robot's speed of {robot.speed_mps:g} m/s is outside the {driven} of the calibration "
+                        "runs: what depends on speed has the value at the nearest of these"
                     )
                 elif share > _OTHER_GROUND:
                     found.append(
@@ -513,8 +513,8 @@ def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str
         raise ModelError(f"{path} cannot be read: {error!r}") from error
     if (made := content.get("format")) != FORMAT:
         raise ModelError(
-            f"{path} has format {made}, and this version of joulemap reads format {FORMAT}: calibrate again on the same "
-            "runs",
+            f"{path} has format {made}, and this version of joulemap reads format {FORMAT}: calibrate again on the "
+            "same runs",
             format=made,
             expected=FORMAT,
         )

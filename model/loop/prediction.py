@@ -95,8 +95,8 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
 def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
     """Predict measured segments.
 
-    The ground costs what the model says. Turning, time and speeding up cost what was fitted to the runs of a network; of
-    any other model turning costs what is declared, and idle power is drawn for as long as a segment took.
+    The ground costs what the model says. Turning, time and speeding up cost what was fitted to the runs of a network;
+    of any other model turning costs what is declared, and idle power is drawn for as long as a segment took.
 
     Parameters
     ----------

@@ -28,8 +28,8 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
     -------
     dict
         JSON-able. `base_parameters` are what the runs say of the declared values. `effects` are the missing effects.
-        `error` has the states before, corrected (with the base parameters), after, and after_planner (with what is known
-        before a drive), each of procedures that had no part of the run; `validation` says of which. `variation` is what
+        `error` has the states before, corrected (with the base parameters), after, and after_planner (with what is
+        known before a drive), each of procedures that had no part of the run; `validation` says of which. `variation` is what
         no effect explains.
     """
     fitted, moving = found.fitted, found.residuals.moving

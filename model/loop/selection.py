@@ -36,8 +36,8 @@ LEAST_GAIN = 0.05
 """Setting: share of the left-out squared error by which an effect must reduce it to be worth a line in a report. With
 thousands of rows every small error of a base model is significant (Cohen 1994)."""
 _MOST_LOST = 0.6
-"""Share of the declared rolling resistance that may be losses of the drives, which do not hold a robot back on a descent: an
-efficiency of 40 %, about that of a small gear motor."""
+"""Share of the declared rolling resistance that may be losses of the drives, which do not hold a robot back on a descent:
+an efficiency of 40 %, about that of a small gear motor."""
 _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
 _STEEPEST = 0.3
 """Largest tangent on which a robot coasts beyond the declared one: sand (Wong 2008, table 4.1)."""
@@ -298,8 +298,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     Notes
     -----
     With baseline runs a law of the robot or of the ground is tested by its columns in the new runs, beside the same
-    columns in all runs: what the baseline runs show as well is the base model's own error. A law of the weather holds in
-    both.
+    columns in all runs: what the baseline runs show as well is the base model's own error. A law of the weather holds
+    in both.
     """
     rows = residuals.features
     shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused or k in _DIRECTED})
@@ -309,6 +309,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     blocks, candidates, count = [base.columns(rows)], [], len(base.coefficient_names())
     for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
         columns = form.columns(rows)
+        if not compared and isinstance(form, UNNAMED) and form.covariates == ("grade",):
+            continue  # without baseline runs what the slope costs is the base parameters' own
         if not np.all(np.abs(columns[new]).max(axis=0) > 0.0) or not np.isfinite(columns).all():
             continue
         k = columns.shape[1]

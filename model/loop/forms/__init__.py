@@ -54,7 +54,9 @@ CHANGES: tuple[type[Form], ...] = (RollingResistance, HotelLoad, Mass, SensorGai
 UNNAMED: tuple[type[Form], ...] = (Curve,)
 """Structure without a formula."""
 
-FORMS: dict[str, type[Form]] = {form.key: form for form in (*NAMED, *CHANGES, *UNNAMED, BaseParameters)}
+_EVERY: tuple[type[Form], ...] = (*NAMED, *CHANGES, *UNNAMED, BaseParameters)
+
+FORMS: dict[str, type[Form]] = {form.key: form for form in _EVERY}
 """Every form by its key."""
 
 

@@ -1,4 +1,4 @@
-"""What every form of an effect states: settings, unit, limits, covariates and words. One form is one class in one file."""
+"""What every form of an effect states: settings, unit, limits, covariates and words. One form is one class."""
 
 from __future__ import annotations
 
@@ -187,9 +187,7 @@ class Form:
         """
         given = {k: _as_tuple(v) for k, v in values.items() if k != "form"}
         if set(given) != (known := {f.name for f in fields(cls)}):
-            raise ModelError(
-                f"the effect {cls.key!r} needs the settings {sorted(known)}, the model has {sorted(given)}"
-            )
+            raise ModelError(f"the effect {cls.key!r} needs the settings {sorted(known)}, got {sorted(given)}")
         return cls(**given)
 
 

@@ -21,8 +21,8 @@ class Climbing(Form):
     Attributes
     ----------
     slipping : bool
-        A share of the whole traction that grows with the grade, as of wheels that slip: 1 / (1 - s) with s in proportion
-        to the grade, to first order.
+        A share of the whole traction that grows with the grade, as of wheels that slip: 1 / (1 - s) with s in
+        proportion to the grade, to first order.
 
     References
     ----------
