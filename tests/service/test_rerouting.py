@@ -64,7 +64,7 @@ def test_turns_cost_what_base_runs_took_and_what_is_new_beside_them() -> None:
         effect = found.effects[0]
         assert effect.term.form.name == "turning"
         correction = correction_of(found, np.ones(len(new)))
-        if effect.term.form.limit_radps is None:
+        if effect.term.form == Turning():
             assert effect.term.coefficients[0] == pytest.approx(extra, rel=0.1)
         told.append(correction.turn_j_per_rad)
     assert told == [pytest.approx(80.0, rel=0.1)] * 2

@@ -16,7 +16,7 @@ from joulemap.service.http.documents import problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.jobs.calibrations import PAGE
-from joulemap.service.loop.calibration import refuse_calibrated
+from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
 from joulemap.service.models import find_predictor
 from joulemap.service.schemas.answers import calibration_out
 from joulemap.service.schemas.base import robot_values
@@ -87,6 +87,8 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     if not runs:
         raise InputError("all runs are test runs: there is none to learn from", field="test_runs")
     sent = [service.store.runs(runs_id) for runs_id in dict.fromkeys([*runs, *baseline, *test])]
+    if wanted.campaigns:
+        campaigns_of([run["name"] for runs_id in runs for run in service.store.runs(runs_id).stats])
     settings = service.settings
     for key, limit in (("rows", settings.max_calibration_rows), ("segments", settings.max_calibration_segments)):
         count = sum(run[key] for row in sent for run in row.stats)
