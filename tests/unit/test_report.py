@@ -125,7 +125,7 @@ def test_the_summary_tells_one_thing_after_the_other(turning):
     lines = summary_lines(turning.document)
     assert lines[0].startswith("Found: turning")
     assert lines[1] == "Base parameters:"
-    count = len(turning.document["base_parameters"])
+    count = len(base_words(turning.document))
     assert all(line.startswith("  ") for line in lines[2 : 2 + count])
     assert lines[2 + count].startswith("These runs show")
     assert lines[-1].startswith("Driven: speed ")
