@@ -289,8 +289,9 @@ def _terms(
     for candidate in kept:
         k = len(candidate.tested)
         total = estimate.coefficients[at : at + k].copy()
-        if len(candidate.beside):  # in new runs the base model's own error counts too
-            total += estimate.coefficients[at + k : at + 2 * k]
+        total[candidate.shared] += estimate.coefficients[
+            at + k : at + len(candidate.both)
+        ]  # the base model's own error
         terms.append(Term(candidate.form, tuple(total.tolist())))
         at += len(candidate.both)
     return tuple(terms)

@@ -56,12 +56,15 @@ class Candidate:
     tested : ndarray of int
         Columns whose coefficients are the effect.
     beside : ndarray of int
-        The same columns in the baseline runs too, whose coefficients are the base model's own error.
+        Columns in the baseline runs too, whose coefficients are the base model's own error.
+    shared : ndarray of int
+        To which of the tested ones each of them belongs.
     """
 
     form: Form
     tested: IntArray
     beside: IntArray
+    shared: IntArray
 
     @property
     def both(self) -> IntArray:
@@ -298,32 +301,56 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     Notes
     -----
     With baseline runs a law of the robot or of the ground is tested by its columns in the new runs, beside the same
-    columns in all runs: what the baseline runs show as well is the base model's own error. A law of the weather holds
-    in both.
+    columns in all runs, as far as these cover them: what the baseline runs show as well is the base model's own error.
+    A law of the weather may hold in both, and is tested so too.
     """
     rows = residuals.features
     shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused or k in _DIRECTED})
     base = BaseParameters.of(charge=residuals.charge)
     compared = not new.all()
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
-    blocks, candidates, count = [base.columns(rows)], [], len(base.coefficient_names())
+    parameters = base.columns(rows)
+    blocks, candidates, count = [parameters], [], len(base.names)
+
+    def add(form: Form, columns: FloatArray, every: FloatArray, shared: IntArray) -> None:
+        nonlocal count
+        blocks.extend([columns, every[:, shared]])
+        tested = count + np.arange(columns.shape[1])
+        beside = count + columns.shape[1] + np.arange(len(shared))
+        candidates.append(Candidate(form, tested, beside, shared))
+        count += columns.shape[1] + len(shared)
+
     for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
         columns = form.columns(rows)
         if not compared and isinstance(form, UNNAMED) and form.covariates == ("grade",):
             continue  # without baseline runs what the slope costs is the base parameters' own
         if not np.all(np.abs(columns[new]).max(axis=0) > 0.0) or not np.isfinite(columns).all():
             continue
-        k = columns.shape[1]
-        own = compared and not form.weather
-        blocks.append(columns * new[:, None] if own else columns)
-        tested, beside = count + np.arange(k), np.zeros(0, dtype=np.int64)
-        count += k
-        if own and not isinstance(form, CHANGES):
-            blocks.append(columns)
-            beside = count + np.arange(k)
-            count += k
-        candidates.append(Candidate(form, tested, beside))
+        nothing = np.zeros(0, dtype=np.int64)
+        if not compared or form.weather:
+            add(form, columns, columns, nothing)
+        if compared and isinstance(form, CHANGES):
+            add(form, columns * new[:, None], columns, nothing)
+        elif compared:
+            covered = np.flatnonzero(_covered(residuals, columns, parameters, new))
+            add(form, columns * new[:, None], columns, covered)
     return Design(residuals, new, np.concatenate(blocks, axis=1), base, tuple(candidates))
+
+
+def _covered(
+    residuals: Residuals, columns: FloatArray, parameters: FloatArray, new: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which columns, (k,), the baseline runs say as much about as ten rows of the new runs (Harrell 2015, section 4.4);
+    of the others they say nothing.
+    """
+    left = []
+    for part in (~new, new):
+        run = residuals.run[part]
+        levels = np.stack([(run == k) * residuals.said[part] for k in np.unique(run)], axis=1)
+        beside = np.concatenate([parameters[part], levels], axis=1)
+        fit = np.linalg.lstsq(beside, columns[part], rcond=None)[0]
+        left.append(((columns[part] - beside @ fit) ** 2).sum(axis=0))
+    return np.asarray(left[0] >= 10.0 * left[1] / max(int(new.sum()), 1))
 
 
 def select(design: Design, *, progress: Callable[[float], None] | None = None) -> Selection:
