@@ -27,8 +27,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _COLLINEAR = 1e-3
-"""Share of a column's sum of squares that must be left beside the other columns for a test: with less, the standard error
-is over thirty times that of the column alone."""
+"""Share of a column's sum of squares that must be left beside the other columns for a test: with less, the standard
+error is over thirty times that of the column alone."""
 
 
 _LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels

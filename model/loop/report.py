@@ -29,8 +29,8 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
     dict
         JSON-able. `base_parameters` are what the runs say of the declared values. `effects` are the missing effects.
         `error` has the states before, corrected (with the base parameters), after, and after_planner (with what is
-        known before a drive), each of procedures that had no part of the run; `validation` says of which. `variation` is what
-        no effect explains.
+        known before a drive), each of procedures that had no part of the run; `validation` says of which. `variation`
+        is what no effect explains.
     """
     fitted, moving = found.fitted, found.residuals.moving
     segments = int(moving.sum())
@@ -172,8 +172,9 @@ def _separable(found: Calibration) -> list[Candidate]:
 def _remaining(found: Calibration) -> dict[str, Any]:
     """What is left beside the effects: the smallest p-value of any candidate, and the spread on left-out runs."""
     selection = found.fitted.selection
+    names = {c.form.name for c in selection.chosen}
     others = zip(selection.last, selection.design.candidates, strict=True)
-    p_values = [v.p_value for v, candidate in others if not any(candidate is c for c in selection.chosen)]
+    p_values = [v.p_value for v, candidate in others if candidate.form.name not in names]
     moving = found.residuals.moving
     after = found.held_out["after"][moving]
     away = found.residuals.measured[moving] - after

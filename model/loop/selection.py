@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
+from joulemap.model.loop.forms import CHANGES, NAMED, NOT_OF_SLOPE, UNNAMED, Form
 from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.mixed_model import Estimate, MixedModel, columns_of
@@ -36,7 +36,7 @@ LEAST_GAIN = 0.05
 """Setting: share of the left-out squared error by which an effect must reduce it to be worth a line in a report. With
 thousands of rows every small error of a base model is significant (Cohen 1994)."""
 _MOST_LOST = 0.6
-"""Share of the declared rolling resistance that may be losses of the drives, which do not hold a robot back on a descent:
+"""Share of the declared rolling resistance that may be losses of the drives, which hold no robot back on a descent:
 an efficiency of 40 %, about that of a small gear motor."""
 _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
 _STEEPEST = 0.3
@@ -227,12 +227,17 @@ def coasting_shift(residuals: Residuals) -> float:
     Returns
     -------
     float
-        `Features.coasting_shift` with the least squared error of the base parameters, scaled by the energy; outliers
-        count in proportion to their size only.
+        `Features.coasting_shift` with the least squared error of the base parameters beside effects that say nothing of
+        the slope, scaled by the energy; outliers count in proportion to their size only. 0 where that is no better by
+        `LEAST_GAIN`.
     """
     rolling, base = residuals.features.robot.rolling_resistance, BaseParameters.of(charge=residuals.charge)
     scale = np.maximum(np.abs(residuals.said), float(np.median(np.abs(residuals.measured))))
-    levels = [(residuals.unit == u) * np.maximum(residuals.said, 0.0) / scale for u in np.unique(residuals.unit)]
+    others = [(residuals.unit == u) * np.maximum(residuals.said, 0.0) for u in np.unique(residuals.unit)]
+    for form in (next(kind.variants(residuals.features), None) for kind in NOT_OF_SLOPE):
+        if form is not None:
+            others.extend(form.columns(residuals.features).T)
+    levels = [column / scale for column in others]
 
     def rest(shift: float) -> FloatArray:
         moved = residuals.coasting(float(shift))
@@ -251,9 +256,7 @@ def coasting_shift(residuals: Residuals) -> float:
     k = int(np.argmin(errors))
     ends = tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]
     found = minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": 1e-3})
-    freedom = len(residuals)
-    better = freedom * np.log(error(0.0) / max(float(found.fun), 1e-12))
-    return float(found.x) if better > np.log(freedom) else 0.0  # Schwarz 1978: one parameter more
+    return float(found.x) if float(found.fun) < (1.0 - LEAST_GAIN) * error(0.0) else 0.0
 
 
 def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:

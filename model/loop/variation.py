@@ -3,8 +3,8 @@
     energy_i = mean_i + g_i u_run + s_i (a_i + e_i),   a_i = phi a_(i-1) + noise,   e_i heavy-tailed
 
 `s_i` is a standard deviation that grows with the predicted energy, `a` an autoregression along a run, `e` noise whose
-outliers get Huber's weights, and `u_run` the level of a run in shares of the predicted energy `g`. The parameters of the
-autoregression maximise the restricted likelihood with a free level of every run, so that runs that differ do not
+outliers get Huber's weights, and `u_run` the level of a run in shares of the predicted energy `g`. The parameters of
+the autoregression maximise the restricted likelihood with a free level of every run, so that runs that differ do not
 look like serial correlation.
 
 Tests take the serial correlation out of the rows (`whitened`). Coefficients are fitted to rows that are scaled only,

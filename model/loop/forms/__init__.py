@@ -51,6 +51,9 @@ NAMED: tuple[type[Form], ...] = (
 CHANGES: tuple[type[Form], ...] = (RollingResistance, HotelLoad, Mass, SensorGain, Acceleration, Braking)
 """Forms of the base model's own parameters. They are effects where baseline runs say what these were before."""
 
+NOT_OF_SLOPE: tuple[type[Form], ...] = (Turning, Speed, CrossSlope, Roughness, Reversing, Payload, Wind, TerrainClass)
+"""Forms that say nothing of the slope, nor of the force that it asks for."""
+
 UNNAMED: tuple[type[Form], ...] = (Curve,)
 """Structure without a formula."""
 
@@ -84,4 +87,4 @@ def form_from_dict(values: Mapping[str, Any]) -> Form:
     return FORMS[key].from_dict(values)
 
 
-__all__ = ["CHANGES", "FORMS", "NAMED", "UNNAMED", "Form", "form_from_dict"]
+__all__ = ["CHANGES", "FORMS", "NAMED", "NOT_OF_SLOPE", "UNNAMED", "Form", "form_from_dict"]

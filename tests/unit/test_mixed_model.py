@@ -1,0 +1,100 @@
+"""Tests, left-out errors and intervals of the mixed model, against slow reference computations."""
+
+import numpy as np
+import pytest
+from scipy.stats import linregress
+
+from joulemap.model.loop.mixed_model import MixedModel
+from joulemap.model.loop.variation import Variation, starts_of
+
+NONE = np.zeros(0, dtype=np.int64)
+FIRST, SECOND = np.array([0]), np.array([1])
+
+
+def _model(columns, residual, run, level=None) -> MixedModel:
+    moving = np.ones(run.size, dtype=bool)
+    variation = Variation(run, starts_of(run, moving), moving, np.ones(run.size), np.ones(run.size))
+    level = np.ones(run.size) if level is None else level
+    return MixedModel(variation, columns, residual, level, run, whole_runs=True)
+
+
+def _data(rng, runs=6, rows=80):
+    run = np.repeat(np.arange(runs), rows)
+    return run, rng.normal(size=(run.size, 2)), rng.normal(size=run.size)
+
+
+def test_levels_of_runs_do_not_touch_a_test_inside_runs():
+    run, x, z = _data(np.random.default_rng(1))
+    offsets = np.random.default_rng(2).normal(0.0, 5.0, 6)[run]
+    plain = _model(x, z, run).test_within(FIRST, SECOND)
+    moved = _model(x, z + offsets, run).test_within(FIRST, SECOND)
+    assert moved.p_value == pytest.approx(plain.p_value, rel=1e-6)
+
+
+def test_p_values_inside_runs_are_uniform_where_nothing_is():
+    rng = np.random.default_rng(3)
+    p_values = []
+    for _ in range(300):
+        run, x, z = _data(rng, runs=4, rows=40)
+        p_values.append(_model(x, z * (1.0 + 2.0 * (x[:, 0] > 1.0)), run).test_within(FIRST, SECOND).p_value)
+    assert 0.02 <= np.mean(np.array(p_values) < 0.05) <= 0.08
+
+
+def test_p_values_between_few_runs_are_no_smaller_than_they_should_be():
+    rng = np.random.default_rng(4)
+    p_values = []
+    for _ in range(300):
+        run, _, z = _data(rng, runs=6, rows=30)
+        x = np.column_stack([rng.normal(size=6)[run], rng.normal(size=run.size)])
+        p_values.append(_model(x, z + rng.normal(0.0, 3.0, 6)[run], run).test_between(FIRST, SECOND, NONE).p_value)
+    assert 0.02 <= np.mean(np.array(p_values) < 0.05) <= 0.08
+
+
+def test_a_difference_between_runs_is_tested_like_a_line_through_their_levels():
+    rng = np.random.default_rng(5)
+    run = np.repeat(np.arange(8), 500)
+    warm = rng.normal(size=8)
+    offsets = 0.5 * warm + rng.normal(0.0, 1.0, 8)
+    z = offsets[run] + rng.normal(0.0, 0.01, run.size)
+    found = _model(np.column_stack([warm[run], rng.normal(size=run.size)]), z, run).test_between(FIRST, NONE, NONE)
+    assert found.p_value == pytest.approx(linregress(warm, offsets).pvalue, rel=0.05)
+    assert found.freedom == 6.0
+
+
+def test_a_column_that_is_constant_in_runs_has_no_test_inside_them():
+    run, x, z = _data(np.random.default_rng(6))
+    x[:, 0] = np.arange(6)[run]
+    assert _model(x, z, run).test_within(FIRST, SECOND).p_value == 1.0
+
+
+def test_left_out_errors_are_those_of_fits_without_the_unit():
+    run, x, z = _data(np.random.default_rng(7))
+    model = _model(x, z + 2.0 * x[:, 0], run)
+    errors = model.left_out(np.array([0, 1]), 0.0)
+    scaled = x / model.size
+    target = z + 2.0 * x[:, 0]
+    for unit in range(6):
+        rest, out = run != unit, run == unit
+        beta = np.linalg.solve(scaled[rest].T @ scaled[rest] + np.eye(2), scaled[rest].T @ target[rest])
+        assert errors[unit] == pytest.approx(np.sum((target[out] - scaled[out] @ beta) ** 2))
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say():
+    rng = np.random.default_rng(8)
+    covered = []
+    for _ in range(200):
+        run, x, z = _data(rng, runs=6, rows=40)
+        z = z + 1.5 * x[:, 0] + rng.normal(0.0, 0.3, 6)[run]
+        estimate = _model(x, z, run).estimate(np.array([0, 1]), np.full(2, -np.inf), np.full(2, np.inf), NONE)
+        low, high = estimate.interval()
+        covered.append(low[0] <= 1.5 <= high[0])
+    assert 0.90 <= np.mean(covered) <= 0.99
+
+
+def test_an_estimate_stays_within_its_physical_limits():
+    run, x, z = _data(np.random.default_rng(9))
+    model = _model(x, z - 3.0 * x[:, 0], run)
+    estimate = model.estimate(np.array([0, 1]), np.array([0.0, -np.inf]), np.full(2, np.inf), NONE)
+    assert estimate.coefficients[0] == pytest.approx(0.0, abs=1e-6)
+    free = model.estimate(np.array([0, 1]), np.full(2, -np.inf), np.full(2, np.inf), NONE)
+    assert free.coefficients[0] == pytest.approx(-3.0, abs=0.2)
