@@ -64,7 +64,7 @@ class Fitted:
     base_low, base_high : ndarray of float
         Their 95 % confidence intervals.
     effects : tuple of Effect
-        In the order in which they were taken.
+        Those that explain most first.
     terms, planner_terms, base_terms, scale_terms : tuple of Term
         What is added to the base model's prediction: by everything, by what is known before a drive, by the base
         parameters alone, and by the scale and the zero of a charge. Each was fitted for itself.
@@ -148,7 +148,7 @@ class Calibration:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects that were found, in the order in which they were taken."""
+        """The effects that were found, those that explain most first."""
         return self.fitted.effects
 
     def errors_on(self, others: Residuals) -> dict[str, Any]:
@@ -265,7 +265,7 @@ def fit(
         terms[0],
         low[:count],
         high[:count],
-        tuple(effects),
+        tuple(sorted(effects, key=lambda e: -e.share)),
         terms,
         _terms(chosen, lambda form: form.known_before, without=(MEASURED_SLOPE,)),
         _terms(chosen, lambda form: False),
