@@ -206,15 +206,15 @@ def calibrate(
     count = int(fold.max()) + 1 if cross_validate else 0
     done = 0
 
-    def step(share: float) -> None:
+    def _step(share: float) -> None:
         if progress is not None:
             progress((done + share) / (count + 1))
 
-    fitted = fit(measured, base, refused, progress=step)
+    fitted = fit(measured, base, refused, progress=_step)
     held = _states(fitted, measured)
     for k in range(count):
         done = k + 1
-        step(0.0)
+        _step(0.0)
         out = np.flatnonzero(fold == k)
         other = fit(measured.take(np.flatnonzero(fold != k)), base, refused)
         for key, energy in _states(other, measured.take(out)).items():

@@ -189,7 +189,18 @@ class MixedModel:
         return _paule_mandel(away, noise, np.ones((self.units, 1))) / max(sigma2, 1e-300)
 
     def sigma2(self, chosen: IntArray) -> float:
-        """Return the variance of the noise beside some columns, (n - q - units) in the denominator."""
+        """Return the variance of the noise beside some columns.
+
+        Parameters
+        ----------
+        chosen : ndarray of int, (q,)
+            Columns in the model.
+
+        Returns
+        -------
+        float
+            With n - q - units in the denominator.
+        """
         beta = self._solved(self.gram_within, chosen)
         c = np.concatenate([-beta, [1.0]])
         index = np.append(chosen, -1)

@@ -25,10 +25,40 @@ class Corrected(Protocol):
     base: Any
 
     def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
-        """Return the energy of measured segments, (n,) [J]."""
+        """Return the energy of measured segments.
+
+        Parameters
+        ----------
+        segments : Segments
+            Measured.
+        heightmap : Heightmap
+            On which they were driven.
+        robot : Robot
+            That drove.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J].
+        """
 
     def std_of(self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any] | None:
-        """Return the standard deviation of 1 m segments after the correction [J]."""
+        """Return the standard deviation of 1 m segments after the correction.
+
+        Parameters
+        ----------
+        std_j : ndarray of float, optional
+            Of the base model [J].
+        traction_per_m : ndarray of float
+            Of the base model [J/m].
+        robot : Robot
+            As declared.
+
+        Returns
+        -------
+        ndarray of float or None
+            Standard deviation [J].
+        """
 
 
 @dataclass(frozen=True)

@@ -239,24 +239,24 @@ def coasting_shift(residuals: Residuals) -> float:
             others.extend(form.columns(residuals.features).T)
     levels = [column / scale for column in others]
 
-    def rest(shift: float) -> FloatArray:
+    def _rest(shift: float) -> FloatArray:
         moved = residuals.coasting(float(shift))
         x = np.column_stack([base.columns(moved.features) / scale[:, None], *levels])
         z = (moved.measured - moved.said) / scale
         return np.abs(z - x @ np.linalg.solve(x.T @ x + 1e-9 * len(z) * np.eye(x.shape[1]), x.T @ z))
 
-    limit = HUBER * 1.4826 * float(np.median(rest(0.0)))
+    limit = HUBER * 1.4826 * float(np.median(_rest(0.0)))
 
-    def error(shift: float) -> float:
-        away = rest(shift) / max(limit, 1e-12)
+    def _error(shift: float) -> float:
+        away = _rest(shift) / max(limit, 1e-12)
         return float(np.where(away < 1.0, away**2, 2.0 * away - 1.0).sum())
 
     tried = np.linspace(-_MOST_LOST * rolling, _STEEPEST, 17)
-    errors = [error(shift) for shift in tried]
+    errors = [_error(shift) for shift in tried]
     k = int(np.argmin(errors))
     ends = tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]
-    found = minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": 1e-3})
-    return float(found.x) if float(found.fun) < (1.0 - LEAST_GAIN) * error(0.0) else 0.0
+    found = minimize_scalar(_error, bounds=ends, method="bounded", options={"xatol": 1e-3})
+    return float(found.x) if float(found.fun) < (1.0 - LEAST_GAIN) * _error(0.0) else 0.0
 
 
 def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:
@@ -315,7 +315,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     parameters = base.columns(rows)
     blocks, candidates, count = [parameters], [], len(base.names)
 
-    def add(form: Form, columns: FloatArray, every: FloatArray, shared: IntArray) -> None:
+    def _add(form: Form, columns: FloatArray, every: FloatArray, shared: IntArray) -> None:
         nonlocal count
         blocks.extend([columns, every[:, shared]])
         tested = count + np.arange(columns.shape[1])
@@ -331,12 +331,12 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
             continue
         nothing = np.zeros(0, dtype=np.int64)
         if not compared or form.weather:
-            add(form, columns, columns, nothing)
+            _add(form, columns, columns, nothing)
         if compared and isinstance(form, CHANGES):
-            add(form, columns * new[:, None], columns, nothing)
+            _add(form, columns * new[:, None], columns, nothing)
         elif compared:
             covered = np.flatnonzero(_covered(residuals, columns, parameters, new))
-            add(form, columns * new[:, None], columns, covered)
+            _add(form, columns * new[:, None], columns, covered)
     return Design(residuals, new, np.concatenate(blocks, axis=1), base, tuple(candidates))
 
 
@@ -376,10 +376,10 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
     seen: set[frozenset[int]] = set()
     _, model = fit_model(design, _largest(design))
 
-    def judge(candidates: Sequence[Candidate]) -> list[Verdict]:
+    def _judge(candidates: Sequence[Candidate]) -> list[Verdict]:
         return [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in candidates]
 
-    alone = verdicts = judge(design.candidates)
+    alone = verdicts = _judge(design.candidates)
     for unnamed in (False, True):  # what has no name is asked what remains
         while len(chosen) < MOST_EFFECTS and (best := _simplest(design, verdicts, chosen, unnamed=unnamed)) is not None:
             taken = design.candidates[best]
@@ -387,20 +387,20 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
             at = names.index(taken.form.name) if taken.form.name in names else len(chosen)
             chosen[at : at + 1] = [taken]
             between[taken.form.name] = verdicts[best].between
-            verdicts = judge(design.candidates)
+            verdicts = _judge(design.candidates)
             if (now := frozenset(map(id, chosen))) in seen:  # two forms of one effect that take turns
                 break
             seen.add(now)
             if progress is not None:
                 progress(len(chosen) / (MOST_EFFECTS + 1))
-    final = judge(chosen)
+    final = _judge(chosen)
     while chosen:
         worst = max(range(len(chosen)), key=lambda k: (bool(final[k].why_not), final[k].p_value))
         needed = {name for c in chosen for name in c.form.parts}
         if (final[worst].p_value <= ALPHA and not final[worst].why_not) or chosen[worst].form.name in needed:
             break
         chosen.pop(worst)
-        final, verdicts = judge(chosen), judge(design.candidates)
+        final, verdicts = _judge(chosen), _judge(design.candidates)
     variation, last = fit_model(design, chosen)
     return Selection(tuple(chosen), tuple(final), design, variation, alone, verdicts, last)
 
