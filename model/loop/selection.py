@@ -2,7 +2,8 @@
 
 At every step each candidate is tested beside what is chosen already, inside runs and between them. Of those that are
 significant, and whose gain on left-out runs exceeds its standard error, the simplest is taken whose gain is within one
-standard error of the largest. Then whatever is no longer significant beside the others is dropped.
+standard error of the largest: first among forms with a name, then among those without, which are asked what remains.
+At the end whatever is no longer significant beside the others is dropped.
 
 References
 ----------
@@ -441,7 +442,7 @@ def fit_model(
     Returns
     -------
     tuple of (Variation, MixedModel)
-        The variation, and all columns whitened by it.
+        The variation, and all columns under it.
     """
     residuals = design.residuals
     index, low, high = _limits(design, chosen, names)

@@ -163,7 +163,9 @@ def with_base_parameters(rows: Features, base: BaseParameters, coefficients: Flo
         With `corrected`.
     """
     of_motion = np.array([name not in _OF_TIME for name in base.names])
-    return replace(rows, corrected=base.columns(rows)[:, of_motion] @ np.asarray(coefficients)[of_motion])
+    energy = base.columns(rows)[:, of_motion] @ np.asarray(coefficients)[of_motion]
+    of_charge = set(SCALE) & set(base.names)  # then nothing of the base model's own prediction is kept
+    return replace(rows, corrected=energy - rows.base_motion if of_charge else energy)
 
 
 class Part(NamedTuple):
