@@ -135,7 +135,7 @@ def baselines(examples: Examples) -> dict[str, dict[str, Any]]:
 
 
 def _summary(energy_j: ArrayLike, examples: Examples) -> dict[str, Any]:
-    """`errors` without the list of every run."""
+    """`errors` without what it says of every run."""
     found = errors(energy_j, examples.energy_j, examples.run)
-    del found["route_relative_errors"]
-    return {key: value if isinstance(value, int) else round(value, 5) for key, value in found.items()}
+    numbers = {key: value for key, value in found.items() if isinstance(value, (int, float))}
+    return {key: value if isinstance(value, int) else round(value, 5) for key, value in numbers.items()}
