@@ -326,8 +326,10 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
 
     for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
         columns = form.columns(rows)
-        if not compared and isinstance(form, UNNAMED) and form.covariates == ("grade",):
-            continue  # without baseline runs what the slope costs is the base parameters' own
+        if not compared and (
+            isinstance(form, PlaceField) or (isinstance(form, UNNAMED) and form.covariates == ("grade",))
+        ):
+            continue  # without baseline runs these are the base model's own errors, of the slope and of the map
         if not np.all(np.abs(columns[new]).max(axis=0) > 0.0) or not np.isfinite(columns).all():
             continue
         nothing = np.zeros(0, dtype=np.int64)

@@ -19,8 +19,21 @@ EFFECTS = {
     "turning": lambda rows: 60.0 * rows.turned_abs_rad,
     "cross_slope": lambda rows: 0.9 * ROBOT.weight_n * rows.cross_abs * rows.pulling,
     "roughness": lambda rows: 5.0 * ROBOT.weight_n * rows.roughness_m * rows.pulling,
-    "local_friction": lambda rows: 25.0 * (np.hypot(rows.x - 25, rows.y - 25) < 8.0),
 }
+
+
+def wet_patch(rows):
+    return 25.0 * (np.hypot(rows.x - 25, rows.y - 25) < 8.0)
+
+
+def test_a_patch_is_named_where_baseline_runs_say_what_the_ground_was():
+    """Without them it may be an error of the map or of the model at that place."""
+    rng = np.random.default_rng(7)
+    rows, dry = made_up(rng), made_up(rng)
+    now, before = noisy(rng, rows, wet_patch(rows)), noisy(rng, dry, 0.0 * wet_patch(dry))
+    found = found_in(rows, now, base=measured_on(dry, before))
+    assert found.effects[0].term.form.name == "local_friction"
+    assert not found_in(rows, now).effects
 
 
 @pytest.mark.parametrize("name", EFFECTS)
