@@ -23,7 +23,7 @@ waves; the reproduction of the paper uses the same."""
 MAX_GAP_M = 2.0
 """Usual reach of the known ground beside driven positions [m]: the square of 2 m that the compact network sees reaches
 1.42 m into its corners, and the turned square of a position that is off by a few decimetres must be known too."""
-_APART_M = 0.1
+_FAR_OFF_M = 0.1
 """Runs that differ by more than this in height where they meet [m], in the median, are said aloud: RTK-GPS and lidar
 registration err by 0.02 to 0.05 m in height."""
 _MEET_M = 0.5  # side of the squares in which heights of two runs are compared
@@ -40,7 +40,7 @@ class DrivenSurface:
         The surface; unknown far from driven positions.
     fit_m : float
         Root mean square distance of the positions from the surface [m], outliers left out.
-    apart_m : dict of str to float
+    height_differences_m : dict of str to float
         By run, the median difference of its heights and those of other runs at the same places [m]. Runs that meet no
         other are not in it.
     points : int
@@ -51,7 +51,7 @@ class DrivenSurface:
 
     heightmap: Heightmap
     fit_m: float
-    apart_m: dict[str, float]
+    height_differences_m: dict[str, float]
     points: int
     warnings: list[str]
 
@@ -122,8 +122,8 @@ def driven_surface(
     off = np.abs(z - antenna_height_m - heightmap.sample(x, y))
     off = off[np.isfinite(off)]
     inside = off[off <= np.quantile(off, 0.99)]
-    apart = _differences({run.name: part for run, part in zip(runs, parts, strict=True)})
-    off_others = {name: away for name, away in apart.items() if away > _APART_M}
+    differences = _differences({run.name: part for run, part in zip(runs, parts, strict=True)})
+    off_others = {name: away for name, away in differences.items() if away > _FAR_OFF_M}
     warnings = []
     if off_others:
         listed = ", ".join(f"{name} by {away:.2f} m" for name, away in off_others.items())
@@ -131,7 +131,7 @@ def driven_surface(
             f"where runs meet their heights differ ({listed}): are all runs in one frame, and is `z` in metres? "
             "Otherwise make one map for each run"
         )
-    return DrivenSurface(heightmap, float(np.sqrt(np.mean(inside**2))), apart, int(x.size), warnings)
+    return DrivenSurface(heightmap, float(np.sqrt(np.mean(inside**2))), differences, int(x.size), warnings)
 
 
 def _differences(parts: Mapping[str, FloatArray]) -> dict[str, float]:

@@ -187,9 +187,9 @@ def _read(
     return [
         [
             run if run.currents in (None, usual) else read(file, name, usual)
-            for run, (file, name) in zip(some, told, strict=True)
+            for run, (file, name) in zip(some, pairs, strict=True)
         ]
-        for some, told in zip(runs, named, strict=True)
+        for some, pairs in zip(runs, named, strict=True)
     ]
 
 

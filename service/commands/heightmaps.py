@@ -124,7 +124,7 @@ def _document(place: Path, found: DrivenSurface, names: list[str]) -> dict[str, 
         "known_share": ground.known_share,
         "points": found.points,
         "fit_m": found.fit_m,
-        "apart_m": found.apart_m,
+        "height_differences_m": found.height_differences_m,
         "warnings": found.warnings,
     }
 

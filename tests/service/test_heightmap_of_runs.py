@@ -74,7 +74,7 @@ def test_one_map_of_all_runs_on_the_command_line(tmp_path):
     assert not warned
     assert [one["runs"] for one in made] == [["a.csv", "bb.csv"]]
     assert made[0]["fit_m"] < 0.02
-    assert max(made[0]["apart_m"].values()) < 0.02
+    assert max(made[0]["height_differences_m"].values()) < 0.02
     written = jm.read_heightmap(tmp_path / "dem.tif")
     assert written.resolution_m == 0.25
     assert written.frame.crs == "EPSG:32615"
