@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.metrics import relative_errors
-from joulemap.model.loop.features import driven_ranges
+from joulemap.model.loop.features import Drives, driven_ranges
 from joulemap.model.loop.forms import Form
-from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, SCALE, BaseParameters
+from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, BaseParameters
 from joulemap.model.loop.refused_columns import refused_columns
 from joulemap.model.loop.residuals import Residuals, joined
-from joulemap.model.loop.selection import Selection, base_step, make_design, rivals_of, select
+from joulemap.model.loop.selection import Selection, base_step, make_design, rivals_of, scale_of, select
 from joulemap.model.loop.terms import Term, prepared, total_energy
 
 FloatArray = NDArray[np.float64]
@@ -65,13 +65,15 @@ class Fitted:
         Their 95 % confidence intervals.
     effects : tuple of Effect
         Those that explain most first.
-    terms, planner_terms, base_terms, scale_terms : tuple of Term
-        What is added to the base model's prediction: by everything, by what is known before a drive, by the base
-        parameters alone, and by the scale and the zero of a charge. Each was fitted for itself.
+    terms, planner_terms, base_terms : tuple of Term
+        What is added to the base model's prediction: by everything, by what is known before a drive, and by the base
+        parameters alone. Each was fitted for itself.
+    scale : Term, optional
+        What makes a charge of the base model's prediction before any of this.
     ranges : dict
         In which the runs were driven.
-    coasting_shift : float
-        See `Features`.
+    drives : Drives
+        Of the robot.
     first_base : Term
         The base parameters before any effect, which forms take for the energy of motion.
     run_share : float
@@ -86,9 +88,9 @@ class Fitted:
     terms: tuple[Term, ...]
     planner_terms: tuple[Term, ...]
     base_terms: tuple[Term, ...]
-    scale_terms: tuple[Term, ...]
+    scale: Term | None
     ranges: dict[str, tuple[float, float]]
-    coasting_shift: float
+    drives: Drives
     first_base: Term
     run_share: float
 
@@ -107,8 +109,8 @@ class Fitted:
         ndarray of float, (n,)
             Energy [J], or charge [A s].
         """
-        moved = residuals.coasting(self.coasting_shift)
-        held = prepared(moved.features, self.coasting_shift, self.first_base, self.ranges)
+        moved = residuals.driven_by(self.drives)
+        held = prepared(moved.features, self.first_base, self.ranges)
         return moved.said + total_energy(terms, held)
 
 
@@ -269,20 +271,20 @@ def fit(
         terms,
         _terms(chosen, lambda form: form.known_before, without=(MEASURED_SLOPE,)),
         _terms(chosen, lambda form: False),
-        _terms(chosen, lambda form: False, only=SCALE) if rows.charge else (),
+        scale_of(rows) if rows.charge else None,
         driven_ranges(measured.features),
-        rows.features.coasting_shift,
+        rows.features.drives,
         first,
         float(run_share),
     )
 
 
 def _terms(
-    chosen: Selection, keep: Callable[[Form], bool], *, without: Sequence[str] = (), only: Sequence[str] = ()
+    chosen: Selection, keep: Callable[[Form], bool], *, without: Sequence[str] = ()
 ) -> tuple[Term, ...]:
     """Some base parameters and the effects that are kept, fitted together, as new runs have them."""
     every = chosen.design.base.names
-    names = tuple(name for name in every if name not in without and (not only or name in only))
+    names = tuple(name for name in every if name not in without)
     kept, estimate, _ = chosen.estimate(keep, None if names == every else names)
     at = len(names)
     terms = [Term(BaseParameters(names), tuple(estimate.coefficients[:at].tolist()))]
@@ -301,7 +303,7 @@ def _states(fitted: Fitted, rows: Residuals, *, faults: bool = True) -> dict[str
     """Predictions by state; `faults` of the log count in the runs in which they were found, and in no others."""
     terms = [term for term in fitted.terms if faults or term.form.on_map]
     return {
-        "before": fitted.predict(rows, fitted.scale_terms) if rows.charge else rows.said,
+        "before": rows.said if fitted.scale is None else fitted.scale.energy(rows.driven_by(Drives()).features),
         "corrected": fitted.predict(rows, fitted.base_terms),
         "after": fitted.predict(rows, terms),
         "after_planner": fitted.predict(rows, fitted.planner_terms),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.features import Features, describe_segments, planned_features, quantity
+from joulemap.model.loop.features import Drives, Features, describe_segments, planned_features, quantity
 from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.loop.terms import Term, prepared, total_energy
 from joulemap.model.loop.words import quantity_name, quantity_value
@@ -27,7 +27,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 FloatArray = NDArray[np.float64]
 
 CALIBRATION_FILE = "calibration.json"
-FORMAT = 2
+FORMAT = 3
 _CHUNK = 400_000  # cells x headings described at a time
 _PLACES = 2000  # of a map, for warnings
 _HEADINGS = np.arange(4) * 0.5 * np.pi
@@ -48,8 +48,8 @@ class Correction:
         The same without what is not known before a drive, fitted for themselves.
     ranges : mapping
         Lowest and highest value of every quantity in the runs. Beyond, the border's value holds.
-    coasting_shift : float
-        See `Features`.
+    drives : Drives
+        As fitted. Plans are made at the speed at which motors take what a battery gives.
     first_base : Term, optional
         The base parameters before any effect, which forms take for the energy of motion.
     charge : bool
@@ -67,7 +67,7 @@ class Correction:
     terms: tuple[Term, ...]
     planner_terms: tuple[Term, ...]
     ranges: Ranges = field(default_factory=dict)
-    coasting_shift: float = 0.0
+    drives: Drives = Drives()
     first_base: Term | None = None
     charge: bool = False
     turn_j_per_rad: float = 0.0
@@ -81,7 +81,7 @@ class Correction:
             "terms": [t.as_dict() for t in self.terms],
             "planner_terms": [t.as_dict() for t in self.planner_terms],
             "ranges": {key: list(ends) for key, ends in self.ranges.items()},
-            "coasting_shift": self.coasting_shift,
+            "drives": asdict(self.drives),
             "first_base": None if self.first_base is None else self.first_base.as_dict(),
             "charge": self.charge,
             "turn_j_per_rad": self.turn_j_per_rad,
@@ -115,7 +115,7 @@ class Correction:
                 tuple(Term.from_dict(t) for t in values["terms"]),
                 tuple(Term.from_dict(t) for t in values["planner_terms"]),
                 {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
-                float(values["coasting_shift"]),
+                Drives(**values["drives"]),
                 None if values["first_base"] is None else Term.from_dict(values["first_base"]),
                 bool(values["charge"]),
                 float(values["turn_j_per_rad"]),
@@ -295,15 +295,15 @@ class CalibratedPredictor:
         said = predict_segments(self.base, heightmap, robot, segments)
         rows, _ = describe_segments(segments, heightmap, robot, said.traction_per_m, with_stationary=False)
         known = np.isfinite(said.energy_j) & np.isfinite(rows.grade)
-        energy = self._energy(rows, said.energy_j - rows.predicted, self.correction.terms)
+        beyond = said.energy_j - rows.predicted
+        energy = self._energy(replace(rows, drives=self.correction.drives), beyond, self.correction.terms)
         return np.where(known, volts * energy, np.nan)
 
     def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
         fixed = self.correction
-        moved = replace(rows, coasting_shift=fixed.coasting_shift)
-        start = np.zeros(len(rows)) if fixed.charge else moved.predicted + beyond
-        return start + total_energy(terms, prepared(rows, fixed.coasting_shift, fixed.first_base, fixed.ranges))
+        start = np.zeros(len(rows)) if fixed.charge else rows.predicted + beyond
+        return start + total_energy(terms, prepared(rows, fixed.first_base, fixed.ranges))
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
@@ -449,6 +449,7 @@ class CalibratedPredictor:
         rows = planned_features(heightmap, robot, x, y, heading_rad, traction, self.correction.conditions)
         if self.correction.charge:
             rows = replace(rows, unit_j=robot.nominal_voltage_v)
+        rows = replace(rows, drives=replace(self.correction.drives, motor_speed_mps=None))
         energy = self._energy(rows, np.zeros(x.size), self.correction.planner_terms)
         motion = rows.unit_j * (energy - rows.hotel_part)
         down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)

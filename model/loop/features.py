@@ -23,11 +23,29 @@ _REACH_M = 0.5  # half the side of the square metre around a segment
 _SIDE = 5  # samples along its sides, and places of a segment
 _ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # weight of each place: the trapezoidal rule
 _PLACES = np.linspace(-2.0 * _REACH_M, 2.0 * _REACH_M, 2 * _SIDE - 1)
-_LEAST_M = 0.1  # between wheels
+LEAST_M = 0.1
+"""Between wheels."""
 _AROUND_M = 2.5  # radius of the surroundings of a place: several times the robot, and less than a hill
 _BEARINGS = 8
 SHARE_DRIVEN = 0.01
 """Share of the driven rows beyond either border of a range: one odd reading in a hundred widens no range."""
+
+
+@dataclass(frozen=True)
+class Drives:
+    """What is known of a robot's drives and their meter, before any coefficient.
+
+    Attributes
+    ----------
+    coasting_shift : float
+        Tangent by which they coast on a steeper descent than the declared rolling resistance says.
+    motor_speed_mps : float, optional
+        For a charge that the motors take: the speed at which a force costs its work over the nominal voltage. Without
+        it the energy, or the charge, is that of the battery.
+    """
+
+    coasting_shift: float = 0.0
+    motor_speed_mps: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +100,8 @@ class Features:
         Name and first stamp of each run, so that runs of the same name differ.
     speeds_mps : tuple of float
         Between which `speed_mps` is held.
-    coasting_shift : float
-        Tangent by which the drives coast on a steeper descent than the declared rolling resistance says.
+    drives : Drives
+        Of the robot.
     corrected : ndarray of float, (n,), optional
         Energy of motion that base parameters add to the base model's [J, or A s].
     """
@@ -118,7 +136,7 @@ class Features:
     unit_j: float = 1.0
     runs: tuple[str, ...] = ()
     speeds_mps: tuple[float, float] = (0.0, math.inf)
-    coasting_shift: float = 0.0
+    drives: Drives = Drives()
     corrected: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -199,6 +217,36 @@ class Features:
         return np.clip(speed, *self.speeds_mps)
 
     @property
+    def slowness(self) -> FloatArray:
+        """Time that each row took over the time at `motor_speed_mps`, (n,): by this factor a force takes more charge
+        from a motor, whose current is in proportion to its torque (Krishnan 2001, section 2.4); 1 for a battery.
+        """
+        if self.drives.motor_speed_mps is None:
+            return np.ones(len(self))
+        length = np.where(self.standing, 1.0, self.length_m)
+        return np.where(self.standing, 1.0, self.drives.motor_speed_mps * self.duration_s / length)
+
+    @property
+    def work_m(self) -> FloatArray:
+        """Driven length times `slowness`, (n,) [m]: over which a force costs."""
+        return self.length_m * self.slowness
+
+    def turned_up_to(self, limit_per_m: float | None) -> FloatArray:
+        """Return the change of heading, up to a curvature.
+
+        Parameters
+        ----------
+        limit_per_m : float, optional
+            The curvature [rad/m]; none without it.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Magnitude [rad].
+        """
+        return self.turned_abs_rad if limit_per_m is None else np.minimum(self.turned_abs_rad, limit_per_m * self.length_m)
+
+    @property
     def backwards(self) -> NDArray[np.bool_]:
         """Whether the compass pointed against the direction of motion, (n,); False without a compass."""
         compass = np.radians(self.columns.get("heading", np.full(len(self), np.nan)))
@@ -226,12 +274,12 @@ class Features:
     def base_motion(self) -> FloatArray:
         """Prediction of the base model for the motion, (n,) [J, or A s], with what regeneration returns."""
         t = self.pull_n
-        return self.length_m * (np.maximum(t, 0.0) + self.robot.regeneration * np.minimum(t, 0.0)) / self.unit_j
+        return self.work_m * (np.maximum(t, 0.0) + self.robot.regeneration * np.minimum(t, 0.0)) / self.unit_j
 
     @property
     def pull_n(self) -> FloatArray:
         """Force of the drives by the base model, (n,) [N]; negative where they brake."""
-        return self.traction_per_m + self.robot.weight_n * self.coasting_shift
+        return self.traction_per_m + self.robot.weight_n * self.drives.coasting_shift
 
     @property
     def predicted(self) -> FloatArray:
@@ -243,12 +291,12 @@ class Features:
         """Declared weight times the driven length, (n,) [J, or A s]: what one unit of rolling resistance costs on level
         ground.
         """
-        return self.robot.weight_n * self.length_m / self.unit_j
+        return self.robot.weight_n * self.work_m / self.unit_j
 
     @property
     def coasting_tan(self) -> float:
         """Tangent of the descent on which the drives neither pull nor brake."""
-        return -(self.robot.rolling_resistance + self.coasting_shift)
+        return -(self.robot.rolling_resistance + self.drives.coasting_shift)
 
     @property
     def pulling(self) -> FloatArray:
@@ -264,7 +312,7 @@ def _arrays() -> list[str]:
     return [f.name for f in fields(Features) if f.name not in _NO_ARRAYS]
 
 
-_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "coasting_shift", "corrected"}
+_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "drives", "corrected"}
 _RANGED = {
     "cross_slope": "cross_abs",
     "roughness": "roughness_m",
@@ -412,6 +460,7 @@ def describe_segments(
         columns=dict(segments.extras),
         words={key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()},
         unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
+        drives=Drives(motor_speed_mps=robot.speed_mps if segments.of_motors else None),
         runs=tuple(f"{name}@{stamp:.1f}" for name, stamp in zip(segments.runs, first, strict=True)),
     )
     stationary = [(run, s, e) for run, s, e in segments.stationary if np.any(segments.run == run)]
@@ -539,7 +588,7 @@ def _ground(
     plane = np.stack([np.ones_like(a), a, r], axis=1)
     coefficients = heights @ np.linalg.pinv(plane).T  # (n, 3)
     rest = heights - coefficients @ plane.T
-    length, width = max(robot.length_m, _LEAST_M), max(robot.width_m, _LEAST_M)
+    length, width = max(robot.length_m, LEAST_M), max(robot.width_m, LEAST_M)
     axles = np.concatenate([side - 0.5 * length, side + 0.5 * length])
     half = np.full(axles.size, 0.5 * width)
     left, right = heights_at(axles, -half), heights_at(axles, half)  # (n, 10): rear axle, front axle

@@ -23,7 +23,7 @@ _KEPT = {f.name for f in fields(Features)} - {
     "unit_j",
     "runs",
     "speeds_mps",
-    "coasting_shift",
+    "drives",
     "corrected",
 } | {
     "measured",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import InputError, RunsError
-from joulemap.model.loop.features import Features, concatenate_features
+from joulemap.model.loop.features import Drives, Features, concatenate_features
 
 FloatArray = NDArray[np.float64]
 
@@ -52,24 +52,29 @@ class Residuals:
         """Prediction of the base model from all that it knows of, (n,) [J]; nothing for a charge."""
         if self.charge:
             return np.zeros(len(self))
-        plain = replace(self.features, coasting_shift=0.0).predicted
+        plain = replace(self.features, drives=Drives()).predicted
         beyond = np.zeros(len(self)) if self.informed is None else np.nan_to_num(self.informed - plain)
         return self.features.predicted + beyond
 
-    def coasting(self, shift: float) -> Residuals:
-        """Return the same rows for drives that coast on another descent.
+    def driven_by(self, drives: Drives) -> Residuals:
+        """Return the same rows for other drives.
 
         Parameters
         ----------
-        shift : float
-            `Features.coasting_shift`.
+        drives : Drives
+            As fitted.
 
         Returns
         -------
         Residuals
             With another prediction of the motion.
         """
-        return replace(self, features=replace(self.features, coasting_shift=shift))
+        return replace(self, features=replace(self.features, drives=drives))
+
+    @property
+    def motors(self) -> bool:
+        """Whether the measured charge is that of the motors."""
+        return self.features.drives.motor_speed_mps is not None
 
     @property
     def run(self) -> NDArray[np.int64]:

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from joulemap.model.loop.features import Drives
 from joulemap.model.loop.forms import CHANGES, NAMED, NOT_OF_SLOPE, UNNAMED, Form
-from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
+from joulemap.model.loop.forms.base_parameters import SCALE, BaseParameters, with_base_parameters
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.mixed_model import Estimate, MixedModel, columns_of
 from joulemap.model.loop.residuals import Residuals
@@ -217,8 +218,8 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
     return out
 
 
-def coasting_shift(residuals: Residuals) -> float:
-    """Return how much steeper the descent is on which the drives coast than the declared rolling resistance says.
+def drives_of(residuals: Residuals) -> Drives:
+    """Return where the drives coast.
 
     Parameters
     ----------
@@ -227,37 +228,39 @@ def coasting_shift(residuals: Residuals) -> float:
 
     Returns
     -------
-    float
-        `Features.coasting_shift` with the least squared error of the base parameters beside effects that say nothing of
-        the slope, scaled by the energy; outliers count in proportion to their size only. 0 where that is no better by
-        `LEAST_GAIN`.
+    Drives
+        With the least squared error of the base parameters beside effects that say nothing of the slope, scaled by the
+        energy; outliers count in proportion to their size only. As declared where that is no better by `LEAST_GAIN`.
     """
-    rolling, base = residuals.features.robot.rolling_resistance, BaseParameters.of(charge=residuals.charge)
     scale = np.maximum(np.abs(residuals.said), float(np.median(np.abs(residuals.measured))))
-    others = [(residuals.unit == u) * np.maximum(residuals.said, 0.0) for u in np.unique(residuals.unit)]
-    for form in (next(kind.variants(residuals.features), None) for kind in NOT_OF_SLOPE):
-        if form is not None:
-            others.extend(form.columns(residuals.features).T)
-    levels = [column / scale for column in others]
+    levels = [(residuals.unit == u) * np.maximum(residuals.said, 0.0) for u in np.unique(residuals.unit)]
 
-    def _rest(shift: float) -> FloatArray:
-        moved = residuals.coasting(float(shift))
-        x = np.column_stack([base.columns(moved.features) / scale[:, None], *levels])
+    def _rest(drives: Drives) -> FloatArray:
+        moved = residuals.driven_by(drives)
+        forms = (next(kind.variants(moved.features), None) for kind in NOT_OF_SLOPE)
+        others = [form.columns(moved.features) for form in forms if form is not None]
+        base = BaseParameters.of(charge=moved.charge, motors=moved.motors)
+        x = np.column_stack([base.columns(moved.features), *others, *levels]) / scale[:, None]
         z = (moved.measured - moved.said) / scale
         return np.abs(z - x @ np.linalg.solve(x.T @ x + 1e-9 * len(z) * np.eye(x.shape[1]), x.T @ z))
 
-    limit = HUBER * 1.4826 * float(np.median(_rest(0.0)))
+    declared = residuals.features.drives
+    limit = max(HUBER * 1.4826 * float(np.median(_rest(declared))), 1e-12)
 
-    def _error(shift: float) -> float:
-        away = _rest(shift) / max(limit, 1e-12)
+    def _error(drives: Drives) -> float:
+        away = _rest(drives) / limit
         return float(np.where(away < 1.0, away**2, 2.0 * away - 1.0).sum())
 
-    tried = np.linspace(-_MOST_LOST * rolling, _STEEPEST, 17)
-    errors = [_error(shift) for shift in tried]
-    k = int(np.argmin(errors))
-    ends = tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]
-    found = minimize_scalar(_error, bounds=ends, method="bounded", options={"xatol": 1e-3})
-    return float(found.x) if float(found.fun) < (1.0 - LEAST_GAIN) * _error(0.0) else 0.0
+    tried = np.linspace(-_MOST_LOST * residuals.features.robot.rolling_resistance, _STEEPEST, 17)
+    k = int(np.argmin([_error(replace(declared, coasting_shift=float(shift))) for shift in tried]))
+    found = minimize_scalar(
+        lambda shift: _error(replace(declared, coasting_shift=float(shift))),
+        bounds=(tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    better = float(found.fun) < (1.0 - LEAST_GAIN) * _error(declared)
+    return replace(declared, coasting_shift=float(found.x)) if better else declared
 
 
 def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:
@@ -275,14 +278,34 @@ def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:
     tuple of (Residuals, Term)
         All rows with what the base parameters make of the energy of motion; and the base parameters.
     """
-    shift = coasting_shift(known)
-    moved, fitted = residuals.coasting(shift), known.coasting(shift)
-    base = BaseParameters.of(charge=residuals.charge)
-    empty = Design(fitted, np.ones(len(fitted), dtype=bool), base.columns(fitted.features), base, ())
+    drives = drives_of(known)
+    moved, fitted = residuals.driven_by(drives), known.driven_by(drives)
+    term = _alone(fitted, BaseParameters.of(charge=fitted.charge, motors=fitted.motors))
+    return replace(moved, features=with_base_parameters(moved.features, term.form, np.asarray(term.coefficients))), term
+
+
+def scale_of(residuals: Residuals) -> Term:
+    """Fit the scale and the zero that make a charge of the base model's prediction, as that of a battery.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of a charge.
+
+    Returns
+    -------
+    Term
+        What the base model says before a calibration.
+    """
+    return _alone(residuals.driven_by(Drives()), BaseParameters(SCALE))
+
+
+def _alone(residuals: Residuals, base: BaseParameters) -> Term:
+    """Base parameters fitted without any effect."""
+    empty = Design(residuals, np.ones(len(residuals), dtype=bool), base.columns(residuals.features), base, ())
     _, model = fit_model(empty, [])
     index, low, high = _limits(empty, [])
-    term = Term(base, tuple(model.estimate(index, low, high, index[:0]).coefficients.tolist()))
-    return replace(moved, features=with_base_parameters(moved.features, base, np.asarray(term.coefficients))), term
+    return Term(base, tuple(model.estimate(index, low, high, index[:0]).coefficients.tolist()))
 
 
 def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str]) -> Design:
@@ -310,7 +333,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     """
     rows = residuals.features
     shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused or k in _DIRECTED})
-    base = BaseParameters.of(charge=residuals.charge)
+    base = BaseParameters.of(charge=residuals.charge, motors=residuals.motors)
     compared = not new.all()
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
     parameters = base.columns(rows)

@@ -78,16 +78,14 @@ class Term:
 
 
 def prepared(
-    rows: Features, coasting_shift: float, first_base: Term | None, ranges: Mapping[str, tuple[float, float]]
+    rows: Features, first_base: Term | None, ranges: Mapping[str, tuple[float, float]]
 ) -> Features:
     """Return rows as the terms of a calibration read them.
 
     Parameters
     ----------
     rows : Features
-        Of n rows.
-    coasting_shift : float
-        See `Features`.
+        Of n rows, with the drives that were fitted.
     first_base : Term, optional
         The base parameters that the energy of motion has in it.
     ranges : mapping
@@ -98,7 +96,7 @@ def prepared(
     Features
         Of the same rows.
     """
-    held = replace(rows, coasting_shift=coasting_shift).within(ranges)
+    held = rows.within(ranges)
     if first_base is None or not isinstance(first_base.form, BaseParameters):
         return held
     return with_base_parameters(held, first_base.form, np.asarray(first_base.coefficients))
@@ -143,5 +141,6 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     count, and the wandering of straight driving hardly does. For one term without a limit it is its coefficient.
     """
     turned = rows.turned_abs_rad
+    rows = replace(rows, drives=replace(rows.drives, motor_speed_mps=None))
     energy = total_energy([t for t in terms if t.form.name == "turning"], rows)
     return float(turned @ energy) / max(float(turned @ turned), 1e-12)

@@ -40,7 +40,7 @@ def electric(
     name: str,
     repairs: dict[str, int],
     currents: Currents = "auto",
-) -> tuple[FloatArray, FloatArray | None, FloatArray | None, Currents | None]:
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None, Currents | None, bool]:
     """Return current, voltage and power without spikes and blanks, and take their columns out of `numbers`.
 
     Parameters
@@ -59,9 +59,10 @@ def electric(
 
     Returns
     -------
-    tuple of (ndarray of float, ndarray of float or None, ndarray of float or None, str or None)
+    tuple of (ndarray of float, ndarray of float or None, ndarray of float or None, str or None, bool)
         Current [A], NaN where only power was logged; voltage [V] and power [W], None where they were not logged, (n,)
-        each; and how several currents of which some are negative were summed, None where the log leaves no choice.
+        each; how several currents of which some are negative were summed, None where the log leaves no choice; and
+        whether the current is a sum of several.
 
     Raises
     ------
@@ -82,10 +83,11 @@ def electric(
         voltage = _without_spikes(t, voltage, 0.25, "voltage", name, repairs)
     parts = sorted(key for key in numbers if key.startswith("current_") or key in _SIDES)
     current, how = _logged(numbers, "current", repairs), None
-    if current is None and parts:
+    summed = current is None and bool(parts)
+    if summed:
         current, how = _summed({key: numbers.pop(key) for key in parts}, numbers, repairs, currents)
     if current is not None:
-        return _without_spikes(t, current, 1.0, "current", name, repairs), voltage, power, how
+        return _without_spikes(t, current, 1.0, "current", name, repairs), voltage, power, how, summed
     if power is None:
         raise RunsError(
             f"run {name}: there is neither a column 'current', nor any 'current_*', nor 'power'"
@@ -94,8 +96,8 @@ def electric(
             column="current",
         )
     if voltage is None:
-        return np.full(t.size, np.nan), None, power, None
-    return np.where(voltage > 0, power / np.where(voltage > 0, voltage, 1.0), 0.0), voltage, power, None
+        return np.full(t.size, np.nan), None, power, None, False
+    return np.where(voltage > 0, power / np.where(voltage > 0, voltage, 1.0), 0.0), voltage, power, None, False
 
 
 def _logged(numbers: dict[str, FloatArray], key: str, repairs: dict[str, int]) -> FloatArray | None:

@@ -252,6 +252,7 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
         runs=(run.name,),
         length_m=length_m,
         charge=charge,
+        of_motors=charge and run.of_motors,
         extras={key: _mean(values) for key, values in logged.items()}
         | {"heading": np.degrees(np.interp(middle, t, heading)) % 360.0, "speed": _mean(speed)},
         texts={key: words[row] for key, words in run.texts.items()},

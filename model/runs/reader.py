@@ -72,6 +72,8 @@ class Run:
         Power [W] drawn from the battery, where it was recorded itself.
     currents : {"signed", "magnitude"}, optional
         How the currents of several motors were summed; None where the log leaves no choice.
+    of_motors : bool
+        Whether the current is the sum of those of several motors.
     """
 
     name: str
@@ -86,6 +88,7 @@ class Run:
     repairs: dict[str, int] = field(default_factory=dict)
     power_w: FloatArray | None = None
     currents: Currents | None = None
+    of_motors: bool = False
 
     def __post_init__(self) -> None:
         if self.breaks.size != self.t.size:
@@ -235,7 +238,7 @@ def run_of(
     numbers = {key: values[rows] for key, values in numbers.items()}
     texts = {key: values[rows] for key, values in texts.items()}
     t = numbers.pop("t")
-    current, voltage, power, how = electric(numbers, t, name, repairs, currents)
+    current, voltage, power, how, of_motors = electric(numbers, t, name, repairs, currents)
     x, y = positions(numbers, name=name, crs=crs)
     x, y, breaks = usable_fixes(t, x, y, numbers.get("gps_error"), repairs)
     x, y = fill_by_wheels(t, x, y, breaks, numbers, repairs)
@@ -243,7 +246,7 @@ def run_of(
         raise RunsError(
             f"run {name}: no usable position is left after the rules for bad fixes", run=name, repairs=repairs
         )
-    return Run(name, t, x, y, current, voltage, numbers, texts, breaks, repairs, power, how)
+    return Run(name, t, x, y, current, voltage, numbers, texts, breaks, repairs, power, how, of_motors)
 
 
 def _ordered_rows(t: FloatArray, name: str, repairs: dict[str, int]) -> NDArray[np.int64]:

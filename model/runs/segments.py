@@ -70,6 +70,8 @@ class Segments:
         Nominal length of a segment.
     charge : bool
         Whether `energy_j` is charge.
+    of_motors : bool
+        Whether that is the charge of the motors, summed, and not of the battery.
     extras : dict of str to ndarray of float, (n,)
         Mean of each further column of numbers; NaN where blank.
     texts : dict of str to ndarray of str, (n,)
@@ -105,6 +107,7 @@ class Segments:
     runs: tuple[str, ...]
     length_m: float = 1.0
     charge: bool = False
+    of_motors: bool = False
     extras: dict[str, FloatArray] = field(default_factory=dict)
     texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
     stationary: tuple[tuple[int, float, float], ...] = ()
@@ -196,6 +199,7 @@ def concatenate(parts: Sequence[Segments]) -> Segments:
         runs=tuple(name for p in parts for name in p.runs),
         length_m=parts[0].length_m,
         charge=parts[0].charge,
+        of_motors=all(p.of_motors for p in parts),
         extras={k: np.concatenate([p.extras.get(k, np.full(len(p), np.nan)) for p in parts]) for k in names},
         texts={k: np.concatenate([p.texts.get(k, np.full(len(p), "")) for p in parts]) for k in words},
         stationary=tuple((r + int(o), t, e) for p, o in zip(parts, offsets, strict=False) for r, t, e in p.stationary),

@@ -295,7 +295,7 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
         fitted.terms,
         fitted.planner_terms,
         ranges=fitted.ranges,
-        coasting_shift=fitted.coasting_shift,
+        drives=fitted.drives,
         first_base=fitted.first_base,
         charge=found.residuals.charge,
         turn_j_per_rad=rows.unit_j * turning_per_rad(fitted.planner_terms, rows),

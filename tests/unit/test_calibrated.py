@@ -166,7 +166,7 @@ def test_a_calibration_of_an_older_version_must_be_made_again(tmp_path):
     save_calibrated(tmp_path, WHOLE, {"name": "physics", "version": "1"})
     file = tmp_path / "calibration.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"format": 1}))
-    with pytest.raises(ModelError, match="has format 1, and this version of joulemap reads format 2: calibrate again"):
+    with pytest.raises(ModelError, match="has format 1, and this version of joulemap reads format 3: calibrate again"):
         read_calibrated(tmp_path)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import ModelError
+from joulemap.model.loop.features import Drives
 from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
 from joulemap.model.loop.forms.acceleration import Acceleration
 from joulemap.model.loop.forms.base_parameters import BaseParameters
@@ -49,9 +50,22 @@ def on(word):
     return even(words={"terrain": np.array([word])}, turned_abs_rad=[0.5])
 
 
+MUD = {"words": {"terrain": np.array(["mud"])}, "turned_abs_rad": [0.5]}
+
+
+def of_motors(**more):
+    """A metre at half the speed at which a motor takes what a battery gives: the same torque for twice the time."""
+    return even(drives=Drives(motor_speed_mps=1.0), **more)
+
+
 BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J])
     "turning": (Turning(), even(turned_abs_rad=[0.7]), [0.7]),
     "turning up to a rate": (Turning(LIMIT), even(turned_abs_rad=[0.7], gentle_turn_rad=GENTLE), [0.4]),
+    "turning up to a curvature": (Turning(limit_per_m=0.6), even(turned_abs_rad=[0.7]), [0.6]),
+    "turning of motors": (Turning(), of_motors(turned_abs_rad=[0.7]), [2.0 * 0.7]),
+    "turning of motors by class": (TurningByClass("terrain", ("mud",), 0.3), of_motors(**MUD), [2.0 * 0.3]),
+    "class for motors": (TerrainClass("terrain", ("mud",)), of_motors(**MUD), [2.0]),
+    "rolling resistance of motors": (RollingResistance(), of_motors(), [2.0 * W]),
     "speed": (Speed(0.5, 1), even(duration_s=[1.25]), [0.3]),  # 0.8 m/s
     "speed squared": (Speed(0.5, 2), even(duration_s=[1.25]), [0.39]),  # 0.64 - 0.25
     "cross slope": (CrossSlope(1), even(cross_abs=[0.1]), [0.1 * W]),
@@ -157,7 +171,7 @@ def test_what_comes_first_are_the_declared_numbers():
 def test_files_with_unknown_forms_or_settings_are_refused():
     with pytest.raises(ModelError, match="form 'magic', which this version does not know"):
         form_from_dict({"form": "magic"})
-    with pytest.raises(ModelError, match=r"'turning' needs the settings \['limit_radps'\], .*\[\]"):
+    with pytest.raises(ModelError, match=r"'turning' needs the settings \['limit_per_m', 'limit_radps'\], .*\[\]"):
         form_from_dict({"form": "turning"})
     with pytest.raises(ModelError, match="not complete"):
         Term.from_dict({"form": "turning", "limit_radps": None, "name": "turning"})

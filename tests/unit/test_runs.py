@@ -141,6 +141,8 @@ def test_a_motor_that_feeds_back_is_not_counted_as_consumption():
     left, right = np.full(60, 9.0), np.where(np.arange(60) < 30, 4.0, -3.0)  # the inner side of a long turn
     run = parse(motors(left, right))
     assert run.repairs == {}
+    assert run.of_motors
+    assert not parse(log(60)).of_motors
     np.testing.assert_allclose(run.current_a, left + right)
     assert parse(motors(left, right), currents="magnitude").repairs == {"currents_as_magnitudes": 1}
     np.testing.assert_allclose(parse(motors(left, right), currents="magnitude").current_a, left + np.abs(right))

@@ -26,4 +26,4 @@ class Acceleration(Form):
     planned = False
 
     def column(self, rows: Features) -> FloatArray:
-        return rows.gained_m2ps2 / rows.unit_j
+        return rows.slowness * rows.gained_m2ps2 / rows.unit_j

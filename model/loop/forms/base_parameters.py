@@ -44,7 +44,7 @@ def kinetic(rows: Features) -> FloatArray:
     ndarray of float, (n,)
         Energy [J, or A s] of the declared mass; slowing down does not count.
     """
-    return rows.robot.mass_kg * rows.gained_m2ps2 / rows.unit_j
+    return rows.slowness * rows.robot.mass_kg * rows.gained_m2ps2 / rows.unit_j
 
 
 def slowed(rows: Features) -> FloatArray:
@@ -60,7 +60,7 @@ def slowed(rows: Features) -> FloatArray:
     ndarray of float, (n,)
         Energy [J, or A s] of the declared mass: what rolling needs less from the drives.
     """
-    return rows.robot.mass_kg * (rows.kinetic_m2ps2 - rows.gained_m2ps2) / rows.unit_j
+    return rows.slowness * rows.robot.mass_kg * (rows.kinetic_m2ps2 - rows.gained_m2ps2) / rows.unit_j
 
 
 def measured_slope(rows: Features) -> FloatArray:
@@ -129,20 +129,22 @@ class BaseParameters(Form):
         return np.array([PARTS[name].lowest(rows) for name in self.names])
 
     @classmethod
-    def of(cls, *, charge: bool) -> BaseParameters:
+    def of(cls, *, charge: bool, motors: bool = False) -> BaseParameters:
         """Return all parameters.
 
         Parameters
         ----------
         charge : bool
             Whether scale and zero of the energy are unknown, so that nothing of the base model's prediction is kept.
+        motors : bool
+            Whether the charge is that of the motors.
 
         Returns
         -------
         BaseParameters
             Of measured runs.
         """
-        return cls((*(SCALE if charge else _DECLARED), *_DRIVING, MEASURED_SLOPE))
+        return cls((*(SCALE if charge else _DECLARED), *(_DRIVING_OF_MOTORS if motors else _DRIVING), MEASURED_SLOPE))
 
 
 def with_base_parameters(rows: Features, base: BaseParameters, coefficients: FloatArray) -> Features:
@@ -199,11 +201,12 @@ PARTS: dict[str, Part] = {
     "energy_of_motion": Part("", lambda rows: -1.0, lambda rows: rows.base_motion),
     "idle_power_w": Part("W", lambda rows: -rows.robot.idle_power_w, lambda rows: rows.duration_s / rows.unit_j),
     "descents": Part("", lambda rows: rows.robot.regeneration - 1.0, released),
-    "per_metre": Part("A s/m", _any, lambda rows: rows.length_m),
-    "uphill": Part("1/V", _nothing, lambda rows: rows.length_m * np.maximum(rows.pull_n, 0.0)),
-    "downhill": Part("1/V", _nothing, lambda rows: rows.length_m * np.minimum(rows.pull_n, 0.0)),
+    "per_metre": Part("A s/m", _any, lambda rows: rows.work_m),
+    "uphill": Part("1/V", _nothing, lambda rows: rows.work_m * np.maximum(rows.pull_n, 0.0)),
+    "downhill": Part("1/V", _nothing, lambda rows: rows.work_m * np.minimum(rows.pull_n, 0.0)),
     "standing_current": Part("A", _nothing, lambda rows: rows.duration_s),
     "driving_power": Part("W", _nothing, lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j),
+    "with_speed": Part("A s/m", _nothing, lambda rows: rows.length_m),
     "speeding_up": Part("", _nothing, kinetic),
     "slowing_down": Part("", _nothing, slowed),
     "measured_slope": Part("", _any, measured_slope),
@@ -217,3 +220,4 @@ MEASURED_SLOPE = "measured_slope"
 _OF_TIME = ("idle_power_w", "standing_current", "driving_power", "speeding_up", "slowing_down")
 _DECLARED = ("rolling_resistance", "energy_of_motion", "idle_power_w", "descents")
 _DRIVING = ("driving_power", "speeding_up", "slowing_down")
+_DRIVING_OF_MOTORS = ("with_speed", "speeding_up", "slowing_down")  # their current needs no time that a force does not

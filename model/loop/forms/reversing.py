@@ -36,7 +36,7 @@ class Reversing(Form):
         return ("of the motion's energy" if self.of_motion else f"{energy}/m",)
 
     def column(self, rows: Features) -> FloatArray:
-        return (rows.motion_part if self.of_motion else rows.length_m * rows.pulling) * rows.backwards
+        return (rows.motion_part if self.of_motion else rows.work_m * rows.pulling) * rows.backwards
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:

@@ -42,7 +42,7 @@ class Speed(Form):
         return (f"{energy}/m per " + ("m/s" if self.power == 1 else f"(m/s)^{self.power}"),)
 
     def column(self, rows: Features) -> FloatArray:
-        return rows.length_m * rows.pulling * (rows.speed_mps**self.power - self.reference_mps**self.power)
+        return rows.work_m * rows.pulling * (rows.speed_mps**self.power - self.reference_mps**self.power)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:

@@ -44,7 +44,7 @@ class Temperature(Form):
         return ({"motion": "1/K", "length": f"{energy}/m/K", "time": "W/K" if energy == "J" else "A/K"}[self.of],)
 
     def column(self, rows: Features) -> FloatArray:
-        amount = {"motion": rows.motion_part, "length": rows.length_m * rows.pulling, "time": rows.duration_s}[self.of]
+        amount = {"motion": rows.motion_part, "length": rows.work_m * rows.pulling, "time": rows.duration_s}[self.of]
         return amount * (quantity(rows, "column:temperature") - self.reference)
 
     @classmethod

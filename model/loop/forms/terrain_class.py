@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.loop.features import Features
 from joulemap.model.loop.forms.base import Form
+from joulemap.model.loop.forms.turning import turn_limits_per_m
 
 FloatArray = NDArray[np.float64]
 
@@ -68,7 +69,7 @@ class TerrainClass(Form):
 
     def columns(self, rows: Features) -> FloatArray:
         found = rows.words.get(self.column_name, np.full(len(rows), ""))
-        amount = rows.motion_part if self.of_motion else rows.length_m * rows.pulling
+        amount = rows.motion_part if self.of_motion else rows.work_m * rows.pulling
         return np.stack([(found == word) * amount for word in self.classes], axis=1)
 
     @classmethod
@@ -88,10 +89,13 @@ class TurningByClass(Form):
         The column.
     classes : tuple of str
         Those with a coefficient.
+    limit_per_m : float, optional
+        As of `Turning`.
     """
 
     column_name: str
     classes: tuple[str, ...]
+    limit_per_m: float | None = None
 
     key = "turning_by_class"
     label = "turning by terrain class"
@@ -117,8 +121,10 @@ class TurningByClass(Form):
 
     def columns(self, rows: Features) -> FloatArray:
         found = rows.words.get(self.column_name, np.full(len(rows), ""))
-        return np.stack([(found == word) * rows.turned_abs_rad for word in self.classes], axis=1)
+        turned = rows.slowness * rows.turned_up_to(self.limit_per_m)
+        return np.stack([(found == word) * turned for word in self.classes], axis=1)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
-        yield from (cls(column, tuple(classes)) for column, classes in _classes(rows))
+        limit = None if rows.drives.motor_speed_mps is None else turn_limits_per_m(rows)[0]
+        yield from (cls(column, tuple(classes), limit) for column, classes in _classes(rows))

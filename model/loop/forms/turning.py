@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.loop.features import Features
+from joulemap.model.loop.features import LEAST_M, Features
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
@@ -17,13 +17,15 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Turning(Form):
-    """Turning to either side, up to a rate at which the power of scrubbing saturates.
+    """Turning to either side, up to a rate or a curvature at which scrubbing saturates.
 
     Attributes
     ----------
     limit_radps : float, optional
         Rate above which a faster turn takes no more power [rad/s]; one of `TURN_LIMITS_RADPS`. Without it every radian
         costs the same.
+    limit_per_m : float, optional
+        Curvature above which a tighter turn takes no more current from motors [rad/m].
 
     References
     ----------
@@ -31,6 +33,7 @@ class Turning(Form):
     """
 
     limit_radps: float | None = None
+    limit_per_m: float | None = None
 
     key = "turning"
     label = "turning"
@@ -45,19 +48,42 @@ class Turning(Form):
 
     @property
     def tuned(self) -> int:
-        return int(self.limit_radps is not None)
+        return int(self.limit_radps is not None or self.limit_per_m is not None)
 
     def column(self, rows: Features) -> FloatArray:
-        if self.limit_radps is None:
-            return rows.turned_abs_rad
-        return rows.gentle_turn_rad[:, TURN_LIMITS_RADPS.index(self.limit_radps)]
+        if self.limit_radps is not None:
+            return rows.gentle_turn_rad[:, TURN_LIMITS_RADPS.index(self.limit_radps)]
+        return rows.slowness * rows.turned_up_to(self.limit_per_m)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
-        yield cls()
-        yield from (cls(limit) for limit in TURN_LIMITS_RADPS)
+        if rows.drives.motor_speed_mps is None:
+            yield cls()
+            yield from (cls(limit) for limit in TURN_LIMITS_RADPS)
+        else:
+            yield from (cls(limit_per_m=limit) for limit in turn_limits_per_m(rows))
 
     def where(self, coefficients: tuple[float, ...]) -> str:
-        if self.limit_radps is None:
-            return "everywhere"
-        return f"everywhere; a turn faster than {self.limit_radps:g} rad/s takes no more power than one at that rate"
+        if self.limit_radps is not None:
+            return f"everywhere; a turn faster than {self.limit_radps:g} rad/s takes no more power than one at that rate"
+        if self.limit_per_m is not None:
+            return f"everywhere; a curve of a radius below {1.0 / self.limit_per_m:.2g} m takes no more current"
+        return "everywhere"
+
+
+def turn_limits_per_m(rows: Features) -> tuple[float, ...]:
+    """Return curvatures at which the current of turning may saturate.
+
+    Parameters
+    ----------
+    rows : Features
+        Whose robot's width counts.
+
+    Returns
+    -------
+    tuple of float
+        That at which one side stands still, where both sides begin to push against each other; half and twice as much
+        [rad/m].
+    """
+    pivot = 2.0 / max(rows.robot.width_m, LEAST_M)
+    return tuple(round(share * pivot, 6) for share in (1.0, 0.5, 2.0))

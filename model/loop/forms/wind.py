@@ -44,11 +44,11 @@ class Wind(Form):
         speed = quantity(rows, "column:wind_speed")
         towards = speed * np.cos(np.radians(quantity(rows, "column:wind_from")) - rows.heading_rad)
         if not self.quadratic:
-            return rows.length_m / rows.unit_j * rows.pulling * towards
+            return rows.work_m / rows.unit_j * rows.pulling * towards
         ahead = rows.speed_mps + towards
         across2 = np.maximum(speed**2 - towards**2, 0.0)
         drag = ahead * np.sqrt(ahead**2 + across2) - rows.speed_mps**2
-        return rows.length_m / rows.unit_j * rows.pulling * drag
+        return rows.work_m / rows.unit_j * rows.pulling * drag
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
