@@ -212,6 +212,38 @@ def _is_lattice(path: Path) -> bool:
     return str(node.get("attributes", {}).get("format", "")).startswith(FORMAT.split("/")[0])
 
 
+def open_group(path: str | Path) -> zarr.Group:
+    """Open the zarr group of a lattice.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder, usually NAME.zarr.
+
+    Returns
+    -------
+    zarr.Group
+        For reading.
+
+    Raises
+    ------
+    InputError
+        If `path` is missing or is not a cost lattice.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"there is no cost map {path}", path=str(path))
+    if not (path / "zarr.json").is_file():
+        raise InputError(
+            f"{path} is not a cost lattice, which is a folder written by `joulemap costmap`", path=str(path)
+        )
+    group = zarr.open_group(path, mode="r", use_consolidated=False)  # what is there, not what was there once
+    found = group.attrs.get("format")
+    if found != FORMAT:
+        raise InputError(f"{path} holds format {found!r}, expected {FORMAT!r}", path=str(path))
+    return group
+
+
 def load_lattice(path: str | Path) -> CostLattice:
     """Read a folder written by `save_lattice` or `write_lattice`.
 
@@ -230,17 +262,8 @@ def load_lattice(path: str | Path) -> CostLattice:
     InputError
         If `path` is missing, is not a cost lattice, or is a damaged one.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(f"there is no cost map {path}", path=str(path))
-    if not (path / "zarr.json").is_file():
-        raise InputError(
-            f"{path} is not a cost lattice, which is a folder written by `joulemap costmap`", path=str(path)
-        )
-    group = zarr.open_group(path, mode="r", use_consolidated=False)  # what is there, not what was there once
+    group = open_group(path)
     meta: dict[str, Any] = dict(group.attrs)
-    if meta.get("format") != FORMAT:
-        raise InputError(f"{path} holds format {meta.get('format')!r}, expected {FORMAT!r}", path=str(path))
     try:
         arrays = {name: np.ascontiguousarray(group[name][:]) for name in (*_ARRAYS, *_OPTIONAL) if name in group}  # type: ignore[index]
         return CostLattice(

@@ -1,0 +1,176 @@
+"""A cost lattice that stays on disk: windows of it are read when they are asked for."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from joulemap.model.errors import InputError, JoulemapError
+from joulemap.model.frames import GridFrame
+from joulemap.model.robot import Robot
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.lattice_io import open_group
+
+_FILLS: dict[str, float] = {
+    "traction_per_m": np.nan,
+    "elevation_m": np.nan,
+    "gradient": np.nan,
+    "blocked": int(Blocked.OUTSIDE),
+    "std_j": np.nan,
+}
+_LIMITS = ("gradient", "blocked")
+
+
+class StoredLattice:
+    """A lattice folder, opened without reading its arrays. Several threads may ask at once.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder written by `save_lattice` or `write_lattice`.
+    kept_bytes : int, default 128 MB
+        How much of what was read last is kept in memory: neighbouring windows share chunks.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    frame : GridFrame
+        Where the cells lie.
+    robot : Robot
+        Whose prices and limits these are.
+    headings : int
+        Number of heading bins.
+    provenance : dict
+        How the lattice was made.
+    chunk : int
+        Cells along a chunk on disk.
+
+    Raises
+    ------
+    InputError
+        If `path` is missing, is not a cost lattice, or is a damaged one.
+    """
+
+    def __init__(self, path: str | Path, *, kept_bytes: int = 128_000_000) -> None:
+        self.path = Path(path)
+        group = open_group(self.path)
+        meta: dict[str, Any] = dict(group.attrs)
+        try:
+            self.frame = GridFrame(**meta["frame"])
+            self.robot = Robot.from_mapping(meta["robot"])
+            self.provenance: dict[str, Any] = meta["provenance"]
+            self._arrays: dict[str, zarr.Array[Any]] = {name: group[name] for name in _FILLS if name in group}  # type: ignore[misc]
+            self.headings = int(self._arrays["traction_per_m"].shape[2])
+            self.chunk = int(self._arrays["traction_per_m"].chunks[0])
+        except (KeyError, TypeError, JoulemapError) as error:
+            raise InputError(f"{path} is a damaged cost lattice: {error}", path=str(path)) from error
+        self._kept_bytes = kept_bytes
+        self._kept: OrderedDict[tuple[str, int, int], NDArray[Any]] = OrderedDict()
+        self._size = 0
+        self._lock = threading.Lock()
+
+    @property
+    def arrays(self) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+        """Name of each array, with its shape beyond rows and columns, and its type."""
+        return {name: (of.shape[2:], of.dtype) for name, of in self._arrays.items()}
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return self.frame.rows * self.frame.cols
+
+    def window(self, row0: int, row1: int, col0: int, col1: int, *, what: tuple[str, ...] | None = None) -> CostLattice:
+        """Return the lattice of cells [row0, row1) x [col0, col1); what lies beyond the map is blocked.
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The cells; they may lie beyond the map.
+        what : tuple of str, optional
+            Names of the arrays to read; the others are filled as unknown. All by default.
+
+        Returns
+        -------
+        CostLattice
+            In memory.
+        """
+        arrays: dict[str, Any] = {}
+        shape = row1 - row0, col1 - col0
+        for name, of in self._arrays.items():
+            if what is not None and name not in what:
+                if name == "std_j":
+                    continue
+                more = of.shape[2:]
+                arrays[name] = np.broadcast_to(np.array(_FILLS[name], dtype=of.dtype), (*shape, *more))
+            else:
+                arrays[name] = self.read(of, _FILLS[name], row0, row1, col0, col1)
+        placed = self.frame.window(row0, row1, col0, col1)
+        return CostLattice(placed, self.robot, provenance=self.provenance, **arrays)
+
+    def limits(self, row0: int, row1: int, col0: int, col1: int) -> CostLattice:
+        """Return a window with gradients and blocked cells only.
+
+        Parameters
+        ----------
+        row0, row1, col0, col1 : int
+            The cells; they may lie beyond the map.
+
+        Returns
+        -------
+        CostLattice
+            Its prices are unknown.
+        """
+        return self.window(row0, row1, col0, col1, what=_LIMITS)
+
+    def read(self, of: zarr.Array[Any], fill: float, row0: int, row1: int, col0: int, col1: int) -> NDArray[Any]:
+        """Return a window of an array with the chunks of this lattice.
+
+        Parameters
+        ----------
+        of : zarr array, (rows, cols, ...)
+            The array.
+        fill : float
+            What stands beyond the map.
+        row0, row1, col0, col1 : int
+            The cells; they may lie beyond the map.
+
+        Returns
+        -------
+        ndarray
+            In memory.
+        """
+        side = self.chunk
+        out = np.full((row1 - row0, col1 - col0, *of.shape[2:]), fill, dtype=of.dtype)
+        rows, cols = self.frame.shape
+        for i in range(max(row0, 0) // side, -(-min(row1, rows) // side)):
+            for j in range(max(col0, 0) // side, -(-min(col1, cols) // side)):
+                chunk = self._chunk(of, i, j)
+                top, left = max(i * side, row0), max(j * side, col0)
+                down, right = min(i * side + chunk.shape[0], row1), min(j * side + chunk.shape[1], col1)
+                out[top - row0 : down - row0, left - col0 : right - col0] = chunk[
+                    top - i * side : down - i * side, left - j * side : right - j * side
+                ]
+        return out
+
+    def _chunk(self, of: zarr.Array[Any], i: int, j: int) -> NDArray[Any]:
+        key = of.path, i, j
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        side = self.chunk
+        data = np.asarray(of[i * side : (i + 1) * side, j * side : (j + 1) * side])
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = data
+                self._size += data.nbytes
+                while self._size > self._kept_bytes and len(self._kept) > 1:
+                    self._size -= self._kept.popitem(last=False)[1].nbytes
+        return data

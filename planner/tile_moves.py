@@ -1,0 +1,196 @@
+"""The price of every grid move of one tile, a plane per move, on the thread that asks: for lattices larger than memory.
+
+The same prices as those of `moves`. Planes instead of cells let the compiler work on whole rows.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from joulemap.model.frames import heading_of, heading_vector
+from joulemap.planner.edges import interpolation_matrix
+from joulemap.planner.kernels import mean_response
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import _pieces, _stack_pieces, _stack_stencils, move_offsets
+
+
+class TileMoves:
+    """Prices the moves of windows of one lattice.
+
+    Parameters
+    ----------
+    bins : int
+        Heading bins of the lattice.
+    neighbours : {16, 8, 32}
+        Moves per cell N.
+
+    Attributes
+    ----------
+    offsets : ndarray of int64, (N, 2)
+        (drow, dcol) of each move, clockwise from north.
+    reach : int
+        Rows or columns that the longest move spans.
+    """
+
+    def __init__(self, bins: int, neighbours: int = 16) -> None:
+        self.offsets = move_offsets(neighbours)
+        self.reach = int(np.abs(self.offsets).max())
+        headings = heading_of(self.offsets[:, 1], -self.offsets[:, 0])
+        self._east, self._north = (part.astype(np.float32) for part in heading_vector(headings))
+        self._matrix = interpolation_matrix(headings, bins).astype(np.float32)  # (N, K)
+        self._matrix[np.abs(self._matrix) < 1e-6] = 0.0  # rounding, at headings that are a bin
+        pieces = [_pieces(int(r), int(c)) for r, c in self.offsets]
+        self._stencils = _stack_stencils(self.offsets, pieces)
+        self._pieces = _stack_pieces(pieces)
+
+    def lengths_m(self, spacing_m: float) -> NDArray[np.float64]:
+        """Return the length of each move.
+
+        Parameters
+        ----------
+        spacing_m : float
+            Side of a cell [m].
+
+        Returns
+        -------
+        ndarray of float64, (N,)
+            Horizontal lengths [m].
+        """
+        return np.hypot(self.offsets[:, 0], self.offsets[:, 1]) * spacing_m
+
+    def energies(self, part: CostLattice) -> NDArray[np.float32]:
+        """Return the energy of each move of a window.
+
+        Parameters
+        ----------
+        part : CostLattice
+            The window.
+
+        Returns
+        -------
+        ndarray of float32, (N, rows, cols)
+            Energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the window.
+        """
+        return self._priced(part, part.traction_per_m, self._matrix, part.robot.hotel_per_m)
+
+    def lengths(self, part: CostLattice) -> NDArray[np.float32]:
+        """Return the length of each move of a window; its traction is not read.
+
+        Parameters
+        ----------
+        part : CostLattice
+            The window.
+
+        Returns
+        -------
+        ndarray of float32, (N, rows, cols)
+            Length [m]; NaN where the move may not be driven, or leaves the window.
+        """
+        flat = np.zeros((*part.frame.shape, 1), dtype=np.float32)
+        return self._priced(part, flat, np.ones((len(self.offsets), 1), dtype=np.float32), 1.0)
+
+    def _priced(
+        self, part: CostLattice, traction: NDArray[np.float32], matrix: NDArray[np.float32], hotel_per_m: float
+    ) -> NDArray[np.float32]:
+        grade, cross = part.max_tangents
+        return _energies(
+            _at_moves(traction, part.gradient, part.blocked, matrix, self._east, self._north, grade, cross),
+            self.offsets,
+            self.lengths_m(part.frame.resolution_m),
+            hotel_per_m,
+            part.robot.regeneration,
+            *self._stencils,
+            *self._pieces,
+        )
+
+
+@njit(cache=True, nogil=True)
+def _at_moves(traction, gradient, blocked, matrix, east, north, max_grade, max_cross):
+    """(N, rows, cols) float32 [J/m]: the traction at the headings of the moves; NaN where that may not be driven."""
+    rows, cols, bins = traction.shape
+    moves = matrix.shape[0]
+    out = np.zeros((moves, rows, cols), dtype=np.float32)
+    by_bin = np.empty((bins, cols), dtype=np.float32)
+    steep_east, steep_north = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
+    for i in range(rows):
+        for j in range(cols):
+            for k in range(bins):
+                by_bin[k, j] = traction[i, j, k]
+            free = blocked[i, j] == 0
+            steep_east[j] = gradient[i, j, 0] if free else np.nan
+            steep_north[j] = gradient[i, j, 1] if free else np.nan
+        for n in range(moves):
+            row = out[n, i]
+            for k in range(bins):
+                weight = matrix[n, k]
+                if weight != 0.0:
+                    of = by_bin[k]
+                    for j in range(cols):
+                        row[j] += weight * of[j]
+            for j in range(cols):
+                along = steep_east[j] * east[n] + steep_north[j] * north[n]
+                across = steep_east[j] * north[n] - steep_north[j] * east[n]
+                if not (abs(along) <= max_grade and abs(across) <= max_cross):
+                    row[j] = np.nan
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, piece_share, piece_cell, piece_blend):
+    """(N, rows, cols) float32 [J]; traction : (N, rows, cols), NaN where that heading may not be driven."""
+    moves, rows, cols = traction.shape
+    energy = np.full((moves, rows, cols), np.nan, dtype=np.float32)
+    mean = np.empty(cols)
+    least, most = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
+    for n in range(moves):
+        down, right = offsets[n, 0], offsets[n, 1]
+        col0, col1 = max(0, -right), min(cols, cols - right)
+        for i in range(max(0, -down), min(rows, rows - down)):
+            mean[:] = 0.0
+            least[:] = np.inf
+            most[:] = -np.inf
+            for s in range(cells.shape[1]):
+                weight = share[n, s]
+                if weight < 0.0:
+                    break
+                of = traction[n, i + cells[n, s, 0], col0 + cells[n, s, 1] : col1 + cells[n, s, 1]]
+                for j in range(of.size):
+                    t = of[j]
+                    mean[j] += weight * t
+                    least[j] = t if t < least[j] else least[j]
+                    most[j] = t if t > most[j] else most[j]
+            out = energy[n, i, col0:col1]
+            for j in range(out.size):
+                if math.isnan(mean[j]):
+                    continue
+                response = mean[j]
+                if least[j] < 0.0:
+                    if most[j] <= 0.0:
+                        response *= regeneration
+                    else:
+                        response = _kinked(
+                            traction[n], i, j + col0, piece_share[n], piece_cell[n], piece_blend[n], regeneration
+                        )
+                out[j] = (hotel + response) * length_m[n]
+    return energy
+
+
+@njit(cache=True)
+def _kinked(traction, i, j, share, cell, blend, regeneration):
+    """Mean price of motion along a move on which the traction changes its sign."""
+    mean = 0.0
+    for p in range(share.size):
+        if share[p] > 0.0:
+            t0 = tm = t1 = 0.0
+            for q in range(4):
+                if max(blend[p, 0, q], blend[p, 1, q], blend[p, 2, q]) > 0.0:
+                    t = traction[i + cell[p, q, 0], j + cell[p, q, 1]]
+                    t0 += blend[p, 0, q] * t
+                    tm += blend[p, 1, q] * t
+                    t1 += blend[p, 2, q] * t
+            mean += share[p] * mean_response(t0, tm, t1, regeneration)
+    return mean
