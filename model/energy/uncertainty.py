@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
 from joulemap.model.errors import InputError, ModelError
 
@@ -138,7 +138,10 @@ class Spread:
         """
         energy, std = np.asarray(energy_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
         neighbour = (self.correlation_m - 1.0) / (self.correlation_m + 1.0)
-        carried = lfilter([1.0], [1.0, -neighbour], std)  # (n,) sum over i <= k of neighbour^(k - i) std_i
+        summed = accumulate(std.tolist(), lambda before, own: neighbour * before + own)
+        carried = np.fromiter(
+            summed, dtype=np.float64, count=std.size
+        )  # (n,) sums of neighbour^(k - i) std_i
         rest = np.cumsum(std * (2.0 * carried - std))
         return np.hypot(self.run_share * np.cumsum(energy), np.sqrt(np.maximum(rest, 0.0)))
 
