@@ -2,7 +2,8 @@
 
 Fixed effects, a random level of every unit (a run), and errors as `Variation` describes them. All fits come from the
 cross products of every unit, so that leaving one out costs a subtraction. Every coefficient has a normal prior around
-nothing that is worth one row of data (Kass & Wasserman 1995), which settles what the rows do not.
+nothing that is worth one row of data (the unit information prior of Kass & Wasserman 1995), which settles what the rows
+do not.
 
 References
 ----------
@@ -11,7 +12,7 @@ Pinheiro & Bates 2000, chapter 2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ _COLLINEAR = 1e-3
 error is over thirty times that of the column alone."""
 
 
+_ROUNDING = 1e-9
 _LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels
 _ROUNDS = 3  # the variance between units follows the coefficients and the coefficients the variance
 
@@ -174,7 +176,8 @@ class MixedModel:
         Returns
         -------
         float
-            By Paule and Mandel's estimate: the weighted squares of the levels equal their degrees of freedom.
+            By Paule and Mandel's estimate: the weighted squares of the levels that the fit leaves equal their degrees
+            of freedom.
 
         References
         ----------
@@ -182,11 +185,17 @@ class MixedModel:
         """
         if self.units < 3:
             return 0.0
-        beta = self._solved(self.gram_within, chosen)
+        within = self.gram_within[np.ix_(chosen, chosen)]
         sigma2 = self.sigma2(chosen)
-        away = (self._h[:, -1] - self._h[:, chosen] @ beta) / self._gamma
-        noise = sigma2 * self._level_variance
-        return _paule_mandel(away, noise, np.ones((self.units, 1))) / max(sigma2, 1e-300)
+
+        def _excess(ratio: float) -> float:
+            gram = self.marginal(chosen, ratio).sum(axis=0)
+            normal = self.with_prior(gram[:-1, :-1])
+            away = (self._h[:, -1] - self._h[:, chosen] @ np.linalg.solve(normal, gram[:-1, -1])) / self._gamma
+            used = float(np.trace(np.linalg.solve(normal, gram[:-1, :-1] - within)))  # levels that the columns explain
+            return float((away**2 / (self._level_variance + ratio)).sum()) / sigma2 - max(self.units - used, 1.0)
+
+        return _root(_excess)
 
     def sigma2(self, chosen: IntArray) -> float:
         """Return the variance of the noise beside some columns.
@@ -208,7 +217,24 @@ class MixedModel:
         return max(rest / max(len(self.rows) - len(chosen) - self.units, 1), 1e-300)
 
     def _solved(self, gram: FloatArray, chosen: IntArray) -> FloatArray:
-        return np.linalg.solve(gram[np.ix_(chosen, chosen)] + np.eye(len(chosen)), gram[chosen, -1])
+        return np.linalg.solve(self.with_prior(gram[np.ix_(chosen, chosen)]), gram[chosen, -1])
+
+    def with_prior(self, gram: FloatArray) -> FloatArray:
+        """Return cross products with those of the prior: of every column what one row of these data says.
+
+        Parameters
+        ----------
+        gram : ndarray of float, (..., q, q)
+            Of the columns, with or without random levels.
+
+        Returns
+        -------
+        ndarray of float, (..., q, q)
+            Positive definite. The level of the runs is known as far as there are runs, and so is its prior.
+        """
+        diagonal = np.einsum("...ii->...i", gram) / len(self.rows)
+        diagonal = np.where(diagonal > _ROUNDING, diagonal, 1.0)
+        return gram + diagonal[..., None] * np.eye(gram.shape[-1])
 
     def marginal(self, chosen: IntArray, tau2: float) -> FloatArray:
         """Return the cross products of every unit under random levels.
@@ -248,7 +274,7 @@ class MixedModel:
         part = self.marginal(chosen, tau2)
         others = part.sum(axis=0)[None] - part
         q = len(chosen)
-        beta = np.linalg.solve(others[:, :q, :q] + np.eye(q), others[:, :q, q:])  # (U, q, 1)
+        beta = np.linalg.solve(self.with_prior(others[:, :q, :q]), others[:, :q, q:])  # (U, q, 1)
         c = np.concatenate([-beta, np.ones((self.units, 1, 1))], axis=1)
         return np.asarray((np.swapaxes(c, 1, 2) @ part @ c)[:, 0, 0])
 
@@ -283,7 +309,7 @@ class MixedModel:
 
         serial : add what serial correlation does to the variance.
         """
-        gram = within.gram[np.ix_(beside, beside)] + np.eye(len(beside))
+        gram = self.with_prior(within.gram[np.ix_(beside, beside)])
         both = np.append(tested, len(self.size) + 1)
         rest = within.rows[:, both] - within.rows[:, beside] @ np.linalg.solve(gram, within.gram[np.ix_(beside, both)])
         a, z = rest[:, :-1], rest[:, -1]
@@ -341,7 +367,7 @@ class MixedModel:
         between = _LARGE * sigma2
         for _ in range(_ROUNDS):
             gram = self.marginal(every, between / sigma2).sum(axis=0)
-            normal = gram[:-1, :-1] + np.eye(len(every))
+            normal = self.with_prior(gram[:-1, :-1])
             beta = np.linalg.solve(normal, gram[:-1, -1])[: len(fixed)]
             away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
             between = _paule_mandel(away, noise, x)
@@ -377,14 +403,14 @@ class MixedModel:
         """
         sigma2, tau2 = self.sigma2(chosen), self.tau2(chosen)
         gram = self.marginal(chosen, tau2).sum(axis=0)
-        normal = gram[:-1, :-1] + np.eye(len(chosen))
+        normal = self.with_prior(gram[:-1, :-1])
         factor = np.linalg.cholesky(normal)
         target = np.linalg.solve(factor, gram[:-1, -1])
         size = self.size[chosen]
         low, high = np.minimum(low * size, 0.0), np.maximum(high * size, 0.0)
         found = lsq_linear(factor.T, target, bounds=(low - 1e-12, high + 1e-12)).x
         variance = np.linalg.inv(normal) * sigma2
-        inside = np.linalg.inv(self.gram_within[np.ix_(chosen, chosen)] + np.eye(len(chosen))) * sigma2
+        inside = np.linalg.inv(self.with_prior(self.gram_within[np.ix_(chosen, chosen)])) * sigma2
         freedom = np.empty(len(chosen))
         for k, column in enumerate(chosen):
             alone = self._fit(self._scaled, np.array([column]), np.delete(chosen, k), serial=True)
@@ -440,12 +466,17 @@ def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:
         )
         return float(rest @ rest) - freedom
 
-    if freedom < 1 or excess(0.0) <= 0.0:
+    return _root(excess, float(noise.max())) if freedom >= 1 else 0.0
+
+
+def _root(falling: Callable[[float], float], start: float = 1.0) -> float:
+    """Where a falling function of a variance is nil; 0 where it begins below."""
+    if falling(0.0) <= 0.0:
         return 0.0
-    high = float(np.var(away)) * len(away) + float(noise.max())
-    while excess(high) > 0.0:
+    high = start
+    while falling(high) > 0.0 and high < _LARGE * start:
         high *= 4.0
-    return float(brentq(excess, 0.0, high, rtol=1e-3))
+    return float(brentq(falling, 0.0, high, rtol=1e-3)) if falling(high) < 0.0 else high
 
 
 def columns_of(blocks: Sequence[IntArray]) -> IntArray:

@@ -411,8 +411,9 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
             taken = design.candidates[best]
             names = [c.form.name for c in chosen]
             at = names.index(taken.form.name) if taken.form.name in names else len(chosen)
-            chosen[at : at + 1] = [taken]
-            between[taken.form.name] = verdicts[best].between
+            parts = _missing_parts(design, taken, chosen)
+            chosen[at : at + 1] = [taken, *parts]
+            between |= dict.fromkeys([c.form.name for c in (taken, *parts)], verdicts[best].between)
             verdicts = _judge(design.candidates)
             if (now := frozenset(map(id, chosen))) in seen:  # two forms of one effect that take turns
                 break
@@ -516,19 +517,22 @@ def _verdict(
     now = columns_of([design.fixed, *(c.both for c in chosen)])
     replaced = any(c.form.name == candidate.form.name for c in chosen)
     chosen = [c for c in chosen if c.form.name != candidate.form.name]  # another form of one effect takes its place
-    if missing := set(candidate.form.parts) - {c.form.name for c in chosen}:
-        return Verdict(1.0, 0.0, nothing, False, f"it needs {' and '.join(sorted(missing))} beside it")
-    beside = columns_of([design.fixed, candidate.beside, *(c.both for c in chosen)])
+    parts = _missing_parts(design, candidate, chosen)
+    if len(parts) < len(set(candidate.form.parts) - {c.form.name for c in chosen}):
+        return Verdict(1.0, 0.0, nothing, False, f"it needs {' and '.join(candidate.form.parts)} beside it")
+    tested = columns_of([candidate.tested, *(c.tested for c in parts)])
+    beside = columns_of([design.fixed, candidate.beside, *(c.beside for c in parts), *(c.both for c in chosen)])
     levels = columns_of([c.tested for c in chosen if between[c.form.name]])
-    inside = model.test_within(candidate.tested, beside)
-    across = model.test_between(candidate.tested, beside, levels)
+    inside = model.test_within(tested, beside)
+    across = model.test_between(tested, beside, levels)
     count = len(design.candidates)
     p_value = min(1.0, 2.0 * count * min(inside.p_value, across.p_value))
     if p_value > ALPHA:
         return Verdict(p_value, 0.0, nothing, across.p_value < inside.p_value, "not significant")
-    tau2 = model.tau2(np.append(beside, candidate.tested))
+    tau2 = model.tau2(np.append(beside, tested))
+    whole = across.p_value < inside.p_value
     without = model.left_out(now, tau2)
-    gains = without - model.left_out(np.append(beside, candidate.tested), tau2)
+    gains = without - model.left_out(np.append(beside, tested), tau2)
     total, gain = float(gains.sum()), float(gains.sum()) / max(float(without.sum()), 1e-12)
     why_not = ""
     if total <= float(gains.std(ddof=1)) * np.sqrt(gains.size):
@@ -537,7 +541,16 @@ def _verdict(
         why_not = f"it explains less than {LEAST_GAIN:.0%} of the error on left-out runs"
     elif not _physical(model, candidate, beside):
         why_not = "its coefficient has an impossible sign or size"
-    return Verdict(p_value, gain, gains, across.p_value < inside.p_value, why_not)
+    return Verdict(p_value, gain, gains, whole, why_not)
+
+
+def _missing_parts(design: Design, candidate: Candidate, chosen: Sequence[Candidate]) -> list[Candidate]:
+    """The main effects that an interaction brings with it: the first variant of each that is not chosen yet."""
+    known = {c.form.name for c in chosen}
+    first: dict[str, Candidate] = {}
+    for other in design.candidates:
+        first.setdefault(other.form.name, other)
+    return [first[name] for name in candidate.form.parts if name not in known and name in first]
 
 
 def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool:
@@ -547,7 +560,7 @@ def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool
         return True
     index = np.append(candidate.tested, beside)
     gram = model.marginal(index, model.tau2(index)).sum(axis=0)
-    free = np.linalg.solve(gram[:-1, :-1] + np.eye(len(index)), gram[:-1, -1]) / model.size[index]
+    free = np.linalg.solve(model.with_prior(gram[:-1, :-1]), gram[:-1, -1]) / model.size[index]
     return bool(np.all((free[:k] >= form.low) & (free[:k] <= form.high)))
 
 
@@ -569,4 +582,10 @@ def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Cand
         return float(less.sum()) <= float(less.std(ddof=1)) * np.sqrt(less.size)
 
     close = [k for k in able if near(k)]
-    return min(close, key=lambda k: (design.candidates[k].complexity, -verdicts[k].gain))
+
+
+    def _complexity(k: int) -> tuple[bool, int]:
+        unnamed, count = design.candidates[k].complexity
+        return unnamed, count + sum(c.complexity[1] for c in _missing_parts(design, design.candidates[k], chosen))
+
+    return min(close, key=lambda k: (_complexity(k), -verdicts[k].gain))
