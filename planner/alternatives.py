@@ -11,20 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from joulemap.model.errors import InputError
-from joulemap.planner.buckets import SETTLED
+from joulemap.planner.corridors import plateaus
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.fields import field_from, field_towards
-from joulemap.planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.refine import refine_path, subdivided
 from joulemap.planner.search import GridPath, grid_search, joined_points
-from joulemap.planner.states import Search
 
 STRETCH = 1.3
 """Most energy of an alternative, in multiples of the best path's."""
@@ -93,7 +90,7 @@ def alternative_paths(
         return found
     separation_m = _separation_m(lattice, best.points) if separation_m is None else separation_m
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
-    via, length = _plateaus(ahead, behind, table)
+    via, length = plateaus(ahead, behind, table)
     good = np.flatnonzero((length >= plateau * best.energy_j) & (via <= stretch * best.energy_j))
     away_m = _metres_from(lattice, best.points)
     for state in good[np.argsort(via[good] - length[good], kind="stable")]:  # long plateaus first
@@ -161,48 +158,3 @@ def _metres_from(lattice: CostLattice, way: Points) -> NDArray[np.float64]:
     away = np.ones(lattice.frame.shape, dtype=bool)
     away.ravel()[_cells(lattice, subdivided(way, 1.0))] = False
     return distance_transform_edt(away).ravel() * lattice.frame.resolution_m
-
-
-def _plateaus(ahead: Search, behind: Search, table: MoveTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(states,) energy [J] of the best path through each state that begins a plateau (else inf), and of the plateau.
-
-    ahead, behind : the searches from the start and towards the goal.
-    """
-    return _measure_plateaus(ahead.energy_j, ahead.pred, behind.energy_j, behind.pred, table.jump, ahead.layers)
-
-
-@njit(cache=True, nogil=True)
-def _measure_plateaus(ahead, ahead_pred, behind, behind_pred, jump, layers):
-    states = ahead.size
-    after = np.full(states, -1, dtype=np.int64)  # the next state of a plateau
-    begins = np.ones(states, dtype=np.bool_)
-    for state in range(states):
-        if not (ahead[state] < np.inf and behind[state] < np.inf):
-            continue
-        if layers == 1:
-            code = behind_pred[state] & (SETTLED - 1)
-            if code == 0:
-                continue
-            following = state + jump[code - 1]
-            shared = ahead_pred[following] & (SETTLED - 1) == code
-        else:
-            code = behind_pred[state]
-            if code == SEED:
-                continue
-            following = state_before(code, state, jump, True)
-            # what turned right on the way back is a turn to the left on the way there
-            mirrored = TURNED_LEFT if code == TURNED_RIGHT else TURNED_RIGHT if code == TURNED_LEFT else code
-            shared = ahead_pred[following] == mirrored
-        if shared:
-            after[state] = following
-            begins[following] = False
-    via = np.full(states, np.inf)
-    length = np.zeros(states)
-    for state in range(states):
-        if after[state] >= 0 and begins[state]:
-            end = after[state]
-            while after[end] >= 0:
-                end = after[end]
-            via[state] = ahead[state] + behind[state]
-            length[state] = ahead[end] - ahead[state]
-    return via, length

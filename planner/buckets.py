@@ -70,7 +70,7 @@ def bound_at(guide, cell, cols):
     float
         Energy [J]; infinite where it is known that the goal cannot be reached.
     """
-    best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
+    best = 0.0 if guide.pairs.shape[0] + guide.marks.shape[1] == 0 else -np.inf
     if guide.pairs.shape[0] > 0:
         row = np.int64(cell) // cols
         down, right = guide.goal[0] - row, guide.goal[1] - (np.int64(cell) - row * cols)
@@ -165,7 +165,9 @@ def open_ring(first, least, guide, cols, per_j):
 
 
 @njit(cache=True, nogil=True)
-def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, cols, width, slack, backward):
+def search_cells(
+    energy, pred, price, jump, first, targets, target_rest, guide, cols, width, slack, backward, margin, most, ceiling
+):
     """Settle cells until no bucket may improve the path to a target, or all cells where there is no target.
 
     Parameters
@@ -195,6 +197,12 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
         Relative gain below which a label stays; above 0 where prices may be negative.
     backward : bool
         Whether moves are run against their direction, each at its own price.
+    margin : float
+        Share of the least energy by which paths may exceed it and still have all their cells settled.
+    most : float
+        Energy beyond which nothing is settled [J].
+    ceiling : ndarray of float32, (cells,) or (0,)
+        Energy above which a cell is left alone [J]; empty for none.
 
     Returns
     -------
@@ -225,7 +233,9 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
     total = np.inf
     last = -1
     expanded = 0
-    while waiting > 0 and current * width < total:
+    limit = most
+    capped = ceiling.size > 0
+    while waiting > 0 and current * width < limit:
         here = current % BUCKETS
         k = 0
         while k < count[here]:
@@ -246,6 +256,7 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
                 if targets[t] == cell and so_far + target_rest[t] < total:
                     total = so_far + target_rest[t]
                     last = targets[t]
+                    limit = min(most, total + margin * abs(total))
             for n in range(moves):
                 other = cell + steps[n]
                 if other >= cells:
@@ -253,6 +264,8 @@ def search_cells(energy, pred, price, jump, first, targets, target_rest, guide, 
                 reached = so_far + prices[(other if backward else cell) * np.uintp(moves) + np.uintp(n)]
                 before = energy[other]
                 if not reached + slack * (1.0 + abs(reached)) < before:  # nor where there is no such move
+                    continue
+                if capped and reached > ceiling[other]:
                     continue
                 ahead = 0.0
                 if not free:

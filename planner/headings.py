@@ -14,7 +14,24 @@ SEED, DROVE, TURNED_RIGHT, TURNED_LEFT = 0, 1, 2, 3
 
 
 @njit(cache=True, nogil=True)
-def search_headings(energy, pred, price, jump, gap, first, targets, target_rest, guide, cols, width, slack, backward):
+def search_headings(
+    energy,
+    pred,
+    price,
+    jump,
+    gap,
+    first,
+    targets,
+    target_rest,
+    guide,
+    cols,
+    width,
+    slack,
+    backward,
+    margin,
+    most,
+    ceiling,
+):
     """Settle states where turning costs, as `search_cells` does without turning.
 
     The state is cell * N + the heading of the robot, which is that of a move.
@@ -47,6 +64,12 @@ def search_headings(energy, pred, price, jump, gap, first, targets, target_rest,
         Relative gain below which a label stays; above 0 where prices may be negative.
     backward : bool
         Whether moves are run against their direction, each at its own price.
+    margin : float
+        Share of the least energy by which paths may exceed it and still have all their states settled.
+    most : float
+        Energy beyond which nothing is settled [J].
+    ceiling : ndarray of float32, (cells,) or (0,)
+        Energy above which a cell is left alone [J]; empty for none.
 
     Returns
     -------
@@ -82,7 +105,9 @@ def search_headings(energy, pred, price, jump, gap, first, targets, target_rest,
     total = np.inf
     last = -1
     expanded = 0
-    while waiting > 0 and current * width < total:
+    limit = most
+    capped = ceiling.size > 0
+    while waiting > 0 and current * width < limit:
         here = current % BUCKETS
         q = 0
         while q < count[here]:
@@ -98,6 +123,7 @@ def search_headings(energy, pred, price, jump, gap, first, targets, target_rest,
                         if energy[base + n] + target_rest[t, n] < total:
                             total = energy[base + n] + target_rest[t, n]
                             last = base + n
+                            limit = min(most, total + margin * abs(total))
             top = (current + 1) * width - (0.0 if free else bound_at(guide, cell, cols))
             later = np.inf
             left = headings
@@ -117,6 +143,8 @@ def search_headings(energy, pred, price, jump, gap, first, targets, target_rest,
                 reached = so_far + prices[(other if backward else cell) * moves + n]
                 state = other * moves + n
                 if not reached + slack * (1.0 + abs(reached)) < energy[state]:
+                    continue
+                if capped and reached > ceiling[other]:
                     continue
                 ahead = 0.0
                 if not free:

@@ -41,7 +41,7 @@ def heading_weights(heading_rad, weights):
     """
     count = weights.size
     step = math.pi / count
-    nearest = int(round(0.5 * heading_rad / step))
+    nearest = int(math.floor(0.5 * heading_rad / step + 0.5))
     half = 0.5 * heading_rad - nearest * step
     weights[:] = 0.0
     if abs(half) < 1e-12:
@@ -49,10 +49,14 @@ def heading_weights(heading_rad, weights):
         return
     top = math.sin(count * half) / count
     sine, cosine = math.sin(half), math.cos(half)
-    for k in range(count):  # half the angle to bin nearest + k; never near a zero of the sine but at the first
-        weights[(nearest + k) % count] = top * cosine / sine if count % 2 == 0 else top / sine
+    even = count % 2 == 0
+    turn_sine, turn_cosine = math.sin(step), math.cos(step)
+    at = nearest % count
+    for _ in range(count):  # half the angle to bin `at`; never near a zero of the sine but at the first
+        weights[at] = top * cosine / sine if even else top / sine
+        at = at + 1 if at + 1 < count else 0
         top = -top
-        sine, cosine = sine * math.cos(step) - cosine * math.sin(step), cosine * math.cos(step) + sine * math.sin(step)
+        sine, cosine = sine * turn_cosine - cosine * turn_sine, cosine * turn_cosine + sine * turn_sine
 
 
 @njit(cache=True)
@@ -76,12 +80,10 @@ def mean_response(t0, tm, t1, regeneration):
         return mean
     a = 2.0 * (t0 + t1 - 2.0 * tm)
     b = 4.0 * tm - 3.0 * t0 - t1
-    cuts = np.array([0.0, 1.0, 1.0, 1.0])
-    n = 1
+    low, high = 1.0, 1.0  # where the traction changes its sign
     if abs(a) < 1e-12 * (abs(b) + 1e-300):
-        if b != 0.0 and 0.0 < -t0 / b < 1.0:
-            cuts[1] = -t0 / b
-            n = 2
+        if b != 0.0:
+            low = -t0 / b
     else:
         square = b * b - 4.0 * a * t0
         if square > 0.0:
@@ -90,36 +92,33 @@ def mean_response(t0, tm, t1, regeneration):
             high = t0 / q if q != 0.0 else 0.0
             if low > high:
                 low, high = high, low
-            for root in (low, high):
-                if 0.0 < root < 1.0:
-                    cuts[n] = root
-                    n += 1
-    cuts[n] = 1.0
+    low, high = min(max(low, 0.0), 1.0), min(max(high, 0.0), 1.0)
     positive = 0.0
-    for k in range(n):
-        u, v = cuts[k], cuts[k + 1]
+    for u, v in ((0.0, low), (low, high), (high, 1.0)):
         w = 0.5 * (u + v)
         part = ((a * v / 3.0 + b / 2.0) * v + t0) * v - ((a * u / 3.0 + b / 2.0) * u + t0) * u
-        if (a * w + b) * w + t0 > 0.0:
+        if v > u and (a * w + b) * w + t0 > 0.0:
             positive += part
     return positive + regeneration * (mean - positive)
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _weighted(weights, traction, i, j):
+    """Traction of a cell at the heading that the weights are for; reordered sums let the compiler use vectors."""
+    total = 0.0
+    for k in range(weights.size):
+        total += weights[k] * traction[i, j, k]
+    return total
 
 
 @njit(cache=True)
 def _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j):
     """Traction of one cell at the leg's heading, NaN when it is blocked or too steep for it."""
-    if blocked[i, j] != 0:
-        return math.nan
-    rise_east = gradient[i, j, 0]
-    rise_north = gradient[i, j, 1]
-    if abs(rise_east * east + rise_north * north) > max_grade:
-        return math.nan
-    if abs(rise_east * north - rise_north * east) > max_cross:
-        return math.nan
-    total = 0.0
-    for k in range(weights.size):
-        total += weights[k] * traction[i, j, k]
-    return total
+    rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
+    steep = abs(rise_east * east + rise_north * north) > max_grade
+    tilted = abs(rise_east * north - rise_north * east) > max_cross
+    # one exit: with several the compiler does not turn the sum into vector operations, which is ten times slower
+    return math.nan if blocked[i, j] != 0 or steep or tilted else _weighted(weights, traction, i, j)
 
 
 @njit(cache=True)
@@ -146,8 +145,33 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
     float
         Energy [J]; NaN where the leg may not be driven.
     """
+    return leg_energy_with(
+        np.empty(traction.shape[2]), traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf
+    )
+
+
+@njit(cache=True)
+def leg_energy_with(weights, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
+    """Return the energy of a leg as `leg_energy` does, with memory of the caller and a limit.
+
+    Parameters
+    ----------
+    weights : ndarray of float64, (K,)
+        Memory that is written to.
+    traction, gradient, blocked, terms : ndarray
+        As for `leg_energy`.
+    row0, col0, row1, col1 : float
+        Start and end.
+    most : float
+        Where the energy exceeds this [J], the rest of the leg is not looked at. Infinite where prices may be negative.
+
+    Returns
+    -------
+    float
+        Energy [J]; NaN where the leg may not be driven; above `most`, some number above it or NaN.
+    """
     spacing, hotel, regeneration, max_grade, max_cross = terms[0], terms[1], terms[2], terms[3], terms[4]
-    rows, cols, bins = traction.shape
+    rows, cols, _ = traction.shape
     slack = 0.5 + 1e-6
     if not (
         -slack <= row0 <= rows - 1 + slack
@@ -158,19 +182,21 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
         return math.nan
     drow = row1 - row0
     dcol = col1 - col0
-    heading = heading_of_step(drow, dcol)
-    east = math.sin(heading)
-    north = math.cos(heading)
     length = math.hypot(drow, dcol)
     if length == 0.0:
         i = int(round(row0))
         j = int(round(col0))
         return 0.0 if blocked[min(max(i, 0), rows - 1), min(max(j, 0), cols - 1)] == 0 else math.nan
-    weights = np.empty(bins)
+    heading = heading_of_step(drow, dcol)
+    east = math.sin(heading)
+    north = math.cos(heading)
     heading_weights(heading, weights)
+    enough = most / (length * spacing)
     energy = 0.0
     t = 0.0
-    corners = np.zeros((2, 2))
+    last_i, last_j = -9, -9
+    c00 = c01 = c10 = c11 = 0.0
+    known = 0  # bit set of the corners that hold a traction: 1 for 00, 2 for 01, 4 for 10, 8 for 11
     while t < 1.0:
         t_next = 1.0
         if drow != 0.0:
@@ -188,32 +214,49 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
         u1 = min(max(row0 + t_next * drow - i, 0.0), 1.0)
         v0 = min(max(col0 + t * dcol - j, 0.0), 1.0)
         v1 = min(max(col0 + t_next * dcol - j, 0.0), 1.0)
-        for a in range(2):
-            for b in range(2):
-                touched_row = max(u0, u1) if a == 1 else 1.0 - min(u0, u1)
-                touched_col = max(v0, v1) if b == 1 else 1.0 - min(v0, v1)
-                corners[a, b] = 0.0
-                if touched_row > TOUCH and touched_col > TOUCH:
-                    corners[a, b] = _corner(
-                        traction, gradient, blocked, weights, east, north, max_grade, max_cross, i + a, j + b
-                    )
-                    if math.isnan(corners[a, b]):
-                        return math.nan
-        um = 0.5 * (u0 + u1)
-        vm = 0.5 * (v0 + v1)
-        t0 = _blend(corners, u0, v0)
-        tm = _blend(corners, um, vm)
-        t1 = _blend(corners, u1, v1)
+        if i != last_i or j != last_j:  # two corners are those of the square before
+            if i == last_i and j == last_j + 1:
+                c00, c10, known = c01, c11, (known & 10) >> 1
+            elif i == last_i and j == last_j - 1:
+                c01, c11, known = c00, c10, (known & 5) << 1
+            elif j == last_j and i == last_i + 1:
+                c00, c01, known = c10, c11, (known & 12) >> 2
+            elif j == last_j and i == last_i - 1:
+                c10, c11, known = c00, c01, (known & 3) << 2
+            else:
+                known = 0
+            last_i, last_j = i, j
+        top, bottom = 1.0 - min(u0, u1) > TOUCH, max(u0, u1) > TOUCH
+        left, right = 1.0 - min(v0, v1) > TOUCH, max(v0, v1) > TOUCH
+        if top and left and known & 1 == 0:
+            c00 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j)
+        if top and right and known & 2 == 0:
+            c01 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j + 1)
+        if bottom and left and known & 4 == 0:
+            c10 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i + 1, j)
+        if bottom and right and known & 8 == 0:
+            c11 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i + 1, j + 1)
+        use = (top and left) * 1 + (top and right) * 2 + (bottom and left) * 4 + (bottom and right) * 8
+        known |= use
+        a00 = c00 if use & 1 else 0.0
+        a01 = c01 if use & 2 else 0.0
+        a10 = c10 if use & 4 else 0.0
+        a11 = c11 if use & 8 else 0.0
+        if math.isnan(a00 + a01 + a10 + a11):
+            return math.nan
+        t0 = _blend(a00, a01, a10, a11, u0, v0)
+        tm = _blend(a00, a01, a10, a11, 0.5 * (u0 + u1), 0.5 * (v0 + v1))
+        t1 = _blend(a00, a01, a10, a11, u1, v1)
         energy += (t_next - t) * (hotel + mean_response(t0, tm, t1, regeneration))
+        if energy > enough:
+            break
         t = t_next
     return energy * length * spacing
 
 
 @njit(cache=True)
-def _blend(corners, u, v):
-    return (1.0 - u) * ((1.0 - v) * corners[0, 0] + v * corners[0, 1]) + u * (
-        (1.0 - v) * corners[1, 0] + v * corners[1, 1]
-    )
+def _blend(c00, c01, c10, c11, u, v):
+    return (1.0 - u) * ((1.0 - v) * c00 + v * c01) + u * ((1.0 - v) * c10 + v * c11)
 
 
 @njit(cache=True, nogil=True)
@@ -243,8 +286,20 @@ def leg_energies(traction, gradient, blocked, terms, legs):
     On one thread: most questions are a few legs, and on a busy machine waiting for a second thread takes longer.
     """
     out = np.empty(legs.shape[0])
+    weights = np.empty(traction.shape[2])
     for k in range(legs.shape[0]):
-        out[k] = leg_energy(traction, gradient, blocked, terms, legs[k, 0], legs[k, 1], legs[k, 2], legs[k, 3])
+        out[k] = leg_energy_with(
+            weights,
+            traction,
+            gradient,
+            blocked,
+            terms,
+            legs[k, 0],
+            legs[k, 1],
+            legs[k, 2],
+            legs[k, 3],
+            math.inf,
+        )
     return out
 
 

@@ -10,19 +10,23 @@ from typing import Any
 import numpy as np
 
 from joulemap.planner.alternatives import alternative_paths, improved_ways
+from joulemap.planner.best import best_of, best_path
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable, distance_table, move_table
 from joulemap.planner.places import end_point
 from joulemap.planner.planners import PLANNERS, Options, planner_named
-from joulemap.planner.refine import LEVELS, refine_path
+from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.search import grid_search
 from joulemap.planner.tours import cheapest_tour
 from joulemap.planner.words import energy_words
 
 SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_time_limit)
+
+LEAST_NEIGHBOURS = 16
+"""The any-angle step begins with the paths of as many neighbours at least, so that it misses no zigzag."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,8 +141,9 @@ def distance_lattice(lattice: CostLattice) -> CostLattice:
         The lattice of distances.
     """
     robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
-    flat = np.where(np.isnan(lattice.traction_per_m), lattice.traction_per_m, np.float32(0.0))
-    return replace(lattice, robot=robot, traction_per_m=flat)
+    unknown = np.isnan(lattice.traction_per_m).any(axis=2, keepdims=True)
+    flat = np.where(np.broadcast_to(unknown, (*lattice.frame.shape, 4)), np.float32(np.nan), np.float32(0.0))
+    return replace(lattice, robot=robot, traction_per_m=flat, std_j=None)
 
 
 class RoutePlanner:
@@ -245,18 +250,21 @@ class RoutePlanner:
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         began = time.perf_counter()
         shortest = self._shortest(start, goal, neighbours, refine)
-        options = Options(time_limit_s, seed, from_grid, self._landmarks.get(neighbours), progress)
-        points, found = asked.search(lattice, self._table(neighbours, distance=False), start, goal, options)
-        points = refine_path(lattice, points) if refine else points
+        table, landmarks = self._table(neighbours, distance=False), self._landmarks.get(neighbours)
+        if refine and not asked.uses_time_limit:
+            points, found = self._best(start, goal, neighbours)
+        else:
+            options = Options(time_limit_s, seed, from_grid, landmarks, progress)
+            points, found = asked.search(lattice, table, start, goal, options)
+            points = refine_path(lattice, points) if refine else points
         if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
             notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
         details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine, **found}
         details["from_shortest"] = path_price(lattice, shortest) < path_price(lattice, points)
         if details["from_shortest"]:  # the route never costs more than the shortest path
-            points = refine_path(lattice, shortest) if refine else shortest
+            points = best_of(lattice, [shortest, points]) if refine else shortest
         ways = [points]
         if alternatives > 0:
-            table = self._table(neighbours, distance=False)
             others = [w.points for w in alternative_paths(lattice, table, start, goal, count=alternatives + 1)[1:]]
             ways += improved_ways(lattice, points, others) if refine else others
             ways.sort(key=lambda way: path_price(lattice, way))  # once improved, another one may be the cheapest
@@ -313,7 +321,9 @@ class RoutePlanner:
         stops = np.array([self._end(f"stop {k}", xy, notes, snap) for k, xy in enumerate(stops_xy)])
         table = self._table(neighbours, distance=False)
         found = cheapest_tour(self.lattice, table, stops, time_limit_s=time_limit_s, progress=progress)
-        ways = (refine_path(self.lattice, leg.points) if refine else leg.points for leg in found.paths)
+        ways = (
+            self._best(leg.points[0], leg.points[-1], neighbours)[0] if refine else leg.points for leg in found.paths
+        )
         order = tuple(int(stop) for stop in found.order)
         legs = tuple(self._route(way, []) for way in ways)
         return RoundTrip(legs, order, found.energy_j, found.bound_j, tuple(notes))
@@ -325,10 +335,22 @@ class RoutePlanner:
             notes.append(note)
         return point
 
+    def _best(self, start: Points, goal: Points, neighbours: int) -> tuple[Points, dict[str, Any]]:
+        """The best path of any angles that we find, for every kind of question."""
+        table, landmarks = self._table(neighbours, distance=False), self._landmarks.get(neighbours)
+        seeds = []
+        if neighbours < LEAST_NEIGHBOURS:
+            seeds = [grid_search(self.lattice, table, start, goal).points]
+            table, landmarks = self._table(LEAST_NEIGHBOURS, distance=False), self._landmarks.get(LEAST_NEIGHBOURS)
+        best = best_path(self.lattice, table, start, goal, landmarks=landmarks, seeds=seeds)
+        grid_j = path_price(self.lattice, seeds[0]) if seeds else best.grid_energy_j
+        record = {"expanded": best.expanded, "grid_energy_j": grid_j, "corridors": best.corridors}
+        return best.points, record
+
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
         """The shortest path within the limits."""
         points = grid_search(self._distances, self._table(neighbours, distance=True), start, goal).points
-        return refine_path(self._distances, points, levels=LEVELS[:2]) if refine else points  # no zigzag pays here
+        return refine_corners(self._distances, refine_coarsely(self._distances, points)) if refine else points
 
     def _route(self, points: Points, notes: list[str]) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])

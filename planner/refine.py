@@ -1,8 +1,8 @@
-"""Any-angle improvement of a grid path: never dearer, never over blocked ground, priced by the one integrator.
+"""Any-angle improvement of a path: never dearer, never over blocked ground, priced by the one integrator.
 
-Two steps alternate from coarse to fine. *Shortcut* keeps, out of all vertices, the chain of straight legs that costs
-least (dynamic programming, so zigzags stay where they pay). *Relax* cuts long legs and shifts every vertex, and every
-leg as a whole, by ever smaller steps as long as the energy falls (a pattern search, Hooke & Jeeves 1961).
+Two steps alternate from coarse to fine. *Shortcuts* keep, out of all vertices, the chain of straight legs that costs
+least (dynamic programming, so zigzags stay where they pay). *Bending* shifts all vertices at once by the combination of
+steps that costs least (`deform`), first long stretches by many cells, then single vertices by small shares of one.
 """
 
 from __future__ import annotations
@@ -12,26 +12,35 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.edges import Points, leg_prices_between, path_price, price_arrays
-from joulemap.planner.kernels import leg_energy, turn_angle
+from joulemap.planner.deform import bent
+from joulemap.planner.edges import Points, path_price, price_arrays
+from joulemap.planner.kernels import leg_energy_with, turn_angle
 from joulemap.planner.lattice import CostLattice
 
-PAIR_BUDGET = 300_000
-"""Cells that the legs of one shortcut pass may cross in total; on longer paths a shortcut spans fewer vertices."""
-Levels = tuple[tuple[float, float, float], ...]
-LEVELS: Levels = (
-    (math.inf, 8.0, 0.5),
-    (8.0, 2.0, 0.125),
-    (2.0, 0.5, 0.03125),
-    (math.inf, 0.25, 0.015625),
-)
-"""Longest leg, first and last shift of its vertices [cells]. Coarse to fine, so that small changes of direction are
-found too; whole legs first and last, so that a zigzag can change its angle as one."""
+SPAN = 4
+"""Vertices that a shortcut may leave out in one pass; passes are repeated while the path becomes cheaper."""
 SWEEPS = 24
-"""Largest number of sweeps over the vertices with one shift."""
+"""Largest number of sweeps with one shift."""
+COARSE_STEPS = ((8.0, 64), (4.0, 32), (2.0, 16), (4.0, 8), (2.0, 8), (1.0, 8), (0.5, 4))
+"""Shifts of stretches and the lengths of these [cells]: long ones first, and some large shifts of short ones, which
+find a zigzag where only one of large angles pays."""
+FINE_STEPS = (0.5, 0.25, 0.125, 0.0625, 0.03125)
+"""Shifts of single vertices [cells]."""
+LAST_STEPS = (0.5, 0.125, 0.03125)
+"""Shifts of vertices a cell apart, to the sides and along the path [cells]."""
+CORNER_STEPS = (8.0, 4.0, 2.0, 1.0, *FINE_STEPS)
+"""Shifts of the corners of a path of long legs, to the sides and along it [cells]: so a zigzag changes its angle."""
+LONG_LEG_CELLS = 10.0
+"""Mean leg [cells] above which a path is one of corners."""
+LAST_ROUNDS_CELLS = 1200.0
+"""Length of the paths that the last shifts are tried on, all rounds together [cells]; longer ones are shifted to the
+sides alone. On rough ground short paths gain most, and long ones take long."""
+MOST_ROUNDS = 3
+"""Most rounds of the last shifts."""
+_SIDES, _BOTH = (0.0,), (0.0, 0.5 * math.pi)
 
 
-def refine_path(lattice: CostLattice, points: Points, *, levels: Levels = LEVELS) -> Points:
+def refine_path(lattice: CostLattice, points: Points) -> Points:
     """Return a polyline of any angles with the same ends and at most the same energy.
 
     Parameters
@@ -40,31 +49,135 @@ def refine_path(lattice: CostLattice, points: Points, *, levels: Levels = LEVELS
         Prices and limits.
     points : ndarray of float, (n, 2)
         (row, col) polyline.
-    levels : tuple of tuple of float
-        Longest leg, first and last shift of its vertices [cells], from coarse to fine.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline whose legs may all be driven; `points` where nothing is gained.
     """
+    for stage in STAGES:
+        points = stage(lattice, points)
+    return points
+
+
+def refine_coarsely(lattice: CostLattice, points: Points) -> Points:
+    """Return what shortcuts and the bending of long stretches make of a path.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy.
+    """
     best = _distinct(np.ascontiguousarray(points, dtype=np.float64))
-    if len(best) < 3:
+    if len(best) < 3 or math.isnan(path_price(lattice, best)):
         return best
-    energy = path_price(lattice, best)
-    for _ in range(2):
-        best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
-    for leg, first_step, last_step in levels:
-        fine = subdivided(best, leg)
-        relaxed = _relax(*price_arrays(lattice), lattice.robot.turn_j_per_rad, fine, first_step, last_step, SWEEPS)
-        best, energy = _cheaper(lattice, best, energy, relaxed)
-        best, energy = _cheaper(lattice, best, energy, _shortcut(lattice, best))
-    return best
+    best = subdivided(shortcuts(lattice, best), 4.0)
+    for step, length in COARSE_STEPS:
+        best = _bent(lattice, best, (step,), every=length // 4)
+    return shortcuts(lattice, best)
 
 
-def _cheaper(lattice: CostLattice, best: Points, energy: float, candidate: Points) -> tuple[Points, float]:
-    price = path_price(lattice, candidate)
-    return (candidate, price) if price < energy else (best, energy)
+def refine_corners(lattice: CostLattice, points: Points) -> Points:
+    """Return what shifts of the vertices alone make of a path, with no vertex added.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy.
+    """
+    if _fixed(lattice, points):
+        return points
+    return shortcuts(lattice, _bent(lattice, points, CORNER_STEPS, _BOTH))
+
+
+def refine_finely(lattice: CostLattice, points: Points) -> Points:
+    """Return what small shifts of vertices four and two cells apart make of a path.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy.
+    """
+    if _fixed(lattice, points):
+        return points
+    if _length(points) > LONG_LEG_CELLS * (len(points) - 1):
+        points = refine_corners(lattice, points)
+    for spacing in (4.0, 2.0):
+        points = _bent(lattice, subdivided(points, spacing), FINE_STEPS)
+    return points
+
+
+def refine_last(lattice: CostLattice, points: Points) -> Points:
+    """Return what the last shifts of vertices a cell apart make of a path, and take needless vertices away.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy.
+    """
+    if _fixed(lattice, points):
+        return points
+    rounds = min(int(LAST_ROUNDS_CELLS / max(_length(points), 1.0)), MOST_ROUNDS)
+    for _ in range(max(rounds, 1)):
+        points = shortcuts(lattice, _bent(lattice, subdivided(points, 1.0), LAST_STEPS, _BOTH if rounds else _SIDES))
+    return points
+
+
+STAGES = (refine_coarsely, refine_finely, refine_last)
+"""The stages of `refine_path`: each costs more time than the one before, and gains less."""
+
+
+def _fixed(lattice: CostLattice, points: Points) -> bool:
+    """Whether there is nothing to be moved."""
+    return len(points) < 3 or math.isnan(path_price(lattice, points))
+
+
+def _length(points: Points) -> float:
+    return float(np.hypot(*np.diff(points, axis=0).T).sum())
+
+
+def _bent(
+    lattice: CostLattice,
+    points: Points,
+    steps: tuple[float, ...],
+    turned: tuple[float, ...] = _SIDES,
+    *,
+    every: int = 1,
+) -> Points:
+    """The path after bending with each of some shifts, in each of some directions."""
+    arrays, turn = price_arrays(lattice), lattice.robot.turn_j_per_rad
+    for step in steps:
+        for angle in turned if len(points) > 2 else ():
+            points = bent(*arrays, turn, points, every, step, angle, SWEEPS)
+    return points
 
 
 def _distinct(points: Points) -> Points:
@@ -91,116 +204,84 @@ def subdivided(points: Points, leg_cells: float) -> Points:
     ndarray of float, (m, 2)
         (row, col) polyline.
     """
-    out = [points[:1]]
-    for a, b in zip(points[:-1], points[1:], strict=True):
-        count = max(1, math.ceil(math.dist(a, b) / leg_cells))
-        share = np.arange(1, count + 1)[:, None] / count
-        out.append((1.0 - share) * a + share * b)  # exactly b at the end
-    return np.ascontiguousarray(np.vstack(out))
+    length = np.hypot(*np.diff(points, axis=0).T)
+    count = np.maximum(np.ceil(length / leg_cells), 1.0).astype(np.int64)
+    leg = np.repeat(np.arange(count.size), count)
+    share = (np.arange(leg.size) - np.repeat(np.cumsum(count) - count, count) + 1.0) / count[leg]
+    cuts = (1.0 - share)[:, None] * points[leg] + share[:, None] * points[leg + 1]  # exactly the vertex at its end
+    return np.ascontiguousarray(np.vstack([points[:1], cuts]))
 
 
-def _shortcut(lattice: CostLattice, points: Points) -> Points:
-    """The cheapest chain of straight legs over a subsequence of the vertices."""
-    n = len(points)
-    step = max(np.hypot(*np.diff(points, axis=0).T).mean(), 1.0)
-    span = int(np.clip(math.sqrt(2.0 * PAIR_BUDGET / (n * step)), 2, n - 1))
-    first, second = np.triu_indices(n, 1)
-    near = second - first <= span
-    first, second = first[near], second[near]
-    energy = leg_prices_between(lattice, points[first], points[second])
-    keep = _cheapest_chain(points, first, second, energy, lattice.robot.turn_j_per_rad)
-    return np.ascontiguousarray(points[keep])
+def shortcuts(lattice: CostLattice, points: Points) -> Points:
+    """Return the path after its vertices were left out wherever a straight leg costs at most the same.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline that may be driven.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        Some of its vertices, both ends among them.
+    """
+    arrays, turn = price_arrays(lattice), lattice.robot.turn_j_per_rad
+    energy = path_price(lattice, points)
+    never_pays = lattice.robot.regeneration == 0.0
+    while len(points) > 2:
+        fewer = np.ascontiguousarray(points[_cheapest_chain(*arrays, turn, points, SPAN, never_pays)])
+        price = path_price(lattice, fewer)
+        if len(fewer) == len(points) or not price <= energy + 1e-12 * abs(energy):
+            break
+        points, energy = fewer, price
+    return points
 
 
 @njit(cache=True, nogil=True)
-def _cheapest_chain(points, first, second, energy, turn_j_per_rad):
-    """Indices of the kept vertices. Pairs are sorted by `first`; the turn at a vertex counts from its best chain."""
+def _cheapest_chain(traction, gradient, blocked, terms, turn_j_per_rad, points, span, never_pays):
+    """Which vertices the cheapest chain of legs keeps, none over more than `span` of them.
+
+    The turn at a vertex counts from its best chain. never_pays : whether no price is negative.
+    """
     n = points.shape[0]
+    weights = np.empty(traction.shape[2])
     best = np.full(n, np.inf)
     parent = np.zeros(n, dtype=np.int64)
     best[0] = 0.0
-    for k in range(first.size):
-        i, j = first[k], second[k]
-        if math.isnan(energy[k]):
-            continue
-        total = best[i] + energy[k]
-        if i > 0 and turn_j_per_rad > 0.0:
-            p = parent[i]
-            total += turn_j_per_rad * turn_angle(
-                points[p, 0], points[p, 1], points[i, 0], points[i, 1], points[j, 0], points[j, 1]
+    for i in range(n - 1):
+        p = parent[i]
+        for j in range(min(i + span, n - 1), i, -1):
+            turn = 0.0
+            if i > 0 and turn_j_per_rad > 0.0:
+                turn = turn_j_per_rad * turn_angle(
+                    points[p, 0], points[p, 1], points[i, 0], points[i, 1], points[j, 0], points[j, 1]
+                )
+            most = best[j] - best[i] - turn if never_pays else np.inf
+            total = (
+                best[i]
+                + turn
+                + leg_energy_with(
+                    weights,
+                    traction,
+                    gradient,
+                    blocked,
+                    terms,
+                    points[i, 0],
+                    points[i, 1],
+                    points[j, 0],
+                    points[j, 1],
+                    most,
+                )
             )
-        if total < best[j]:
-            best[j] = total
-            parent[j] = i
+            if total < best[j] - 1e-13 * abs(total):  # of equal ones the first, which is the longest leg
+                best[j] = total
+                parent[j] = i
     keep = np.zeros(n, dtype=np.bool_)
     j = n - 1
     while j > 0:
         keep[j] = True
         j = parent[j]
     keep[0] = True
-    return np.flatnonzero(keep)
-
-
-@njit(cache=True)
-def _local_energy(traction, gradient, blocked, terms, turn_j_per_rad, points, i, j):
-    """Energy that changes with vertices i..j: their legs and the turns at i - 1 .. j + 1."""
-    n = points.shape[0]
-    energy = 0.0
-    for k in range(i, j + 2):
-        energy += leg_energy(
-            traction, gradient, blocked, terms, points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1]
-        )
-    if turn_j_per_rad > 0.0:
-        for k in range(max(i - 1, 1), min(j + 1, n - 2) + 1):
-            energy += turn_j_per_rad * turn_angle(
-                points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-            )
-    return energy
-
-
-@njit(cache=True, nogil=True)
-def _relax(traction, gradient, blocked, terms, turn_j_per_rad, points, step, last_step, sweeps):
-    """Pattern search over vertices and whole legs, with shifts from `step` halved down to `last_step`.
-
-    A vertex is tried again only after it or one of its neighbours has moved.
-    """
-    points = points.copy()
-    n = points.shape[0]
-    while step >= last_step:
-        due = np.ones(n, dtype=np.bool_)
-        for _ in range(sweeps):
-            gained = 0.0
-            for i in range(1, n - 1):
-                if not due[i]:
-                    continue
-                due[i] = False
-                for j in range(i, min(i + 2, n - 1)):
-                    here = _local_energy(traction, gradient, blocked, terms, turn_j_per_rad, points, i, j)
-                    lowest = here - 1e-6 * abs(here) - 1e-9
-                    best_r = 0.0
-                    best_c = 0.0
-                    for d in range(8):
-                        dr = step * math.cos(0.25 * math.pi * d)
-                        dc = step * math.sin(0.25 * math.pi * d)
-                        for k in range(i, j + 1):
-                            points[k, 0] += dr
-                            points[k, 1] += dc
-                        there = _local_energy(traction, gradient, blocked, terms, turn_j_per_rad, points, i, j)
-                        for k in range(i, j + 1):
-                            points[k, 0] -= dr
-                            points[k, 1] -= dc
-                        if there < lowest:
-                            lowest = there
-                            best_r = dr
-                            best_c = dc
-                    if best_r != 0.0 or best_c != 0.0:
-                        gained += here - lowest
-                        for k in range(i, j + 1):
-                            points[k, 0] += best_r
-                            points[k, 1] += best_c
-                        for k in range(max(i - 2, 1), min(j + 3, n - 1)):
-                            due[k] = True
-            if gained == 0.0:
-                break
-        step *= 0.5
-    return points
+    return keep

@@ -126,14 +126,32 @@ def grid_search(
     if direct < math.inf and direct <= total:
         return GridPath(np.vstack([start, goal]), direct, expanded)
     if last == _NONE:
-        robot = lattice.robot
-        raise NoRouteError(
-            f"no route: the start reaches {expanded:,} places, the goal is not among them within the limits "
-            f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
-            reached=expanded,
-        )
+        raise no_route(lattice, expanded)
     states = search.trace(table, last)[::-1]
     return GridPath(joined_points(lattice, start, states // layers, goal), float(total), expanded)
+
+
+def no_route(lattice: CostLattice, reached: int) -> NoRouteError:
+    """Return the error that says that a goal cannot be reached.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    reached : int
+        Number of states that the search reached.
+
+    Returns
+    -------
+    NoRouteError
+        To be raised.
+    """
+    robot = lattice.robot
+    return NoRouteError(
+        f"no route: the start reaches {reached:,} places, the goal is not among them within the limits "
+        f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
+        reached=reached,
+    )
 
 
 def direct_energy(lattice: CostLattice, start: Points, goal: Points) -> float:

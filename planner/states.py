@@ -132,6 +132,10 @@ def run_search(
     guide: Guide,
     targets: NDArray[np.int64] | None = None,
     rest: NDArray[np.float64] | None = None,
+    *,
+    margin: float = 0.0,
+    most: float = np.inf,
+    ceiling: NDArray[np.float32] | None = None,
 ) -> tuple[int, float, int]:
     """Settle what follows from some cells, in place.
 
@@ -149,6 +153,12 @@ def run_search(
         Flat indices of cells that are joined to the goal; without them all cells are settled.
     rest : ndarray of float, (T, layers), optional
         Energy from them to the goal [J].
+    margin : float, default 0.0
+        Share of the least energy by which paths may exceed it and still have all their states settled.
+    most : float, optional
+        Energy beyond which nothing is settled [J].
+    ceiling : ndarray of float32, (cells,), optional
+        Energy above which a cell is left alone [J].
 
     Returns
     -------
@@ -165,6 +175,7 @@ def run_search(
     if targets is None or rest is None:
         targets, rest = np.empty(0, dtype=np.int64), np.empty((0, layers))
     slack = 0.0 if table.never_pays else _SLACK
+    ceiling = np.empty(0, dtype=np.float32) if ceiling is None else ceiling
     if layers == 1:
         return search_cells(
             search.energy_j,
@@ -179,6 +190,9 @@ def run_search(
             _CELL_WIDTH * table.typical_j,
             slack,
             search.backward,
+            margin,
+            most,
+            ceiling,
         )
     width = table.typical_j + _TURN_WIDTH * float(table.gap_j.sum())
     return search_headings(
@@ -195,4 +209,7 @@ def run_search(
         width,
         slack,
         search.backward,
+        margin,
+        most,
+        ceiling,
     )

@@ -1,0 +1,125 @@
+"""The best route that we find between two places: one function, which every question goes through.
+
+The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`),
+stage by stage; after each stage only those stay whose lead or lag the stages to come may change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from joulemap.model.threads import share_out
+from joulemap.planner.corridors import corridor_paths
+from joulemap.planner.edges import Points, path_price
+from joulemap.planner.landmarks import Landmarks
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.refine import STAGES
+
+STAY = (0.006, 0.0015, 0.0)
+"""By how much a path may cost more than the best one after each stage and stay, as a share: somewhat more than the
+gains of the stages to come differ between paths of one question."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BestPath:
+    """The best path found.
+
+    Attributes
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+    energy_j : float
+        Its energy [J].
+    grid_energy_j : float
+        Least energy over grid moves [J].
+    expanded : int
+        Number of settled states.
+    corridors : int
+        Number of corridors that were looked at.
+    """
+
+    points: Points
+    energy_j: float
+    grid_energy_j: float
+    expanded: int
+    corridors: int
+
+
+def best_path(
+    lattice: CostLattice,
+    table: MoveTable,
+    start: Points,
+    goal: Points,
+    *,
+    landmarks: Landmarks | None = None,
+    seeds: Iterable[Points] = (),
+) -> BestPath:
+    """Return the best path of any angles between two places.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    start, goal : ndarray of float, (2,)
+        Fractional (row, col).
+    landmarks : Landmarks, optional
+        Made of this table, for fewer expansions.
+    seeds : iterable of ndarray of float, (n, 2), optional
+        More paths from start to goal to be improved.
+
+    Returns
+    -------
+    BestPath
+        The path.
+
+    Raises
+    ------
+    NoRouteError
+        If the goal cannot be reached.
+    """
+    found = corridor_paths(lattice, table, start, goal, landmarks=landmarks)
+    points = best_of(lattice, [*(path.points for path in found), *seeds])
+    return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
+
+
+def best_of(lattice: CostLattice, paths: list[Points]) -> Points:
+    """Return the best of what the any-angle step makes of some paths.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    paths : list of ndarray of float, (n, 2)
+        (row, col) polylines with the same ends, at least one.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline.
+    """
+    ways = list(paths)
+    for stage, stay in zip(STAGES, STAY, strict=True):
+        ways = _improved(lattice, ways, stage)
+        prices = np.array([path_price(lattice, way) for way in ways])
+        prices[np.isnan(prices)] = math.inf
+        least = float(prices.min())
+        kept = np.flatnonzero(prices <= least + stay * abs(least))
+        ways = [ways[k] for k in kept[np.argsort(prices[kept], kind="stable")]]
+    return ways[0]
+
+
+def _improved(lattice: CostLattice, ways: list[Points], stage: Callable[[CostLattice, Points], Points]) -> list[Points]:
+    out = list(ways)
+
+    def _improve(k: int) -> None:
+        out[k] = stage(lattice, ways[k])
+
+    share_out(_improve, range(len(ways)))
+    return out
