@@ -153,20 +153,23 @@ class Calibration:
         """The effects that were found, those that explain most first."""
         return self.fitted.effects
 
-    def errors_on(self, others: Residuals) -> dict[str, Any]:
-        """Return the errors on other runs, which had no part in this calibration.
+    def errors_on(self, others: Residuals, *, elsewhere: bool = False) -> dict[str, Any]:
+        """Return the errors on other runs of the same meter, which had no part in this calibration.
 
         Parameters
         ----------
         others : Residuals
             Against the same base model.
+        elsewhere : bool
+            Whether they were driven on another map.
 
         Returns
         -------
         dict
             As `errors`.
         """
-        return {key: errors_of(others, energy) for key, energy in _states(self.fitted, others, faults=False).items()}
+        states = _states(self.fitted, others, elsewhere=elsewhere)
+        return {key: errors_of(others, energy) for key, energy in states.items()}
 
 
 def calibrate(
@@ -299,14 +302,16 @@ def _terms(
     return tuple(terms)
 
 
-def _states(fitted: Fitted, rows: Residuals, *, faults: bool = True) -> dict[str, FloatArray]:
-    """Predictions by state; `faults` of the log count in the runs in which they were found, and in no others."""
-    terms = [term for term in fitted.terms if faults or term.form.on_map]
+def _states(fitted: Fitted, rows: Residuals, *, elsewhere: bool = False) -> dict[str, FloatArray]:
+    """Predictions by state; `elsewhere` without what belongs to the map on which it was found."""
+    terms, planned = (
+        [term for term in of if not (elsewhere and term.form.of_map)] for of in (fitted.terms, fitted.planner_terms)
+    )
     return {
         "before": rows.said if fitted.scale is None else fitted.scale.energy(rows.driven_by(Drives()).features),
         "corrected": fitted.predict(rows, fitted.base_terms),
         "after": fitted.predict(rows, terms),
-        "after_planner": fitted.predict(rows, fitted.planner_terms),
+        "after_planner": fitted.predict(rows, planned),
     }
 
 

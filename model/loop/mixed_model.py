@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -102,13 +104,12 @@ class _Within:
     squares: FloatArray
 
     @classmethod
-    def of(cls, every: FloatArray, unit: IntArray) -> _Within:
-        count = int(unit.max()) + 1
-        level = every[:, -2]
-        size = np.maximum(np.bincount(unit, weights=level**2, minlength=count), 1e-12)
-        parts = np.stack([level[unit == u] @ every[unit == u] for u in range(count)]) / size[:, None]
-        rows = every - level[:, None] * parts[unit]
-        return cls(rows, rows.T @ rows, (every**2).sum(axis=0))
+    def of(cls, every: FloatArray, parts: Sequence[slice]) -> _Within:
+        rows = np.empty_like(every)
+        for part in parts:
+            own, level = every[part], every[part, -2]
+            rows[part] = own - np.outer(level, level @ own / max(float(level @ level), 1e-12))
+        return cls(rows, rows.T @ rows, np.einsum("ij,ij->j", every, every))
 
 
 class MixedModel:
@@ -125,7 +126,7 @@ class MixedModel:
     level : ndarray of float, (n,)
         Predicted energy: the level of a unit is a share of it.
     unit : ndarray of int, (n,)
-        What is left out together and has a level of its own.
+        What is left out together and has a level of its own; its rows follow each other.
     whole_runs : bool
         Whether units are whole runs, so that differences between them can be tested.
     """
@@ -146,18 +147,25 @@ class MixedModel:
         self.size[self.size == 0.0] = 1.0
         every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
         self.variation, self.rows, self.unit, self.whole_runs = variation, every, unit, whole_runs
-        self.units = int(unit.max()) + 1
-        self.gram = np.stack([every[unit == u].T @ every[unit == u] for u in range(self.units)])  # (U, k + 2, k + 2)
+        borders = np.flatnonzero(np.diff(unit, prepend=-1, append=-1))
+        parts = [slice(a, b) for a, b in pairwise(borders)]
+        self.units = len(parts)
+        self.gram = np.stack([every[part].T @ every[part] for part in parts])  # (U, k + 2, k + 2)
         level_size = np.maximum(self.gram[:, -2, -2], 1e-12)
         self._h, self._gamma = self.gram[:, :, -2], level_size
-        self._scaled = _Within.of(every, unit)
-        white = variation.whitened(energies)
-        white[:, :-2] /= self.size
-        self._white = _Within.of(white, unit)
+        self._scaled = _Within.of(every, parts)
+        self._energies, self._parts = energies, parts
         self.gram_within = self._scaled.gram
         self._level_variance = self._variances_of_levels(every[:, -2:-1])
         flat = variation.weight >= 1.0
         self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
+
+    @cached_property
+    def _white(self) -> _Within:
+        """Of independent rows, for tests."""
+        white = self.variation.whitened(self._energies)
+        white[:, :-2] /= self.size
+        return _Within.of(white, self._parts)
 
     def _variances_of_levels(self, level: FloatArray) -> FloatArray:
         """Variance of the estimated level of every unit for noise of variance 1, (units,)."""

@@ -361,6 +361,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
         if compared and isinstance(form, CHANGES):
             _add(form, columns * new[:, None], columns, nothing)
         elif compared:
+            form = form.against_baseline()
+            columns = form.columns(rows)
             covered = np.flatnonzero(_covered(residuals, columns, parameters, new))
             _add(form, columns * new[:, None], columns, covered)
     return Design(residuals, new, np.concatenate(blocks, axis=1), base, tuple(candidates))

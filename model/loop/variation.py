@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import qr
-from scipy.optimize import minimize, nnls
+from scipy.optimize import OptimizeResult, minimize, nnls
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -36,6 +36,7 @@ _COLLINEAR = 1e-6  # of a column's size is left beside the others: rounding
 _ROUNDING = 1e-10
 _BANDS = 10  # of the prediction, for the spread within each
 _ROUNDS = 2  # weights follow the correlation and the correlation the weights
+_SIMPLEX = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])  # of the search, in logarithms
 _STARTS = ((3.0, 0.3), (60.0, 0.5))  # correlation length [rows] and variance over that of the noise
 
 
@@ -261,7 +262,10 @@ def _independent(design: FloatArray) -> FloatArray:
 
 
 def _correlated(found: Variation, design: FloatArray, z: FloatArray) -> Variation:
-    """With the length and the variance of the autoregression that maximise the restricted likelihood."""
+    """With the length and the variance of the autoregression that maximise the restricted likelihood.
+
+    The search starts where the likelihood of the residuals alone is largest, which costs a hundredth.
+    """
     columns = np.concatenate([design, z], axis=1)
     longest = float(np.max(np.bincount(found.run)))
 
@@ -270,7 +274,7 @@ def _correlated(found: Variation, design: FloatArray, z: FloatArray) -> Variatio
         process = float(np.clip(np.exp(min(x[1], 20.0)), 1e-4, 1e4))
         return replace(found, length_rows=length, process=process)
 
-    def loss(candidate: Variation) -> float:
+    def loss(candidate: Variation, columns: FloatArray) -> float:
         both, log_det = candidate._filtered(columns)
         size = np.sqrt(np.maximum((both**2).sum(axis=0), 1e-300))
         factor = np.linalg.cholesky((both / size).T @ (both / size) + _ROUNDING * np.eye(len(size)))
@@ -278,9 +282,12 @@ def _correlated(found: Variation, design: FloatArray, z: FloatArray) -> Variatio
         freedom = max(len(both) - len(size) + 1, 1)
         return float(log_det + 2.0 * free[:-1].sum() + 2.0 * freedom * free[-1])
 
+    def least(start: FloatArray, columns: FloatArray) -> OptimizeResult:
+        options = {"xatol": 0.1, "fatol": 0.1, "maxiter": 60, "initial_simplex": start + _SIMPLEX}
+        return minimize(lambda x: loss(at(x), columns), start, method="Nelder-Mead", options=options)
+
     starts = [(found.length_rows, found.process)] if found.process > 0.0 else list(_STARTS)
-    options = {"xatol": 0.1, "fatol": 0.1, "maxiter": 60}
-    tried = [minimize(lambda x: loss(at(x)), np.log(s), method="Nelder-Mead", options=options) for s in starts]
-    best = at(min(tried, key=lambda result: float(result.fun)).x)
+    start = min((least(np.log(s), z) for s in starts), key=lambda result: float(result.fun))
+    best = at(least(start.x, columns).x)
     white = replace(found, length_rows=1.0, process=0.0)
-    return best if loss(best) < loss(white) else white
+    return best if loss(best, columns) < loss(white, columns) else white

@@ -110,6 +110,7 @@ def segments_of(logs: Sequence[Log], robot: Robot) -> Segments:
 class _Found:
     found: Any
     robot: Robot
+    site: Site
 
     @property
     def answers(self) -> tuple[Answer, ...]:
@@ -121,7 +122,8 @@ class _Found:
 
     def error_on(self, site: Site, logs: Sequence[Log], *, state: str = "after") -> float:
         residuals = residuals_on(PhysicsPredictor(), site.heightmap, self.robot, segments_of(logs, self.robot))[0]
-        return float(self.found.errors_on(residuals)[state]["mean_relative"])
+        elsewhere = site is not self.site
+        return float(self.found.errors_on(residuals, elsewhere=elsewhere)[state]["mean_relative"])
 
 
 def joulemap(
@@ -148,7 +150,7 @@ def joulemap(
     predictor = PhysicsPredictor()
     measured, electric, _ = residuals_on(predictor, site.heightmap, robot, segments_of(new, robot))
     before = residuals_on(predictor, site.heightmap, robot, segments_of(base, robot))[0] if base else None
-    return _Found(calibrate(measured, electric=electric, base=before, cross_validate=cross_validate), robot)
+    return _Found(calibrate(measured, electric=electric, base=before, cross_validate=cross_validate), robot, site)
 
 
 def _answer(effect: Effect) -> Answer:

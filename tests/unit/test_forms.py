@@ -27,6 +27,7 @@ from joulemap.model.loop.forms.structure import Curve, PlaceField
 from joulemap.model.loop.forms.temperature import Temperature
 from joulemap.model.loop.forms.terrain_class import TerrainClass, TurningByClass
 from joulemap.model.loop.forms.turning import Turning
+from joulemap.model.loop.forms.warming_up import WarmingUp
 from joulemap.model.loop.forms.wind import Wind
 from joulemap.model.loop.terms import Term, turning_per_rad
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
@@ -66,8 +67,8 @@ BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J
     "turning of motors by class": (TurningByClass("terrain", ("mud",), 0.3), of_motors(**MUD), [2.0 * 0.3]),
     "class for motors": (TerrainClass("terrain", ("mud",)), of_motors(**MUD), [2.0]),
     "rolling resistance of motors": (RollingResistance(), of_motors(), [2.0 * W]),
-    "speed": (Speed(0.5, 1), even(duration_s=[1.25]), [0.3]),  # 0.8 m/s
-    "speed squared": (Speed(0.5, 2), even(duration_s=[1.25]), [0.39]),  # 0.64 - 0.25
+    "speed": (Speed(1), even(duration_s=[1.25]), [0.8]),  # 0.8 m/s
+    "speed squared": (Speed(2), even(duration_s=[1.25]), [0.64]),
     "cross slope": (CrossSlope(1), even(cross_abs=[0.1]), [0.1 * W]),
     "cross slope squared": (CrossSlope(2), even(cross_sq=[0.02]), [0.02 * W]),
     "cross slope where nothing pulls": (CrossSlope(1), even(cross_abs=[0.1], **DOWN), [0.0]),
@@ -90,6 +91,7 @@ BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J
     "wind across": (Wind(True), breeze(90.0), [0.5 * math.hypot(0.5, 2.0) - 0.5**2]),
     "wind in proportion": (Wind(False), breeze(60.0), [2.0 * 0.5]),
     "drift per hour": (Drift("since_start"), even(since_s=[1800.0]), [0.5 * PREDICTED]),
+    "warming up": (WarmingUp(600.0), even(since_s=[1200.0]), [math.exp(-2.0)]),
     "drift per kilometre": (Drift("driven", of_all=False), even(driven_m=[250.0]), [0.25]),
     "class": (TerrainClass("terrain", ("mud", "sand")), on("sand"), [0.0, 1.0]),
     "class of motion": (TerrainClass("terrain", ("mud", "sand"), True), on("mud"), [MOTION, 0.0]),
@@ -103,6 +105,11 @@ BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J
     "braking": (Braking(0.08), even(**DOWN), [0.12 * W]),
     "sensor gain": (SensorGain(), even(), [PREDICTED]),
     "curve per metre": (Curve("roughness", (0.0, 0.01, 0.03), "length"), even(roughness_m=[0.02]), [0.0, 0.5]),
+    "curve against baseline runs": (
+        Curve("roughness", (0.0, 0.01, 0.03), "length", centred=False),
+        even(roughness_m=[0.02]),
+        [0.0, 0.5, 0.5],
+    ),
     "curve beyond its end": (Curve("roughness", (0.0, 0.01, 0.03), "length"), even(roughness_m=[0.3]), [0.0, 1.0]),
     "curve per second": (
         Curve("column:rain", (0.0, 1.0, 2.0), "time"),
@@ -174,7 +181,7 @@ def test_files_with_unknown_forms_or_settings_are_refused():
     with pytest.raises(ModelError, match=r"'turning' needs the settings \['limit_per_m', 'limit_radps'\], .*\[\]"):
         form_from_dict({"form": "turning"})
     with pytest.raises(ModelError, match="not complete"):
-        Term.from_dict({"form": "turning", "limit_radps": None, "name": "turning"})
+        Term.from_dict({"form": "turning", "limit_radps": None, "limit_per_m": None, "name": "turning"})
 
 
 def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():

@@ -25,6 +25,7 @@ from joulemap.model.loop.forms.structure import Curve, PlaceField
 from joulemap.model.loop.forms.temperature import Temperature
 from joulemap.model.loop.forms.terrain_class import TerrainClass, TurningByClass
 from joulemap.model.loop.forms.turning import Turning
+from joulemap.model.loop.forms.warming_up import WarmingUp
 from joulemap.model.loop.forms.wind import Wind
 
 NAMED: tuple[type[Form], ...] = (
@@ -40,6 +41,7 @@ NAMED: tuple[type[Form], ...] = (
     Payload,
     Wind,
     Drift,
+    WarmingUp,
     TerrainClass,
     TurningByClass,
     PlaceField,

@@ -39,6 +39,8 @@ class Form:
         Whether the same law holds in the baseline runs, which differ in the value of the covariate only.
     on_map : bool
         False for a fault of the log, which no plan contains.
+    of_map : bool
+        Whether it belongs to the map on which it was found, and is not there on another.
     """
 
     key: ClassVar[str]
@@ -51,6 +53,7 @@ class Form:
     planned: ClassVar[bool] = True
     weather: ClassVar[bool] = False
     on_map: ClassVar[bool] = True
+    of_map: ClassVar[bool] = False
 
     @property
     def name(self) -> str:
@@ -146,6 +149,10 @@ class Form:
             Nothing where a column that it needs was not logged.
         """
         yield cls()
+
+    def against_baseline(self) -> Form:
+        """Return the form as it is tested in new runs against baseline runs, which say what its zero is."""
+        return self
 
     def where(self, coefficients: tuple[float, ...]) -> str:
         """Return where the effect acts, in words.

@@ -50,6 +50,7 @@ class MapShift(Form):
     reveals = "a survey of three marks that the map shows"
     planned = False
     on_map = False
+    of_map = True
 
     def coefficient_names(self) -> tuple[str, ...]:
         return ("east", "north")

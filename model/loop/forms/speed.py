@@ -16,22 +16,19 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Speed(Form):
-    """Energy per metre that grows with a power of the speed.
+    """Energy per metre in proportion to a power of the speed.
 
     Attributes
     ----------
-    reference_mps : float
-        Speed at which it is nil [m/s].
     power : int
         1 for viscous losses, 2 for drag and for bumps.
     """
 
-    reference_mps: float
     power: int = 1
 
     key = "speed"
     label = "speed"
-    meaning = "energy per metre that is added with speed"
+    meaning = "energy per metre in proportion to the speed or its square"
     reveals = "the same line at several speeds"
 
     @property
@@ -42,8 +39,8 @@ class Speed(Form):
         return (f"{energy}/m per " + ("m/s" if self.power == 1 else f"(m/s)^{self.power}"),)
 
     def column(self, rows: Features) -> FloatArray:
-        return rows.work_m * rows.pulling * (rows.speed_mps**self.power - self.reference_mps**self.power)
+        return rows.work_m * rows.pulling * rows.speed_mps**self.power
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
-        yield from (cls(rows.robot.speed_mps, power) for power in (1, 2))
+        yield from (cls(power) for power in (1, 2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ _LEAST_IN_BELL = 12  # rows within one width of a centre of a field
 
 @dataclass(frozen=True)
 class Curve(Form):
-    """A piecewise linear curve over a covariate; constant beyond its outer knots, nil at its middle one.
+    """A piecewise linear curve over a covariate, constant beyond its outer knots.
 
     Attributes
     ----------
@@ -57,11 +57,14 @@ class Curve(Form):
         Its values at the knots.
     of : str
         `length` for energy per metre, `time` for power, `all` for a share of the prediction.
+    centred : bool
+        Whether it is nil at its middle knot; otherwise runs without the effect say where it is nil.
     """
 
     over: str
     knots: tuple[float, ...]
     of: str = "length"
+    centred: bool = True
 
     key = "curve"
     label = "structure"
@@ -94,7 +97,10 @@ class Curve(Form):
         return self.over not in ("turn", "since_start")
 
     def _kept(self) -> list[int]:
-        return [k for k in range(len(self.knots)) if k != len(self.knots) // 2]
+        return [k for k in range(len(self.knots)) if not (self.centred and k == len(self.knots) // 2)]
+
+    def against_baseline(self) -> Form:
+        return replace(self, centred=False)
 
     def coefficient_names(self) -> tuple[str, ...]:
         return tuple(f"at {self.knots[k]:.4g}" for k in self._kept())
@@ -147,6 +153,7 @@ class PlaceField(Form):
     meaning = "coefficient of rolling resistance added at each centre of the field"
     unit = ""
     reveals = "cross the place and its surroundings in several headings"
+    of_map = True
 
     def coefficient_names(self) -> tuple[str, ...]:
         return tuple(f"at x {x:.1f}, y {y:.1f}" for x, y in self.centres)
