@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import heading_vector
 from joulemap.model.robot import Robot
+from joulemap.model.runs.cutting import ANGLE_COLUMNS
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
@@ -373,10 +374,11 @@ def driven_ranges(rows: Features) -> dict[str, tuple[float, float]]:
     Returns
     -------
     dict of str to tuple of float
-        Lowest and highest value without the outermost hundredth at either end.
+        Lowest and highest value without the outermost hundredth at either end; nothing of a direction.
     """
     moving = rows.take(~rows.standing)
-    names = ["speed", "grade", *_RANGED, *(f"column:{key}" for key in rows.columns)]
+    logged = (f"column:{key}" for key in rows.columns if key not in ANGLE_COLUMNS)
+    names = ["speed", "grade", *_RANGED, *logged]
     out = {}
     for name in names:
         values = quantity(moving, name)

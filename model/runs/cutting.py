@@ -64,7 +64,8 @@ CARRIED = 3.0
 left out where the robot is known."""
 
 _CARRIED_SHARE = 0.5  # of the metres of a run: most of it
-_ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})  # [deg]
+ANGLE_COLUMNS = frozenset({"heading", "wind_from", "yaw", "gps_course"})
+"""Logged columns that are directions [deg]: 359 is beside 0."""
 
 # What makes a chord; settings that the paper does not state.
 _LONGEST_GAP_S = 0.75  # or two and a half of the run's usual intervals between fixes
@@ -318,7 +319,7 @@ def _segments(
     **more: Any,
 ) -> Segments:
     middle = np.clip(np.searchsorted(run.t, middle_s), 0, len(run) - 1)
-    extras = {key: _mean(column, first, last, key in _ANGLE_COLUMNS, rows) for key, column in run.extras.items()}
+    extras = {key: _mean(column, first, last, key in ANGLE_COLUMNS, rows) for key, column in run.extras.items()}
     kept: dict[str, Any] = {key: np.ascontiguousarray(column[keep]) for key, column in columns.items()}
     return Segments(
         **kept,

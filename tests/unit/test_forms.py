@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import ModelError
-from joulemap.model.loop.features import Drives
+from joulemap.model.loop.features import Drives, driven_ranges
 from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
 from joulemap.model.loop.forms.acceleration import Acceleration
 from joulemap.model.loop.forms.base_parameters import BaseParameters
@@ -86,10 +86,11 @@ BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J
     "grease": (Temperature(10.0, "motion"), even(columns={"temperature": np.array([5.0])}), [-5.0 * MOTION]),
     "temperature unknown": (Temperature(10.0, "time"), even(columns={"temperature": np.array([np.nan])}), [0.0]),
     "payload": (Payload(), even(columns={"payload": np.array([3.0])}), [3.0 / 40.0 * MOTION]),
-    "wind from ahead": (Wind(True), breeze(0.0), [2.5**2 - 0.5**2]),
-    "wind from behind": (Wind(True), breeze(180.0), [-(1.5**2) - 0.5**2]),
-    "wind across": (Wind(True), breeze(90.0), [0.5 * math.hypot(0.5, 2.0) - 0.5**2]),
-    "wind in proportion": (Wind(False), breeze(60.0), [2.0 * 0.5]),
+    "wind from ahead": (Wind("air"), breeze(0.0), [2.5**2 - 0.5**2]),
+    "wind from behind": (Wind("air"), breeze(180.0), [-(1.5**2) - 0.5**2]),
+    "wind across": (Wind("air"), breeze(90.0), [0.5 * math.hypot(0.5, 2.0) - 0.5**2]),
+    "head wind": (Wind("head"), breeze(60.0), [1.5**2 - 0.5**2]),
+    "wind in proportion": (Wind("linear"), breeze(60.0), [2.0 * 0.5]),
     "drift per hour": (Drift("since_start"), even(since_s=[1800.0]), [0.5 * PREDICTED]),
     "warming up": (WarmingUp(600.0), even(since_s=[1200.0]), [math.exp(-2.0)]),
     "drift per kilometre": (Drift("driven", of_all=False), even(driven_m=[250.0]), [0.25]),
@@ -144,6 +145,16 @@ def test_a_column_is_what_the_formula_says(case):
 def test_a_form_comes_back_from_its_file(case):
     form = BY_HAND[case][0]
     assert form_from_dict(json.loads(json.dumps(form.as_dict(), allow_nan=False))) == form
+
+
+def test_a_direction_has_no_range():
+    """Runs with winds from 10 to 40 degrees say nothing against a wind from 350 degrees, which is near."""
+    rows = even(4, columns={"wind_from": np.array([10.0, 20.0, 30.0, 40.0]), "wind_speed": np.array([1.0, 2.0, 3.0, 4.0])})
+    ranges = driven_ranges(rows)
+    assert "column:wind_from" not in ranges
+    other = even(columns={"wind_from": np.array([350.0]), "wind_speed": np.array([9.0])}).within(ranges)
+    assert other.columns["wind_from"] == [350.0]
+    assert other.columns["wind_speed"] == pytest.approx([3.97])
 
 
 def test_every_form_is_worked_out_by_hand():

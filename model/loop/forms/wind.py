@@ -20,11 +20,16 @@ class Wind(Form):
 
     Attributes
     ----------
-    quadratic : bool
-        Drag with the square of the relative air speed, instead of in proportion to the component of the wind.
+    law : {"air", "head", "linear"}
+        With the square of the speed of the air that the robot meets, from any side; with that of its component from
+        ahead; or in proportion to the component of the wind.
+
+    References
+    ----------
+    Wong 2008, "Theory of Ground Vehicles", section 3.2 (the square).
     """
 
-    quadratic: bool = True
+    law: str = "air"
 
     key = "wind"
     label = "wind"
@@ -38,19 +43,17 @@ class Wind(Form):
         return ("column:wind_speed",)
 
     def units(self, energy: str) -> tuple[str, ...]:
-        return (f"{energy}/m per " + ("(m/s)^2" if self.quadratic else "m/s"),)
+        return (f"{energy}/m per " + ("m/s" if self.law == "linear" else "(m/s)^2"),)
 
     def column(self, rows: Features) -> FloatArray:
         speed = quantity(rows, "column:wind_speed")
         towards = speed * np.cos(np.radians(quantity(rows, "column:wind_from")) - rows.heading_rad)
-        if not self.quadratic:
-            return rows.work_m / rows.unit_j * rows.pulling * towards
         ahead = rows.speed_mps + towards
-        across2 = np.maximum(speed**2 - towards**2, 0.0)
-        drag = ahead * np.sqrt(ahead**2 + across2) - rows.speed_mps**2
-        return rows.work_m / rows.unit_j * rows.pulling * drag
+        across2 = np.maximum(speed**2 - towards**2, 0.0) if self.law == "air" else 0.0
+        square = ahead * np.sqrt(ahead**2 + across2) - rows.speed_mps**2
+        return rows.work_m / rows.unit_j * rows.pulling * (towards if self.law == "linear" else square)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
         if {"wind_speed", "wind_from"} <= set(rows.columns):
-            yield from (cls(quadratic) for quadratic in (True, False))
+            yield from (cls(law) for law in ("air", "head", "linear"))
