@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
-    from joulemap.service.library.costmaps import CostMap, costmap, open_costmap
+    from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
     from joulemap.service.library.models import Evaluation, Model, evaluate, train
     from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
@@ -42,6 +42,7 @@ __all__ = [
     "PlannedTour",
     "Robot",
     "Runs",
+    "StoredCostMap",
     "calibrate",
     "costmap",
     "evaluate",
@@ -59,7 +60,7 @@ _HOMES = {
     "joulemap.model.terrain.heightmap": ("Heightmap",),
     "joulemap.model.terrain.readers": ("read_heightmap",),
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
-    "joulemap.service.library.costmaps": ("CostMap", "costmap", "open_costmap"),
+    "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs"),
     "joulemap.service.library.models": ("Evaluation", "Model", "evaluate", "train"),
     "joulemap.service.library.routes": ("Feasibility", "PlannedRoute", "PlannedTour"),

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from joulemap.model.errors import InputError
 from joulemap.planner.corridors import plateaus
@@ -157,4 +156,6 @@ def _metres_from(lattice: CostLattice, way: Points) -> NDArray[np.float64]:
     """(cells,) distance [m] of every cell from the nearest that lies along a path."""
     away = np.ones(lattice.frame.shape, dtype=bool)
     away.ravel()[_cells(lattice, subdivided(way, 1.0))] = False
+    from scipy.ndimage import distance_transform_edt  # loads slowly, and most questions need it not
+
     return distance_transform_edt(away).ravel() * lattice.frame.resolution_m

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from joulemap.model.robot import Battery
 from joulemap.planner.words import probability_words
@@ -148,5 +147,7 @@ def judge_along(pieces_j: ArrayLike, battery: Battery, *, std_j: ArrayLike | Non
 def _probability(margin_j: ArrayLike, std_j: ArrayLike) -> NDArray[np.float64]:
     """That normal variables of these means and standard deviations are not negative, within `PROBABILITY_LIMITS`."""
     margin, std = np.asarray(margin_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
+    from scipy.special import ndtr  # loads slowly, and few questions need it
+
     lasts = np.where(std > 0.0, ndtr(margin / np.where(std > 0.0, std, 1.0)), margin >= 0.0)
     return np.clip(lasts, *PROBABILITY_LIMITS)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from joulemap.planner.heuristics import guide_everywhere
 from joulemap.planner.moves import MoveTable
@@ -90,6 +89,8 @@ def make_landmarks(
 
 
 def _outermost(table: MoveTable, count: int) -> NDArray[np.int64]:
+    from scipy.ndimage import label  # loads slowly, and most questions need it not
+
     regions, _ = label(np.isfinite(table.energy).any(axis=2), structure=np.ones((3, 3)))
     largest = np.bincount(regions.ravel())[1:].argmax() + 1 if regions.any() else 0
     row, col = np.nonzero(regions == largest)

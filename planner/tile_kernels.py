@@ -1,8 +1,10 @@
-"""Compiled best-first search over tiles of cells, which stops whenever a tile must be read first.
+"""Compiled best-first search over tiles of cells: one tile at a time, as long as its cells are about as good as any.
 
-As `buckets.search_cells`, with three differences. Cells are numbered tile by tile, so that the labels of a tile lie
-together and only tiles that the search reaches take memory. The prices of a tile are in a slot, and a tile without one
-interrupts the search. The buckets are chains of pages, so that their memory is that of the waiting cells.
+Cells are numbered tile by tile, so that the labels of a tile lie together and stay in the processor's cache while it is
+worked on, and only tiles that the search reaches take memory. A tile is settled up to a little above the least key of
+all waiting cells (label + bound), in order of the keys; what improves in its neighbours waits there. A cell that is
+improved after it was settled is settled again, so the answer is exact for any order (delta-stepping on tiles: Meyer &
+Sanders 2003), and the least key of all that waits is a proven bound.
 """
 
 from __future__ import annotations
@@ -12,66 +14,16 @@ import math
 import numpy as np
 from numba import njit
 
-BUCKETS = 512
-PAGE = 256
-SETTLED = 128
-DONE, LOAD, OPEN, GROW, PAUSE = 0, 1, 2, 3, 4
-"""Why `advance` returned: the search has ended; a tile needs prices, or labels; more pages; a moment for others."""
-CURRENT, WAITING, FREE, FREE_COUNT, EXPANDED, LAST, CLOCK = 0, 1, 2, 3, 4, 5, 6
-"""Places in the integer state: bucket, entries that wait, first free page, free pages, settled cells, last cell before
-the goal, settled cells when prices were used last."""
-_MOST_PAGES_A_STEP = 40
-
-
-@njit(cache=True)
-def put(pages, following, ends, state, bucket, cell):
-    """Append a cell to a bucket.
-
-    Parameters
-    ----------
-    pages : ndarray of uint32, (P, PAGE)
-        The pages.
-    following : ndarray of int32, (P,)
-        The next page of each chain, or of the free ones; -1 at the end.
-    ends : ndarray of int32, (BUCKETS, 4)
-        Of each bucket: first page, place in it, last page, entries of that.
-    state : ndarray of int64
-        The integer state; it is changed.
-    bucket : int
-        Number of the bucket, not wrapped.
-    cell : int
-        Number of the cell.
-    """
-    slot = bucket & (BUCKETS - 1)
-    if ends[slot, 0] < 0 or ends[slot, 3] == PAGE:
-        page = state[FREE]
-        state[FREE] = following[page]
-        state[FREE_COUNT] -= 1
-        following[page] = -1
-        if ends[slot, 0] < 0:
-            ends[slot, 0] = page
-            ends[slot, 1] = 0
-        else:
-            following[ends[slot, 2]] = page
-        ends[slot, 2] = page
-        ends[slot, 3] = 0
-    pages[ends[slot, 2], ends[slot, 3]] = cell
-    ends[slot, 3] += 1
-    state[WAITING] += 1
-
-
-@njit(cache=True)
-def _drop(following, ends, state, slot):
-    """Take the first entry out of a bucket."""
-    ends[slot, 1] += 1
-    state[WAITING] -= 1
-    page = ends[slot, 0]
-    if ends[slot, 1] == (ends[slot, 3] if page == ends[slot, 2] else PAGE):
-        ends[slot, 0] = following[page]
-        ends[slot, 1] = 0
-        following[page] = state[FREE]
-        state[FREE] = page
-        state[FREE_COUNT] += 1
+WAITS = 128
+"""Flag in `pred` of cells that are still to be settled."""
+FINE = 64
+"""Steps in which the keys of a tile are put in order while it is worked on."""
+DONE, LOAD, OPEN, PAUSE = 0, 1, 2, 3
+"""Why `advance` returned: the search has ended; a tile needs prices, or labels; a moment for others."""
+EXPANDED, LAST = 0, 1
+"""Places in the integer state: settled cells, last cell before the goal."""
+TOTAL, PROVEN = 0, 1
+"""Places in the state of energies [J]: energy to the goal, and what no path costs less than."""
 
 
 @njit(cache=True, nogil=True)
@@ -79,6 +31,7 @@ def advance(
     energy,
     ahead,
     pred,
+    least,
     slot_of,
     opened,
     used,
@@ -86,14 +39,11 @@ def advance(
     shift,
     tile_cols,
     offsets,
-    pages,
-    following,
-    ends,
     state,
-    total,
+    energies,
     targets,
     rest,
-    width,
+    thickness,
     steps,
 ):
     """Go on with a search until it ends or needs something.
@@ -105,7 +55,9 @@ def advance(
     ahead : ndarray of float32, (cells,)
         Lower bounds of the energy to the goal [J].
     pred : ndarray of uint8, (cells,)
-        Move + 1 by which a cell was reached, 0 for a seed, with the flag `SETTLED`.
+        Move + 1 by which a cell was reached, 0 for a seed, with the flag `WAITS`.
+    least : ndarray of float64, (tiles,)
+        Least key of the waiting cells of each tile [J]; it is changed.
     slot_of : ndarray of int32, (tiles,)
         Where the prices of a tile are; -1 where they are not there.
     opened : ndarray of bool, (tiles,)
@@ -120,103 +72,171 @@ def advance(
         Tiles along a row of tiles.
     offsets : ndarray of int64, (N, 2)
         (drow, dcol) of each move.
-    pages, following, ends
-        The buckets, see `put`.
-    state : ndarray of int64, (7,)
+    state : ndarray of int64, (2,)
         The integer state.
-    total : ndarray of float64, (1,)
-        Energy to the goal [J]; it is changed.
+    energies : ndarray of float64, (2,)
+        The state of energies.
     targets : ndarray of int64, (T,)
         Cells that are joined to the goal.
     rest : ndarray of float64, (T,)
         Energy from them to the goal [J].
-    width : float
-        Width of a bucket [J].
+    thickness : float
+        How far above the least key a tile is settled [J].
     steps : int
         Cells after which it pauses.
 
     Returns
     -------
     code : int
-        `DONE`, `LOAD`, `OPEN`, `GROW` or `PAUSE`.
+        `DONE`, `LOAD`, `OPEN` or `PAUSE`.
     tile : int
         The tile that is needed.
     """
     side = 1 << shift
-    mask = side - 1
-    moves = offsets.shape[0]
-    reach = 0
-    for n in range(moves):
-        reach = max(reach, abs(offsets[n, 0]), abs(offsets[n, 1]))
+    cells = side * side
+    after = np.empty(cells, dtype=np.int32)  # chains of waiting cells, by key: the next one and the one before
+    before = np.empty(cells, dtype=np.int32)
+    chain = np.full(cells, -1, dtype=np.int16)  # in which chain a cell is
+    heads = np.full(FINE, -1, dtype=np.int32)
     jump = offsets[:, 0] * side + offsets[:, 1]
-    tiles = slot_of.size
-    per_j = 1.0 / width
+    reach = np.abs(offsets).max()
     until = state[EXPANDED] + steps
-    while state[WAITING] > 0:
-        current = state[CURRENT]
-        if total[0] <= current * width:
+    while True:
+        tile = int(np.argmin(least))
+        low = least[tile]
+        energies[PROVEN] = min(low, energies[TOTAL])
+        if not low < energies[TOTAL]:
             return DONE, -1
-        slot = current & (BUCKETS - 1)
-        if ends[slot, 0] < 0:
-            state[CURRENT] += 1
-            continue
-        if state[FREE_COUNT] < _MOST_PAGES_A_STEP:
-            return GROW, -1
-        cell = np.int64(pages[ends[slot, 0], ends[slot, 1]])
-        if pred[cell] >= SETTLED:
-            _drop(following, ends, state, slot)
-            continue
-        so_far = energy[cell]
-        due = math.floor((so_far + ahead[cell]) * per_j)
-        if due > current:
-            _drop(following, ends, state, slot)
-            put(pages, following, ends, state, min(due, current + BUCKETS - 1), cell)
-            continue
-        tile = cell >> (2 * shift)
         if slot_of[tile] < 0:
             return LOAD, tile
-        row, col = (cell >> shift) & mask, cell & mask
-        inside = reach <= row < side - reach and reach <= col < side - reach
-        if not inside:
-            for corner in range(4):
-                r = row + (reach if corner & 1 else -reach)
-                c = col + (reach if corner & 2 else -reach)
-                beside = tile % tile_cols + (c >> shift)
-                other = tile + (r >> shift) * tile_cols + (c >> shift)
-                if 0 <= beside < tile_cols and 0 <= other < tiles and not opened[other]:
-                    return OPEN, other
+        for corner in range(9):
+            col = tile % tile_cols + corner % 3 - 1
+            other = tile + (corner // 3 - 1) * tile_cols + corner % 3 - 1
+            if 0 <= col < tile_cols and 0 <= other < least.size and not opened[other]:
+                return OPEN, other
         if state[EXPANDED] >= until:
             return PAUSE, -1
-        _drop(following, ends, state, slot)
-        pred[cell] |= SETTLED
-        state[EXPANDED] += 1
         used[tile] = state[EXPANDED]
+        _settle(
+            energy, ahead, pred, least, prices[slot_of[tile]], tile, shift, tile_cols, offsets, jump, reach, state,
+            energies, targets, rest, low, thickness, after, before, chain, heads,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _settle(
+    energy,
+    ahead,
+    pred,
+    least,
+    price,
+    tile,
+    shift,
+    tile_cols,
+    offsets,
+    jump,
+    reach,
+    state,
+    energies,
+    targets,
+    rest,
+    low,
+    thickness,
+    after,
+    before,
+    chain,
+    heads,
+):
+    """Settle the cells of one tile whose keys lie below `low` + `thickness`."""
+    side = 1 << shift
+    mask = side - 1
+    base = tile << (2 * shift)
+    cells = side * side
+    moves = offsets.shape[0]
+    per_j = FINE / thickness
+    first = FINE
+    for cell in range(cells):
+        if pred[base + cell] >= WAITS:
+            place = (energy[base + cell] + ahead[base + cell] - low) * per_j
+            if place < FINE:
+                k = max(np.int64(place), 0)
+                _link(after, before, chain, heads, cell, k)
+                first = min(first, k)
+    k = first
+    while k < FINE:
+        cell = heads[k]
+        if cell < 0:
+            k += 1
+            continue
+        _unlink(after, before, chain, heads, cell)
+        here = base + cell
+        pred[here] &= WAITS - 1
+        state[EXPANDED] += 1
+        so_far = energy[here]
         for t in range(targets.size):
-            if targets[t] == cell and so_far + rest[t] < total[0]:
-                total[0] = so_far + rest[t]
-                state[LAST] = cell
-        price = prices[slot_of[tile], cell & ((1 << (2 * shift)) - 1)]
+            if targets[t] == here and so_far + rest[t] < energies[TOTAL]:
+                energies[TOTAL] = so_far + rest[t]
+                state[LAST] = here
+        row, col = cell >> shift, cell & mask
+        inside = reach <= row < side - reach and reach <= col < side - reach
         for n in range(moves):
-            reached = so_far + price[n]
-            if math.isnan(reached):
-                continue
+            reached = so_far + price[cell, n]
             if inside:
-                other = cell + jump[n]
+                other = here + jump[n]
             else:
+                if math.isnan(reached):
+                    continue
                 r, c = row + offsets[n, 0], col + offsets[n, 1]
                 beside = tile + (r >> shift) * tile_cols + (c >> shift)
                 other = (beside << (2 * shift)) | ((r & mask) << shift) | (c & mask)
-            before = energy[other]
-            if not reached + 1e-12 * abs(reached) < before:
+            if not reached + 1e-12 * abs(reached) < energy[other]:  # nor where there is no such move
                 continue
-            due = max(math.floor((reached + ahead[other]) * per_j), current)
-            queued = pred[other] < SETTLED and before < np.inf
             energy[other] = reached
-            pred[other] = n + 1
-            if queued and max(math.floor((before + ahead[other]) * per_j), current) == due:
+            key = reached + ahead[other]
+            if key == np.inf:
+                pred[other] = n + 1
                 continue
-            put(pages, following, ends, state, min(due, current + BUCKETS - 1), other)
-    return DONE, -1
+            pred[other] = (n + 1) | WAITS
+            if other >> (2 * shift) != tile:
+                least[other >> (2 * shift)] = min(least[other >> (2 * shift)], key)
+                continue
+            place = (key - low) * per_j
+            own = other - base
+            if place < FINE:
+                into = max(np.int64(place), k)
+                if chain[own] != into:
+                    if chain[own] >= 0:
+                        _unlink(after, before, chain, heads, own)
+                    _link(after, before, chain, heads, own, into)
+    lowest = np.inf
+    for cell in range(cells):
+        if pred[base + cell] >= WAITS:
+            lowest = min(lowest, energy[base + cell] + ahead[base + cell])
+    least[tile] = lowest
+
+
+@njit(cache=True, inline="always")
+def _link(after, before, chain, heads, cell, k):
+    """Put a cell at the head of chain k."""
+    head = heads[k]
+    after[cell] = head
+    before[cell] = -1
+    if head >= 0:
+        before[head] = cell
+    heads[k] = cell
+    chain[cell] = k
+
+
+@njit(cache=True, inline="always")
+def _unlink(after, before, chain, heads, cell):
+    """Take a cell out of its chain."""
+    if before[cell] >= 0:
+        after[before[cell]] = after[cell]
+    else:
+        heads[chain[cell]] = after[cell]
+    if after[cell] >= 0:
+        before[after[cell]] = before[cell]
+    chain[cell] = -1
 
 
 @njit(cache=True, nogil=True)
@@ -245,8 +265,8 @@ def traced(pred, last, shift, tile_cols, offsets):
     col = ((tile % tile_cols) << shift) + (last & mask)
     out = [(row, col)]
     cell = last
-    while pred[cell] & (SETTLED - 1) > 0:
-        move = (pred[cell] & (SETTLED - 1)) - 1
+    while pred[cell] & (WAITS - 1) > 0:
+        move = np.int64(pred[cell] & (WAITS - 1)) - 1
         row -= offsets[move, 0]
         col -= offsets[move, 1]
         cell = (((row >> shift) * tile_cols + (col >> shift)) << (2 * shift)) | ((row & mask) << shift) | (col & mask)

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
-from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.predictor import MODEL_NAMES, SHIPPED_WEIGHTS, Predictor, load_predictor
 from joulemap.model.errors import ModelError
-from joulemap.model.loop.calibrated import CALIBRATION_FILE, CalibratedPredictor, read_calibrated
 from joulemap.model.robot import Robot
 
 DEFAULT_MODEL = "default"
 CALIBRATED_FOLDER = "model"
 """Where a calibration leaves its model, beside its report."""
 _MODEL_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+@runtime_checkable
+class _KnowsTurning(Protocol):
+    """A network or a calibrated model that may have learned what turning costs."""
+
+    def robot_with_turning(self, robot: Robot) -> Robot: ...
 
 
 def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Predictor:
@@ -67,7 +73,11 @@ def load_model(spec: str | Path) -> Predictor:
     ModelError
         If the files cannot be read or do not fit together, or if the model that was calibrated has changed since.
     """
-    if spec in MODEL_NAMES or not (Path(spec) / CALIBRATION_FILE).is_file():
+    if spec in MODEL_NAMES:
+        return load_predictor(spec)
+    from joulemap.model.loop.calibrated import CALIBRATION_FILE, CalibratedPredictor, read_calibrated  # loads slowly
+
+    if not (Path(spec) / CALIBRATION_FILE).is_file():
         return load_predictor(spec)
     folder = Path(spec)
     correction, base, version = read_calibrated(folder)
@@ -112,7 +122,7 @@ def planning_robot(predictor: Predictor, robot: Robot) -> Robot:
     Robot
         The same one where the model learned nothing about turning.
     """
-    return predictor.robot_with_turning(robot) if isinstance(predictor, CalibratedPredictor | Learned) else robot
+    return predictor.robot_with_turning(robot) if isinstance(predictor, _KnowsTurning) else robot
 
 
 def start_folder(name: str | Path) -> Path | None:

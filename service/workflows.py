@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +16,6 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError, NoRouteError, TooLargeError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Battery, Robot
-from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.reader import run_of
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.budget import Verdict, judge_along
@@ -25,11 +23,14 @@ from joulemap.planner.edges import energy_per_m_at
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
-from joulemap.planner.plan import PLANNERS, RoutePlanner
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.tiles import Tiling
 from joulemap.service.models import DEFAULT_MODEL, find_predictor, planning_robot
 from joulemap.service.route_uncertainty import std_along
+
+if TYPE_CHECKING:  # a cost map is made without them, and they take their time to load
+    from joulemap.planner.plan import RoutePlanner
+    from joulemap.planner.stored_planner import StoredPlanner
 
 
 def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> Tiling:
@@ -352,7 +353,7 @@ class Assessment:
 
 
 def assess(
-    planner: RoutePlanner | CostLattice,
+    planner: RoutePlanner | StoredPlanner | CostLattice,
     *,
     battery: Battery,
     path: ArrayLike | None = None,
@@ -367,7 +368,7 @@ def assess(
 
     Parameters
     ----------
-    planner : RoutePlanner or CostLattice
+    planner : RoutePlanner, StoredPlanner or CostLattice
         The map to drive on.
     battery : Battery
         Its capacity, charge and reserve.
@@ -397,19 +398,24 @@ def assess(
     NoRouteError
         If no route joins start and goal.
     """
+    from joulemap.planner.plan import RoutePlanner
+    from joulemap.planner.stored_planner import StoredPlanner
+
     if (path is None) == (start is None and goal is None) or (start is None) != (goal is None):
         raise InputError("give either `path`, or `start` and `goal`")
     back = None
-    lattice = planner.lattice if isinstance(planner, RoutePlanner) else planner
+    lattice = planner if isinstance(planner, CostLattice) else planner.lattice
     if path is not None:
         points = np.asarray(path, dtype=np.float64)
+        if isinstance(planner, StoredPlanner):
+            planner.read_along(points)
         out = price_route(lattice, points)
         if round_trip:
             back = price_route(lattice, points[::-1])
     else:
         assert start is not None
         assert goal is not None
-        router = planner if isinstance(planner, RoutePlanner) else RoutePlanner(planner)
+        router = RoutePlanner(planner) if isinstance(planner, CostLattice) else planner
         there, home = (float(start[0]), float(start[1])), (float(goal[0]), float(goal[1]))
         out = router.plan(there, home, snap=snap).route
         if round_trip:
@@ -464,6 +470,10 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     ModelError
         If there is no such model, or its files do not fit together.
     """
+    from joulemap.model.runs.cutting import cut_segments
+    from joulemap.model.runs.reader import run_of
+    from joulemap.planner.plan import PLANNERS, RoutePlanner
+
     began = time.perf_counter()
     rows = np.arange(12.0)
     heights = 0.2 * np.sin(rows)[:, None] + 0.1 * rows[None, :]

@@ -40,9 +40,20 @@ MOST_VALUES = 400_000_000
 """Most rows x columns x headings of a cost map unless the user allows more: the limit of `planner.lattice_build` for a
 lattice in memory, so that `joulemap path` can read what was made."""
 
+FROM_DISK = 2_000_000
+"""Cells above which one question is answered from the cost map's folder: reading all of it would take longer."""
+
 _BYTES_PER_VALUE = 8  # a price and its uncertainty, float32 each
 _WORTH_SAYING = 20_000_000  # values: more take longer than some seconds
 
+Memory = Annotated[
+    float | None,
+    typer.Option(
+        min=0.05,
+        metavar="GB",
+        help=f"Plan on the map from disk, in so much memory. [default: 1.5 for maps above {FROM_DISK:,} cells]",
+    ),
+]
 MapFolder = Annotated[
     Path, typer.Argument(metavar="MAP.zarr", callback=there, help="A cost map made by `joulemap costmap`.")
 ]
@@ -101,6 +112,11 @@ def costmap(
         made = write_cost_lattice(
             out, ground, rover, model=model, spacing_m=spacing, headings=headings, progress=report
         )
+    if made.frame.rows * made.frame.cols > FROM_DISK:
+        from joulemap.planner.stored_planner import StoredPlanner
+
+        with progress_bar("Coarse level") as report:
+            StoredPlanner(out).prepare(progress=report)
     _also_as(out, geotiff, npz, picture)
     frame, warnings = made.frame, made.provenance["warnings"]
     price, blocked = made.figures["energy_per_m"], made.figures["blocked"]
@@ -167,6 +183,14 @@ def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path
             write_file(place, make(lattice))
 
 
+def _memory_for(costmap: Path) -> float | None:
+    """Memory [GB] for a question to a map that is better not read as a whole; None for a smaller one."""
+    from joulemap.planner.stored_lattice import StoredLattice
+    from joulemap.planner.tiled_search import DEFAULT_MEMORY
+
+    return DEFAULT_MEMORY / 1e9 if StoredLattice(costmap).cells > FROM_DISK else None
+
+
 def path(
     costmap: MapFolder,
     start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m, map's CRS].")],
@@ -183,6 +207,7 @@ def path(
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the sampling planners.")] = 0,
     alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
     snap: Snap = False,
+    memory: Memory = None,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
     picture: Annotated[
         Path | None,
@@ -204,18 +229,21 @@ def path(
     from joulemap.service.schemas.answers import path_geojson, path_out
 
     output = Output(json_file)
-    ground = open_costmap(costmap)
-    route = ground.plan(
-        start,
-        goal,
-        planner=planner,
-        neighbours=neighbours,
-        refine=refine,
-        time_limit_s=time_limit,
-        seed=seed,
-        alternatives=alternatives,
-        snap=snap,
-    )
+    in_parts = planner == "astar" and alternatives == 0 and picture is None
+    ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if in_parts and memory is None else memory)
+    with progress_bar("Path") as report:
+        route = ground.plan(
+            start,
+            goal,
+            planner=planner,
+            neighbours=neighbours,
+            refine=refine,
+            time_limit_s=time_limit,
+            seed=seed,
+            alternatives=alternatives,
+            snap=snap,
+            progress=report,
+        )
     plan = route.found
     found = path_out(plan, None, ground.warnings).model_dump(mode="json")
     output.say(f"[bold]Path[/] for {ground.robot.name}, planner {plan.planner}")
@@ -255,6 +283,7 @@ def feasibility(
     ] = None,
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
     snap: Snap = False,
+    memory: Memory = None,
     capacity_wh: Annotated[
         float | None,
         typer.Option(metavar="WH", help="Energy of the full battery [Wh]. [default: the robot's battery_wh]"),
@@ -274,19 +303,20 @@ def feasibility(
     `joulemap feasibility dem.zarr --path survey.geojson --charge 0.8`
     """
     from joulemap.model.robot import Battery
-    from joulemap.planner.lattice_io import load_lattice
     from joulemap.service.commands.path_files import read_path
+    from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.answers import feasibility_out
     from joulemap.service.workflows import assess
 
     output = Output(json_file)
-    lattice = load_lattice(costmap)
+    ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if memory is None else memory)
     battery = Battery(
-        capacity_wh=capacity_wh if capacity_wh is not None else lattice.robot.battery_wh, charge=charge, reserve=reserve
+        capacity_wh=capacity_wh if capacity_wh is not None else ground.robot.battery_wh, charge=charge, reserve=reserve
     )
     points = read_path(path) if path is not None else None
-    assessment = assess(lattice, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip, snap=snap)
-    found = feasibility_out(assessment, lattice.provenance.get("warnings", [])).model_dump(mode="json")
+    planner = ground.planner
+    assessment = assess(planner, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip, snap=snap)
+    found = feasibility_out(assessment, ground.warnings).model_dump(mode="json")
     output.say(f"[bold {'green' if found['feasible'] else 'red'}]{found['message']}[/]")
     rows = {"way out": route_words(found["out"])}
     if found["back"] is not None:

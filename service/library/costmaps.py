@@ -13,6 +13,8 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS
 from joulemap.planner.lattice_io import export_geotiff, load_lattice, save_lattice
 from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.stored_planner import StoredPlanner
+from joulemap.planner.tiled_search import DEFAULT_MEMORY
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.models import ModelLike, model_folder
@@ -440,25 +442,145 @@ def costmap(
     return CostMap(lattice)
 
 
-def open_costmap(path: str | Path) -> CostMap:
+class StoredCostMap(CostMap):
+    """A cost map that stays on disk and may be larger than memory: routes and verdicts, within a given memory.
+
+    What needs all of its cells at once (tours, pictures, exports) is refused.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its folder, usually NAME.zarr.
+    memory_gb : float, optional
+        Most memory of a search [GB].
+
+    Attributes
+    ----------
+    lattice : CostLattice
+        What was read for the questions so far; blocked as unknown elsewhere.
+    """
+
+    def __init__(self, path: str | Path, *, memory_gb: float = DEFAULT_MEMORY / 1e9) -> None:
+        if not memory_gb > 0.0:
+            raise InputError(f"`memory_gb` is {memory_gb}: give a positive number of gigabytes", memory_gb=memory_gb)
+        self.stored = StoredPlanner(path, memory_bytes=int(memory_gb * 1e9))
+
+    @property
+    def lattice(self) -> CostLattice:  # type: ignore[override]
+        """What was read for the questions so far; blocked as unknown elsewhere."""
+        return self.stored.lattice
+
+    @property
+    def planner(self) -> StoredPlanner:  # type: ignore[override]
+        """The planner of this map."""
+        return self.stored
+
+    def at(self, x: float, y: float) -> PointCosts:
+        """Say what driving costs at one place, as `CostMap.at`.
+
+        Parameters
+        ----------
+        x, y : float
+            World x, y [m].
+
+        Returns
+        -------
+        PointCosts
+            Energy per metre [J/m] by heading, and the reason where a heading is blocked.
+
+        Raises
+        ------
+        PointError
+            If the place lies outside the map.
+        """
+        self.stored.read_along([(x, y)])
+        return super().at(x, y)
+
+    def plot(self, *_: Any, **__: Any) -> Axes:
+        """Refuse: a picture needs all cells.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _needs_all("a picture")
+
+    def to_xarray(self) -> Dataset:
+        """Refuse: `xarray.open_zarr` opens the folder itself.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _needs_all("an xarray.Dataset in memory")
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Refuse: the map is on disk already.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _needs_all("saving")
+
+    def write_geotiff(self, path: str | Path) -> Path:
+        """Refuse: a GeoTIFF needs all cells.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _needs_all("a GeoTIFF")
+
+    def summary(self) -> dict[str, Any]:
+        """Refuse: the figures need all cells.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise _needs_all("the summary")
+
+    def _rows(self) -> dict[str, str]:
+        west, south, east, north = self.bounds
+        return {
+            "area": f"x {west:.1f} to {east:.1f}, y {south:.1f} to {north:.1f} m, {self.crs or 'CRS not known'}",
+            "robot": f"{self.robot.name}, {self.robot.mass_kg:g} kg, {self.robot.speed_mps:g} m/s",
+            "folder": str(self.stored.stored.path),
+        }
+
+
+def _needs_all(what: str) -> InputError:
+    return InputError(f"{what} needs the whole cost map in memory: open it without `memory_gb`")
+
+
+def open_costmap(path: str | Path, *, memory_gb: float | None = None) -> CostMap:
     """Open a cost map that `CostMap.save` or the command `joulemap costmap` wrote.
 
     Parameters
     ----------
     path : str or Path
         Its folder, usually NAME.zarr.
+    memory_gb : float, optional
+        Plan on the map from disk, within so much memory [GB]; it may be of any size then. By default it is read as a
+        whole.
 
     Returns
     -------
     CostMap
-        The same to the bit.
+        The same to the bit; a `StoredCostMap` where `memory_gb` is given.
 
     Raises
     ------
     InputError
         If the folder is no cost map.
     """
-    return CostMap(load_lattice(path))
+    return CostMap(load_lattice(path)) if memory_gb is None else StoredCostMap(path, memory_gb=memory_gb)
 
 
 def _point(point: Point, name: str) -> tuple[float, float]:

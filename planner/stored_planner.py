@@ -1,0 +1,242 @@
+"""Routes on a lattice that stays on disk: the search over tiles, then the any-angle step along what it found."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from joulemap.model.errors import InputError
+from joulemap.planner.coarse import CoarseLevel, coarse_level
+from joulemap.planner.edges import Points, path_price
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.places import end_point
+from joulemap.planner.plan import Plan, RoundTrip
+from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
+from joulemap.planner.route import Route, price_route
+from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.strip import Strip
+from joulemap.planner.tile_moves import TileMoves
+from joulemap.planner.tiled_search import DEFAULT_MEMORY, TiledSearch
+
+MARGIN_CELLS = 48
+"""How far beside the grid's path the any-angle step may go."""
+_ENDS_CELLS = 128
+"""How far around start and goal free places are looked for."""
+_MOST_STRIP = 400_000_000
+"""Memory [bytes] of what was read along earlier paths before it is given back."""
+
+
+class StoredPlanner:
+    """Answers questions to a lattice of any size within a given memory, as `RoutePlanner` does in memory.
+
+    Parameters
+    ----------
+    path : str or Path
+        The lattice's folder.
+    memory_bytes : int, optional
+        Most memory of a search [bytes]. What the process needs else, about 0.4 GB, comes on top.
+    """
+
+    def __init__(self, path: str | Path, *, memory_bytes: int = DEFAULT_MEMORY) -> None:
+        self.stored = StoredLattice(path)
+        self._memory = memory_bytes
+        self._strip = Strip(self.stored)
+        self._levels: dict[int, tuple[TileMoves, CoarseLevel]] = {}
+
+    @property
+    def lattice(self) -> CostLattice:
+        """The lattice, of which only what earlier questions needed was read; blocked as unknown elsewhere."""
+        return self._strip.lattice
+
+    def prepare(self, neighbours: int = 16, *, progress: Callable[[float], None] | None = None) -> None:
+        """Make the coarse level now, so that the first question does not wait for it.
+
+        Parameters
+        ----------
+        neighbours : {16, 8, 32}
+            Moves per cell.
+        progress : callable, optional
+            Called with the share that is done, 0..1.
+        """
+        self._level(neighbours, progress)
+
+    def _level(self, neighbours: int, progress: Callable[[float], None] | None = None) -> tuple[TileMoves, CoarseLevel]:
+        if neighbours not in self._levels:
+            moves = TileMoves(self.stored.headings, neighbours)
+            self._levels[neighbours] = moves, coarse_level(self.stored, moves, progress=progress)
+        return self._levels[neighbours]
+
+    def read_along(self, xy: ArrayLike) -> None:
+        """Read what a polyline needs to be priced on `lattice`.
+
+        Parameters
+        ----------
+        xy : array_like, (n, 2)
+            World x, y [m].
+        """
+        points = np.asarray(xy, dtype=np.float64)
+        if points.ndim == 2 and np.isfinite(points).all():
+            row, col = self.stored.frame.rowcol(points[:, 0], points[:, 1])
+            inside = np.clip(np.column_stack([row, col]), 0.0, np.array(self.stored.frame.shape) - 1.0)
+            self._strip.read_along(inside, cells=4)
+
+    def plan(
+        self,
+        start_xy: tuple[float, float],
+        goal_xy: tuple[float, float],
+        *,
+        planner: str = "astar",
+        neighbours: int = 16,
+        refine: bool = True,
+        alternatives: int = 0,
+        snap: bool = False,
+        progress: Callable[[float], None] | None = None,
+        **_: Any,
+    ) -> Plan:
+        """Return the energy-optimal and the shortest route from start to goal.
+
+        Parameters
+        ----------
+        start_xy, goal_xy : tuple of float
+            World x, y [m].
+        planner : {"astar"}
+            Other planners need the lattice in memory.
+        neighbours : {16, 8, 32}
+            Moves per cell.
+        refine : bool, default True
+            Whether to improve the paths at any angle.
+        alternatives : int, default 0
+            Must be 0: alternatives need the lattice in memory.
+        snap : bool, default False
+            Whether a start or goal on blocked ground is moved to the nearest free place.
+        progress : callable, optional
+            Called with the share that is done, 0..1; an exception that it raises ends the search.
+        **_
+            Settings of other planners; they change nothing.
+
+        Returns
+        -------
+        Plan
+            Both routes. `details` has `grid_energy_j`, the least energy over grid moves without turns, and
+            `grid_bound_j`, below which no path over grid moves can be [J].
+
+        Raises
+        ------
+        InputError
+            If another planner, or alternatives, are wanted.
+        PointError
+            If start or goal is not finite or lies outside the map.
+        BlockedError
+            If start or goal is on blocked ground; the context names the nearest free place.
+        NoRouteError
+            If no route was found.
+        TooLargeError
+            If the search needs more memory than it may use.
+        """
+        if planner != "astar" or alternatives > 0:
+            wanted = f"the planner {planner}" if planner != "astar" else "looking for alternatives"
+            raise InputError(
+                f"{wanted} needs the whole cost map in memory, and this one is planned on from disk: use the planner "
+                "astar without alternatives, or a cost map with a coarser spacing",
+                planner=planner,
+            )
+        if self._strip.bytes_read > _MOST_STRIP:
+            self._strip = Strip(self.stored)
+        began = time.perf_counter()
+        notes: list[str] = []
+        start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
+        report = _Shares(progress)
+        half = 0.1 if neighbours in self._levels else 0.5  # the coarse level, where it is made now
+        shortest, _ = self._searched(start, goal, neighbours, None, refine, report.part(0.0, 0.1))
+        _, level = self._level(neighbours, report.part(0.1, half))
+        points, details = self._searched(start, goal, neighbours, level, refine, report.part(half, 1.0))
+        details |= {"planner": planner, "neighbours": neighbours, "refined": refine, "tiled": True}
+        details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
+        if details["from_shortest"]:
+            points = refine_path(self.lattice, shortest) if refine else shortest
+        details["seconds"] = time.perf_counter() - began
+        return Plan(self._route(points, notes), self._route(shortest, notes), planner, details)
+
+    def tour(self, *_: Any, **__: Any) -> RoundTrip:
+        """Refuse: a tour needs the lattice in memory.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise InputError(
+            "a tour needs the whole cost map in memory, and this one is planned on from disk: make a cost map with a "
+            "coarser spacing"
+        )
+
+    def _searched(
+        self,
+        start: Points,
+        goal: Points,
+        neighbours: int,
+        level: CoarseLevel | None,
+        refine: bool,
+        progress: Callable[[float], None] | None,
+    ) -> tuple[Points, dict[str, Any]]:
+        """The best path at any angle, or the shortest one where no coarse level is given."""
+        moves = (
+            self._levels[neighbours][0] if neighbours in self._levels else TileMoves(self.stored.headings, neighbours)
+        )
+        search = TiledSearch(self.stored, moves, level, memory_bytes=self._memory, progress=progress)
+        found = search.run(start, goal)
+        del search
+        self._strip.read_along(found.points, cells=MARGIN_CELLS if refine else 4)
+        lattice = self.lattice
+        details = {
+            "grid_energy_j": path_price(lattice, found.points),
+            "grid_bound_j": found.bound_j,
+            "expanded": found.expanded,
+            "tiles": found.tiles,
+        }
+        if not refine:
+            return found.points, details
+        if level is not None:
+            return refine_path(lattice, found.points), details
+        distances = _of_distances(lattice)
+        return refine_corners(distances, refine_coarsely(distances, found.points)), details
+
+    def _end(self, name: str, xy: tuple[float, float], notes: list[str], snap: bool) -> Points:
+        x, y = float(xy[0]), float(xy[1])
+        self.stored.frame.cell_of(x, y, name=name)
+        row, col = self.stored.frame.rowcol(x, y)
+        self._strip.read_along(np.array([[float(row), float(col)]]), cells=_ENDS_CELLS)
+        point, note = end_point(self.lattice, x, y, name=name, snap=snap)
+        if note is not None:
+            notes.append(note)
+        return point
+
+    def _route(self, points: Points, notes: list[str]) -> Route:
+        self._strip.read_along(points, cells=2)
+        x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])
+        return price_route(self.lattice, np.column_stack([x, y]), notes=notes)
+
+
+class _Shares:
+    """Parts of one progress."""
+
+    def __init__(self, progress: Callable[[float], None] | None) -> None:
+        self._progress = progress
+
+    def part(self, low: float, high: float) -> Callable[[float], None] | None:
+        """What a part of the work calls with its own share."""
+        progress = self._progress
+        return None if progress is None else lambda share: progress(low + (high - low) * share)
+
+
+def _of_distances(lattice: CostLattice) -> CostLattice:
+    """The same limits at a price of 1 J/m everywhere; no prices are read."""
+    robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
+    flat = np.broadcast_to(np.zeros(1, dtype=np.float32), (*lattice.frame.shape, 4))
+    return replace(lattice, robot=robot, traction_per_m=flat, std_j=None)
