@@ -18,7 +18,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.runs.reckoning import sides_of
@@ -167,6 +166,8 @@ def _without_spikes(
         )
     add_count(repairs, f"blank_{key}", int(blank.sum()))
     filled = np.interp(t, t[~blank], values[~blank])
+    from scipy.ndimage import median_filter  # loads slowly, and only measured runs need it
+
     middle = median_filter(filled, 11, mode="nearest")
     away = np.abs(filled - middle)
     spread = 1.4826 * median_filter(away, 11, mode="nearest")
