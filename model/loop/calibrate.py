@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.metrics import relative_errors
+from joulemap.model.loop.base_step import base_step, scale_of
+from joulemap.model.loop.design import make_design
 from joulemap.model.loop.features import Drives, driven_ranges
 from joulemap.model.loop.forms import Form
 from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, BaseParameters
 from joulemap.model.loop.refused_columns import refused_columns
 from joulemap.model.loop.residuals import Residuals, joined
-from joulemap.model.loop.selection import Selection, base_step, make_design, rivals_of, scale_of, select
+from joulemap.model.loop.selection import Selection, rivals_of, select
 from joulemap.model.loop.terms import Term, prepared, total_energy
 
 FloatArray = NDArray[np.float64]
@@ -282,9 +284,7 @@ def fit(
     )
 
 
-def _terms(
-    chosen: Selection, keep: Callable[[Form], bool], *, without: Sequence[str] = ()
-) -> tuple[Term, ...]:
+def _terms(chosen: Selection, keep: Callable[[Form], bool], *, without: Sequence[str] = ()) -> tuple[Term, ...]:
     """Some base parameters and the effects that are kept, fitted together, as new runs have them."""
     every = chosen.design.base.names
     names = tuple(name for name in every if name not in without)

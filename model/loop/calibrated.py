@@ -67,7 +67,7 @@ class Correction:
     terms: tuple[Term, ...]
     planner_terms: tuple[Term, ...]
     ranges: Ranges = field(default_factory=dict)
-    drives: Drives = Drives()
+    drives: Drives = field(default_factory=Drives)
     first_base: Term | None = None
     charge: bool = False
     turn_j_per_rad: float = 0.0

@@ -245,7 +245,9 @@ class Features:
         ndarray of float, (n,)
             Magnitude [rad].
         """
-        return self.turned_abs_rad if limit_per_m is None else np.minimum(self.turned_abs_rad, limit_per_m * self.length_m)
+        return (
+            self.turned_abs_rad if limit_per_m is None else np.minimum(self.turned_abs_rad, limit_per_m * self.length_m)
+        )
 
     @property
     def backwards(self) -> NDArray[np.bool_]:

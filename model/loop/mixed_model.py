@@ -264,7 +264,7 @@ class MixedModel:
         share = tau2 / (1.0 + tau2 * self._gamma)
         return self.gram[:, index[:, None], index[None, :]] - share[:, None, None] * h[:, :, None] * h[:, None, :]
 
-    def left_out(self, chosen: IntArray, tau2: float) -> FloatArray:
+    def left_out(self, chosen: IntArray, tau2: float, *, whole: bool = False) -> FloatArray:
         """Return the error of every unit by a fit to the others.
 
         Parameters
@@ -273,18 +273,21 @@ class MixedModel:
             Columns in the model.
         tau2 : float
             As in `marginal`.
+        whole : bool
+            Of predictions of the rows, with what differs between units in the error; otherwise beside a random level.
 
         Returns
         -------
         ndarray of float, (units,)
-            Generalised squared error: minus two log likelihoods of the unit, in variances of the noise.
+            Squared error in variances of the noise; beside a random level, minus two log likelihoods of the unit.
         """
         part = self.marginal(chosen, tau2)
         others = part.sum(axis=0)[None] - part
         q = len(chosen)
         beta = np.linalg.solve(self.with_prior(others[:, :q, :q]), others[:, :q, q:])  # (U, q, 1)
         c = np.concatenate([-beta, np.ones((self.units, 1, 1))], axis=1)
-        return np.asarray((np.swapaxes(c, 1, 2) @ part @ c)[:, 0, 0])
+        judged = self.marginal(chosen, 0.0) if whole else part
+        return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
 
     def test_within(self, tested: IntArray, beside: IntArray) -> Test:
         """Test columns by their course inside units, with a free level of every unit.

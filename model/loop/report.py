@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.loop.calibrate import Calibration, Effect
-from joulemap.model.loop.selection import ALPHA, Candidate, Verdict
+from joulemap.model.loop.design import Candidate
+from joulemap.model.loop.selection import ALPHA, Verdict
 
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:

@@ -77,9 +77,7 @@ class Term:
             raise ModelError(f"an effect of the model is not complete: {error!r}") from error
 
 
-def prepared(
-    rows: Features, first_base: Term | None, ranges: Mapping[str, tuple[float, float]]
-) -> Features:
+def prepared(rows: Features, first_base: Term | None, ranges: Mapping[str, tuple[float, float]]) -> Features:
     """Return rows as the terms of a calibration read them.
 
     Parameters

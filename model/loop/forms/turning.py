@@ -65,7 +65,9 @@ class Turning(Form):
 
     def where(self, coefficients: tuple[float, ...]) -> str:
         if self.limit_radps is not None:
-            return f"everywhere; a turn faster than {self.limit_radps:g} rad/s takes no more power than one at that rate"
+            return (
+                f"everywhere; a turn faster than {self.limit_radps:g} rad/s takes no more power than one at that rate"
+            )
         if self.limit_per_m is not None:
             return f"everywhere; a curve of a radius below {1.0 / self.limit_per_m:.2g} m takes no more current"
         return "everywhere"

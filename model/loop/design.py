@@ -1,0 +1,237 @@
+"""What may be chosen: the columns of every candidate on the rows of all runs, and the variation around a choice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
+from joulemap.model.loop.forms.base_parameters import BaseParameters
+from joulemap.model.loop.forms.structure import PlaceField
+from joulemap.model.loop.mixed_model import MixedModel, columns_of
+from joulemap.model.loop.residuals import Residuals
+from joulemap.model.loop.variation import Variation, fit_variation, starts_of
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A form with its columns in the design.
+
+    Attributes
+    ----------
+    form : Form
+        With its settings.
+    tested : ndarray of int
+        Columns whose coefficients are the effect.
+    beside : ndarray of int
+        Columns in the baseline runs too, whose coefficients are the base model's own error.
+    shared : ndarray of int
+        To which of the tested ones each of them belongs.
+    """
+
+    form: Form
+    tested: IntArray
+    beside: IntArray
+    shared: IntArray
+
+    @property
+    def both(self) -> IntArray:
+        """All its columns."""
+        return np.append(self.tested, self.beside)
+
+    @property
+    def complexity(self) -> tuple[bool, int]:
+        """Whether it has no formula, and its number of coefficients: the order of simplicity."""
+        return isinstance(self.form, UNNAMED), len(self.tested) + self.form.tuned
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Columns of everything that may be chosen, on the rows of all runs.
+
+    Attributes
+    ----------
+    residuals : Residuals
+        Of new runs, and of baseline runs where there are any.
+    new : ndarray of bool, (n,)
+        False in the baseline runs.
+    columns : ndarray of float, (n, k)
+        The base parameters first.
+    base : Form
+        Of the base parameters.
+    candidates : tuple of Candidate
+        All that are tested.
+    """
+
+    residuals: Residuals
+    new: NDArray[np.bool_]
+    columns: FloatArray = field(repr=False)
+    base: BaseParameters
+    candidates: tuple[Candidate, ...] = field(repr=False)
+
+    @property
+    def fixed(self) -> IntArray:
+        """Columns of the base parameters."""
+        return np.arange(len(self.base.coefficient_names()))
+
+
+def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str]) -> Design:
+    """Return the columns of all forms on some rows.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of all runs.
+    new : ndarray of bool, (n,)
+        False in the baseline runs.
+    refused : sequence of str
+        Logged columns that no effect may depend on.
+
+    Returns
+    -------
+    Design
+        Forms whose columns are nil on these rows are left out.
+
+    Notes
+    -----
+    With baseline runs a law of the robot or of the ground is tested by its columns in the new runs, beside the same
+    columns in all runs, as far as these cover them: what the baseline runs show as well is the base model's own error.
+    A law of the weather may hold in both, and is tested so too.
+    """
+    rows = residuals.features
+    shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused or k in _DIRECTED})
+    base = BaseParameters.of(charge=residuals.charge, motors=residuals.motors)
+    compared = not new.all()
+    kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
+    parameters = base.columns(rows)
+    blocks, candidates, count = [parameters], [], len(base.names)
+
+    def _add(form: Form, columns: FloatArray, every: FloatArray, shared: IntArray) -> None:
+        nonlocal count
+        blocks.extend([columns, every[:, shared]])
+        tested = count + np.arange(columns.shape[1])
+        beside = count + columns.shape[1] + np.arange(len(shared))
+        candidates.append(Candidate(form, tested, beside, shared))
+        count += columns.shape[1] + len(shared)
+
+    for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
+        columns = form.columns(rows)
+        if not compared and (
+            isinstance(form, PlaceField) or (isinstance(form, UNNAMED) and form.covariates == ("grade",))
+        ):
+            continue  # without baseline runs these are the base model's own errors, of the slope and of the map
+        if not np.all(np.abs(columns[new]).max(axis=0) > 0.0) or not np.isfinite(columns).all():
+            continue
+        nothing = np.zeros(0, dtype=np.int64)
+        if not compared or form.weather:
+            _add(form, columns, columns, nothing)
+        if compared and isinstance(form, CHANGES):
+            _add(form, columns * new[:, None], columns, nothing)
+        elif compared:
+            form = form.against_baseline()
+            columns = form.columns(rows)
+            covered = np.flatnonzero(_covered(residuals, columns, parameters, new))
+            _add(form, columns * new[:, None], columns, covered)
+    return Design(residuals, new, np.concatenate(blocks, axis=1), base, tuple(candidates))
+
+
+def _covered(
+    residuals: Residuals, columns: FloatArray, parameters: FloatArray, new: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which columns, (k,), the baseline runs say as much about as ten rows of the new runs (Harrell 2015, section 4.4);
+    of the others they say nothing.
+    """
+    left = []
+    for part in (~new, new):
+        run = residuals.run[part]
+        levels = np.stack([(run == k) * residuals.said[part] for k in np.unique(run)], axis=1)
+        beside = np.concatenate([parameters[part], levels], axis=1)
+        fit = np.linalg.lstsq(beside, columns[part], rcond=None)[0]
+        left.append(((columns[part] - beside @ fit) ** 2).sum(axis=0))
+    return np.asarray(left[0] >= 10.0 * left[1] / max(int(new.sum()), 1))
+
+
+def fit_model(
+    design: Design,
+    chosen: Sequence[Candidate],
+    start: Variation | None = None,
+    names: tuple[str, ...] | None = None,
+) -> tuple[Variation, MixedModel]:
+    """Fit the variation around a choice of effects.
+
+    Parameters
+    ----------
+    design : Design
+        With the columns.
+    chosen : sequence of Candidate
+        The choice.
+    start : Variation, optional
+        Around another choice, from which the fit starts.
+    names : tuple of str, optional
+        Base parameters in the model; all without it.
+
+    Returns
+    -------
+    tuple of (Variation, MixedModel)
+        The variation, and all columns under it.
+    """
+    residuals = design.residuals
+    index, low, high = limits_of(design, chosen, names)
+    x = design.columns[:, index]
+    said, z = residuals.said, residuals.measured - residuals.said
+    size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
+    variation = start or Variation(
+        residuals.run,
+        starts_of(residuals.run, residuals.moving),
+        residuals.moving,
+        np.maximum(np.maximum(said, 0.0), size),
+        np.ones(len(z)),
+    )
+    own = np.arange(len(index))
+    fixed = len(index) - sum(len(c.both) for c in chosen)
+    level = np.maximum(np.maximum(said, 0.0), size)
+    for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
+        model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
+        coefficients = model.estimate(own, low, high, own[:0]).coefficients
+        energy, level = x @ coefficients, said + x[:, :fixed] @ coefficients[:fixed]
+        variation = fit_variation(variation, said + energy, z - energy, x)
+    every = MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
+    return variation, every
+
+
+def limits_of(
+    design: Design, chosen: Sequence[Candidate], names: tuple[str, ...] | None = None
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the columns of the base parameters and of a choice, with the physical limits of their coefficients.
+
+    Parameters
+    ----------
+    design : Design
+        With the columns.
+    chosen : sequence of Candidate
+        The choice.
+    names : tuple of str, optional
+        Base parameters in the model; all without it.
+
+    Returns
+    -------
+    tuple of ndarray, (q,)
+        Columns, lower and upper limits.
+    """
+    kept = np.array([names is None or name in names for name in design.base.names])
+    base = design.base.lowest(design.residuals.features)[kept]
+    index, low, high = [design.fixed[kept]], [base], [np.full(len(base), np.inf)]
+    for c in chosen:
+        k, m = len(c.tested), len(c.beside)
+        index.append(c.both)
+        low.append(np.concatenate([np.full(k, c.form.low), np.full(m, -np.inf)]))
+        high.append(np.concatenate([np.full(k, c.form.high), np.full(m, np.inf)]))
+    return columns_of(index), np.concatenate(low), np.concatenate(high)
