@@ -20,7 +20,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.refine import STAGES
 
-STAY = (0.006, 0.0015, 0.0)
+STAY = (0.004, 0.001, 0.0)
 """By how much a path may cost more than the best one after each stage and stay, as a share: somewhat more than the
 gains of the stages to come differ between paths of one question."""
 

@@ -159,9 +159,49 @@ def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * lattice.frame.resolution_m
     energy = _priced(lattice, offsets, headings, length_m)
-    turn = lattice.robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
-    with _threads_for(lattice.blocked.size):
-        lifted = lattice.robot.weight_n * np.nan_to_num(lattice.elevation_m.astype(np.float64))
+    lifted = lattice.robot.weight_n * np.nan_to_num(lattice.elevation_m.astype(np.float64))
+    return table_of(
+        energy, offsets, lifted, spacing_m=lattice.frame.resolution_m, turn_j_per_rad=lattice.robot.turn_j_per_rad
+    )
+
+
+def table_of(
+    energy: NDArray[np.float32],
+    offsets: NDArray[np.int64],
+    lifted: NDArray[np.float64],
+    *,
+    spacing_m: float,
+    turn_j_per_rad: float = 0.0,
+) -> MoveTable:
+    """Return the table of moves that are priced already.
+
+    Parameters
+    ----------
+    energy : ndarray of float32, (rows, cols, N)
+        Energy of the move that leaves a cell [J]; NaN where it may not be driven.
+    offsets : ndarray of int64, (N, 2)
+        (drow, dcol) of each move, clockwise from north.
+    lifted : ndarray of float64, (rows, cols)
+        Robot weight times elevation [J].
+    spacing_m : float
+        Side of a cell [m].
+    turn_j_per_rad : float, default 0.0
+        Energy of turning [J/rad].
+
+    Returns
+    -------
+    MoveTable
+        The moves, with the surface and the bounds that searches need.
+
+    Raises
+    ------
+    NegativeCycleError
+        If driving in a circle would fill the battery.
+    """
+    headings = heading_of(offsets[:, 1], -offsets[:, 0])
+    length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * spacing_m
+    turn = turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
+    with _threads_for(lifted.size):
         surface = even_surface(energy, offsets, length_m, lifted)
         bounds = _bounds(energy, offsets, length_m, surface, RISE_SHARES)
     return MoveTable(offsets, headings, length_m, energy, turn, surface, RISE_SHARES, bounds)

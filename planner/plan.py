@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ import numpy as np
 
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.best import best_of, best_path
+from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
@@ -45,6 +47,9 @@ class Plan:
         JSON-able record of how the route was found: `seconds`, `expanded`, `grid_energy_j` [J] and more.
     others : tuple of Route
         Other good routes, cheapest first.
+    bound_j : float or None
+        Proven lower bound of the energy of every route between the two places, whatever its angles [J], see `bound`;
+        None where nothing is known.
     """
 
     route: Route
@@ -52,6 +57,14 @@ class Plan:
     planner: str
     details: dict[str, Any]
     others: tuple[Route, ...] = ()
+    bound_j: float | None = None
+
+    @property
+    def gap(self) -> float | None:
+        """By which share of the bound the route may cost more than the best one; None without a bound above 0."""
+        if self.bound_j is None or self.bound_j <= 0.0:
+            return None
+        return max(self.route.energy_j / self.bound_j - 1.0, 0.0)
 
     @property
     def saving_j(self) -> float:
@@ -160,6 +173,7 @@ class RoutePlanner:
         self._distances = distance_lattice(lattice)
         self._tables: dict[tuple[bool, int], MoveTable] = {}
         self._landmarks: dict[int, Landmarks] = {}
+        self._bounds: tuple[BoundTable | None] | None = None
 
     def prepare(self, neighbours: int = 16, *, landmarks: bool = False) -> None:
         """Price the moves now, so that the first question does not wait for it.
@@ -198,6 +212,7 @@ class RoutePlanner:
         from_grid: bool = False,
         alternatives: int = 0,
         snap: bool = False,
+        bound: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> Plan:
         """Return the energy-optimal and the shortest route from start to goal.
@@ -223,6 +238,9 @@ class RoutePlanner:
             Most other routes to look for, see `alternative_paths`.
         snap : bool, default False
             Whether a start or goal on blocked ground is moved to the nearest free place; the route's notes say where.
+        bound : bool, default False
+            Whether to search for a lower bound of every route's energy, which prices the whole map once. Without it the
+            bound is that of the idle power over the straight distance.
         progress : callable, optional
             Called with the share of the sampling planners' time that is over, 0..1.
 
@@ -269,8 +287,14 @@ class RoutePlanner:
             ways += improved_ways(lattice, points, others) if refine else others
             ways.sort(key=lambda way: path_price(lattice, way))  # once improved, another one may be the cheapest
         details["seconds"] = time.perf_counter() - began
+        least = quick_bound(lattice, start, goal)
+        if bound and (prices := self._bound_prices()) is not None:
+            least = max(least, energy_bound(lattice, prices, start, goal))
+        bound_j = least if math.isfinite(least) else None
         route, *rest = (self._route(way, notes) for way in ways)
-        return Plan(route, self._route(shortest, notes), planner, details, tuple(rest))
+        plan = Plan(route, self._route(shortest, notes), planner, details, tuple(rest), bound_j)
+        details |= {"bound_j": plan.bound_j, "gap": plan.gap}
+        return plan
 
     def tour(
         self,
@@ -334,6 +358,11 @@ class RoutePlanner:
         if note is not None:
             notes.append(note)
         return point
+
+    def _bound_prices(self) -> BoundTable | None:
+        if self._bounds is None:
+            self._bounds = (bound_table(self.lattice),)
+        return self._bounds[0]
 
     def _best(self, start: Points, goal: Points, neighbours: int) -> tuple[Points, dict[str, Any]]:
         """The best path of any angles that we find, for every kind of question."""

@@ -19,7 +19,7 @@ from rich.table import Table
 from joulemap.model.terrain.readers import read_heightmap
 from tests.bench.calibration import bench_calibration
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
-from tests.bench.quality import compare_peers, compare_planners
+from tests.bench.quality import compare_options, compare_peers, compare_planners
 from tests.bench.searches import bench_searches
 from tests.bench.stages import bench
 from tests.bench.timing import Row
@@ -40,10 +40,17 @@ def main() -> None:
     only.add_argument("--calibration", action="store_true", help="only a calibration of ten runs")
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
+    only.add_argument("--quality", action="store_true", help="set the default answer beside every other option of ours")
+    parser.add_argument("--tasks", type=int, default=10, help="random tasks a map with --quality; 100 for the whole")
+    parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
+    parser.add_argument("--real", type=Path, help="a heightmap for --quality")
     options = parser.parse_args()
     console = Console(width=140)
     if options.heightmap:
         console.print(compare_planners(read_heightmap(options.heightmap)))
+    elif options.quality:
+        real = read_heightmap(options.real) if options.real else None
+        console.print(compare_options(real, options.tasks, options.sampling))
     elif options.peers:
         for cells in options.sizes:
             console.print(compare_peers(cells, options.resolution))

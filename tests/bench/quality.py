@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 from rich.table import Table
 
-from joulemap.model.errors import NoRouteError
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.errors import JoulemapError, NoRouteError
+from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.edges import path_price
+from joulemap.model.terrain.synthesis import sample_terrain
+from joulemap.planner.bound import bound_table, energy_bound
+from joulemap.planner.edges import leg_prices_between, path_price
+from joulemap.planner.heuristics import guide_everywhere
 from joulemap.planner.landmarks import make_landmarks
-from joulemap.planner.moves import move_table
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.moves import MoveTable, move_offsets, move_table, table_of
 from joulemap.planner.plan import SAMPLING_PLANNERS, RoutePlanner
 from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
+from joulemap.planner.states import new_search, run_search
 from tests.bench.maps import CORNERS, free_corner, physics_lattice, terrain
 from tests.bench.peers import PeerRow, Question, ask_peers
 from tests.bench.searches import scipy_graph
@@ -108,3 +118,114 @@ def compare_peers(cells: int, resolution_m: float) -> Table:
         figures = (row.search_s, row.build_s, row.energy_j / best)
         out.add_row(row.name, *("" if np.isnan(f) else f"{f:.4g}" for f in figures), row.note)
     return out
+
+
+REFINED = 4
+"""Nodes of the reference along the side of a cell."""
+
+
+def compare_options(heightmap: Heightmap | None, tasks: int, sampling_s: float) -> Table:
+    """Random tasks on several maps: what other options of ours, a finer lattice and the bound say beside the default.
+
+    heightmap : a real one, or None; sampling_s : time of BIT* from the grid, 0 to leave it out.
+    """
+    out = Table(title=f"energy of the default answer beside others, {tasks} random tasks a map")
+    columns = ("map", "beside", "mean gap %", "95th percentile %", "worst %", "tasks above 0.1 %")
+    for column in columns:
+        out.add_column(column, justify="left" if column in columns[:2] else "right")
+    for name, lattice in _maps(heightmap):
+        gaps, below, seconds_each = _gaps(lattice, tasks, sampling_s)
+        for beside, values in gaps.items():
+            share = 100.0 * np.array(values)
+            out.add_row(
+                name,
+                beside,
+                f"{share.mean():.3f}",
+                f"{np.percentile(share, 95):.3f}",
+                f"{share.max():.3f}",
+                str(int((share > 0.1).sum())),
+            )
+        out.add_row(name, f"bound above the reference: {below} tasks; {seconds_each:.3f} s an answer", "", "", "", "")
+    return out
+
+
+def _maps(heightmap: Heightmap | None) -> Iterator[tuple[str, CostLattice]]:
+    if heightmap is not None:
+        for model in ("default", "physics"):
+            yield f"heightmap, {model}", build_lattice(heightmap, Robot(), load_predictor(model))
+    yield "sample terrain, default", build_lattice(sample_terrain(), Robot(), load_predictor("default"))
+    yield "generated, 200 m, physics", physics_lattice(terrain(200, 0.5))
+    yield "generated, 120 m, physics", physics_lattice(terrain(120, 0.5))
+
+
+def _gaps(lattice: CostLattice, tasks: int, sampling_s: float) -> tuple[dict[str, list[float]], int, float]:
+    """Shares by which the default answer costs more than others; tasks whose bound exceeds the reference; seconds."""
+    planner, fine, prices = RoutePlanner(lattice), refined_moves(lattice), bound_table(lattice)
+    planner.prepare()
+    planner.prepare(32)
+    free = np.argwhere(lattice.blocked == 0).astype(float)
+    rng = np.random.default_rng(11)
+    names = (
+        "alternatives",
+        "32 neighbours",
+        "BIT* from the grid",
+        f"lattice refined {REFINED} times, 32 neighbours",
+        "bound",
+    )
+    gaps: dict[str, list[float]] = {name: [] for name in names}
+    above, spent, done = 0, 0.0, 0
+    while done < tasks:
+        start, goal = free[rng.integers(len(free), size=2)]
+        ends = [tuple(float(v) for v in lattice.frame.xy(*end)) for end in (start, goal)]
+        if np.abs(start - goal).max() < 5.0:
+            continue
+        began = time.perf_counter()
+        try:
+            best = planner.plan(*ends)
+        except JoulemapError:
+            continue
+        spent += time.perf_counter() - began
+        done += 1
+        energy = best.route.energy_j
+        others = planner.plan(*ends, alternatives=3)
+        found = {names[0]: others.route.energy_j, names[1]: planner.plan(*ends, neighbours=32).route.energy_j}
+        if sampling_s > 0.0:
+            found[names[2]] = planner.plan(
+                *ends, planner="bitstar", from_grid=True, time_limit_s=sampling_s
+            ).route.energy_j
+        found[names[3]] = reference_energy(fine, start, goal)
+        if prices is not None:
+            found["bound"] = energy_bound(lattice, prices, start, goal)
+            above += found["bound"] > found[names[3]] * (1.0 + 1e-6)
+        for name, other in found.items():
+            gaps[name].append(energy / other - 1.0)
+    return {name: values for name, values in gaps.items() if values}, above, spent / tasks
+
+
+def refined_moves(lattice: CostLattice) -> MoveTable:
+    """32 moves between the nodes of a lattice that is `REFINED` times as fine, priced by the same integrator."""
+    offsets = move_offsets(32)
+    rows, cols = ((n - 1) * REFINED + 1 for n in lattice.frame.shape)
+    energy = np.full((rows, cols, len(offsets)), np.nan, dtype=np.float32)
+
+    def _row(i: int) -> None:
+        for n, (down, right) in enumerate(offsets.tolist()):
+            j = np.arange(max(0, -right), cols - max(0, right))
+            if 0 <= i + down < rows:
+                here = np.column_stack([np.full(j.size, i), j]) / REFINED
+                energy[i, j, n] = leg_prices_between(lattice, here, here + np.array([down, right]) / REFINED)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(_row, range(rows)))
+    flat = np.zeros((rows, cols))
+    return table_of(energy, offsets, flat, spacing_m=lattice.frame.resolution_m / REFINED)
+
+
+def reference_energy(fine: MoveTable, start: np.ndarray, goal: np.ndarray) -> float:
+    """Least energy [J] between two cell centres over the moves of `refined_moves`."""
+    first, last = (
+        np.array([int(end[0] * REFINED) * fine.energy.shape[1] + int(end[1] * REFINED)]) for end in (start, goal)
+    )
+    guide = guide_everywhere(fine, backward=False)
+    search = new_search(fine, 1, first, np.zeros((1, 1)), backward=False)
+    return run_search(search, fine, first, guide, last, np.zeros((1, 1)))[1]
