@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from joulemap.model.robot import Battery, Robot
     from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.model.terrain.readers import read_heightmap
+    from joulemap.planner.energy_map import EnergyMap
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
@@ -33,6 +34,7 @@ __all__ = [
     "Battery",
     "CalibrationResult",
     "CostMap",
+    "EnergyMap",
     "Evaluation",
     "Feasibility",
     "Heightmap",
@@ -59,6 +61,7 @@ _HOMES = {
     "joulemap.model.robot": ("Battery", "Robot"),
     "joulemap.model.terrain.heightmap": ("Heightmap",),
     "joulemap.model.terrain.readers": ("read_heightmap",),
+    "joulemap.planner.energy_map": ("EnergyMap",),
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs"),

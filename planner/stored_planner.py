@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -153,8 +153,8 @@ class StoredPlanner:
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         report = _Shares(progress)
         half = 0.1 if neighbours in self._levels else 0.5  # the coarse level, where it is made now
-        shortest, _ = self._searched(start, goal, neighbours, None, refine, report.part(0.0, 0.1))
-        _, level = self._level(neighbours, report.part(0.1, half))
+        shortest = self._searched(start, goal, neighbours, None, refine, report.part(0.0, 0.1))[0]
+        level = self._level(neighbours, report.part(0.1, half))[1]
         points, details = self._searched(start, goal, neighbours, level, refine, report.part(half, 1.0))
         details |= {"planner": planner, "neighbours": neighbours, "refined": refine, "tiled": True}
         details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
@@ -163,8 +163,20 @@ class StoredPlanner:
         details["seconds"] = time.perf_counter() - began
         return Plan(self._route(points, notes), self._route(shortest, notes), planner, details)
 
-    def tour(self, *_: Any, **__: Any) -> RoundTrip:
+    def tour(self, stops_xy: Sequence[tuple[float, float]], **_: Any) -> RoundTrip:
         """Refuse: a tour needs the lattice in memory.
+
+        Parameters
+        ----------
+        stops_xy : sequence of tuple of float
+            World x, y [m].
+        **_
+            Settings.
+
+        Returns
+        -------
+        RoundTrip
+            Never.
 
         Raises
         ------
@@ -172,8 +184,8 @@ class StoredPlanner:
             Always.
         """
         raise InputError(
-            "a tour needs the whole cost map in memory, and this one is planned on from disk: make a cost map with a "
-            "coarser spacing"
+            f"a tour of {len(stops_xy)} stops needs the whole cost map in memory, and this one is planned on from disk: "
+            "make a cost map with a coarser spacing"
         )
 
     def _searched(

@@ -159,7 +159,7 @@ def _settle(
         if pred[base + cell] >= WAITS:
             place = (energy[base + cell] + ahead[base + cell] - low) * per_j
             if place < FINE:
-                k = max(np.int64(place), 0)
+                k = int(place) if place > 0.0 else 0
                 _link(after, before, chain, heads, cell, k)
                 first = min(first, k)
     k = first

@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from joulemap.service.commands import calibration, distillation, heightmaps, maps, models, reproduction, services, tours
+from joulemap.service.commands import (
+    calibration,
+    distillation,
+    fields,
+    heightmaps,
+    maps,
+    models,
+    reproduction,
+    services,
+    tours,
+)
 from joulemap.service.commands.arguments import Command
 from joulemap.service.commands.console import PlainErrors
 
@@ -49,7 +59,7 @@ def joulemap(
 
 
 for _panel, _commands in (
-    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour)),
+    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour, fields.field)),
     ("Serve", (services.demo, services.serve, services.worker, services.warmup, services.openapi)),
     (
         "Learn",

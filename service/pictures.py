@@ -12,6 +12,7 @@ from matplotlib.transforms import offset_copy
 
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.energy_map import EnergyMap, FieldKind
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
 from joulemap.service.map_drawing import (
@@ -27,7 +28,7 @@ from joulemap.service.map_drawing import (
     draw_routes,
 )
 
-__all__ = ["VIEWS", "lattice_image", "route_picture"]
+__all__ = ["VIEWS", "field_image", "lattice_image", "route_picture"]
 
 
 def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: float | None = None) -> bytes:
@@ -73,6 +74,45 @@ def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: floa
             bbox_to_anchor=(0.5, 0.0),
             bbox_transform=below_axes,
         )
+    return _png(figure)
+
+
+_FIELD_TITLES = {
+    FieldKind.FROM: "Least energy from the start",
+    FieldKind.TO: "Least energy to the goal",
+    FieldKind.THROUGH: "Least energy from start to goal over each cell",
+}
+
+
+def field_image(field: EnergyMap, *, within: float | None = None) -> bytes:
+    """Draw an energy field.
+
+    Parameters
+    ----------
+    field : EnergyMap
+        The field.
+    within : float, optional
+        Draw the rim of the corridor of routes that cost at most this share more than the best.
+
+    Returns
+    -------
+    bytes
+        A PNG.
+    """
+    figure, axes = _map_figure(field.frame, extra_in=1.5)
+    west, south, east, north = field.frame.bounds
+    drawn = axes.imshow(
+        field.energy_j / 1e3, extent=(west, east, south, north), cmap="viridis", interpolation="nearest"
+    )
+    if within is not None:
+        x, y = field.frame.centres()
+        axes.contour(x, y, field.corridor(within).astype(float), levels=[0.5], colors=[INK], linewidths=0.8)
+    bar = figure.colorbar(drawn, ax=axes, shrink=0.86, pad=0.02)
+    bar.set_label("energy [kJ]", color=INK)
+    bar.outline.set_visible(False)
+    axes.set_title(_FIELD_TITLES[field.kind], loc="left", fontsize=13, fontweight="bold", color=INK)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
     return _png(figure)
 
 

@@ -27,6 +27,10 @@ class Settings(BaseSettings):
     max_json_mb: float = Field(default=16.0, gt=0, description="largest other request body [MB]")
     max_cells: int = Field(default=100_000_000, gt=0, description="most cells a heightmap may have")
     max_lattice_values: int = Field(default=100_000_000, gt=0, description="most rows * cols * headings of a cost map")
+    max_cells_in_memory: int = Field(
+        default=4_000_000, gt=0, description="most rows * cols of a cost map whose routes are planned in memory"
+    )
+    route_memory_gb: float = Field(default=1.5, gt=0, description="most memory of a route on a larger cost map [GB]")
     queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or run at a time")
     max_run_mb: float = Field(default=64.0, gt=0, description="largest file of one measured run [MB]")
     max_run_cells: int = Field(default=20_000_000, gt=0, description="most rows * columns of one measured run")

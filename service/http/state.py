@@ -44,7 +44,13 @@ class Service:
         self.settings = settings
         self.version = version("joulemap")
         self.store = Store(settings.data_dir, settings.resolved_database_url)
-        self.maps = OpenMaps(self.store.load_lattice, size=settings.open_costmaps)
+        self.maps = OpenMaps(
+            self.store.load_lattice,
+            size=settings.open_costmaps,
+            place=self.store.lattice_path,
+            most_cells=settings.max_cells_in_memory,
+            memory_bytes=int(1e9 * settings.route_memory_gb),
+        )
         self.makers = make_makers(self.store, settings, on_done=self.maps.keep)
         workers = [  # one for each kind, so that a long calibration keeps no cost map waiting
             Worker(self.store, {kind: maker}, name=SERVICE, ready=self.await_kernels)

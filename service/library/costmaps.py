@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import ConflictError, InputError
 from joulemap.model.robot import Battery, Robot
+from joulemap.planner.energy_map import EnergyMap, energy_map
+from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS
 from joulemap.planner.lattice_io import export_geotiff, load_lattice, save_lattice
+from joulemap.planner.moves import move_table
+from joulemap.planner.places import end_point
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.planner.tiled_search import DEFAULT_MEMORY
@@ -46,6 +50,11 @@ class CostMap:
 
     def __init__(self, lattice: CostLattice) -> None:
         self.lattice = lattice
+
+    @property
+    def _whole(self) -> CostLattice:
+        """The lattice, for what needs all cells."""
+        return self.lattice
 
     @property
     def robot(self) -> Robot:
@@ -234,6 +243,44 @@ class CostMap:
         judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
         return Feasibility(judged.verdict, judged.route_out, judged.route_back, warnings)
 
+    def field(
+        self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False
+    ) -> EnergyMap:
+        """Give the least energy from a start to every cell, from every cell to a goal, or over every cell between both.
+
+        Parameters
+        ----------
+        start, goal : sequence of float, optional
+            World x, y [m]; at least one of them. With both, the energy of a cell is that of the best route over it.
+        neighbours : int, optional
+            Directions of a step on the grid: 8, 16 or 32.
+        snap : bool, optional
+            Whether a place on blocked ground is moved to the nearest free one.
+
+        Returns
+        -------
+        EnergyMap
+            An array [J], with `to_xarray`, `geotiff` and `corridor`. For a map that changes, `planner.replan.Replanner`
+            repairs the field instead of making it anew.
+
+        Raises
+        ------
+        InputError
+            Without start and goal.
+        PointError
+            If a place lies outside the map.
+        BlockedError
+            If a place lies on blocked ground, and `snap` is false.
+        """
+        table = move_table(self._whole, neighbours=neighbours)
+        ends = [
+            None if place is None else end_point(self._whole, *_point(place, name), name=name, snap=snap)[0]
+            for name, place in (("start", start), ("goal", goal))
+        ]
+        out = None if ends[0] is None else field_from(self._whole, table, ends[0])
+        back = None if ends[1] is None else field_towards(self._whole, table, ends[1][None])
+        return energy_map(out, back)
+
     def at(self, x: float, y: float) -> PointCosts:
         """Say what driving costs at one place, in every direction.
 
@@ -281,7 +328,7 @@ class CostMap:
 
         ax = new_axes() if ax is None else ax
         view = view or ("mean" if heading_deg is None else "heading")
-        drawn = draw_costmap(ax, self.lattice, view=view, heading_deg=heading_deg)
+        drawn = draw_costmap(ax, self._whole, view=view, heading_deg=heading_deg)
         ax.figure.colorbar(drawn.scale, ax=ax, label=drawn.label, extend=drawn.extend)
         ax.set_title(drawn.title)
         if drawn.handles:
@@ -298,7 +345,7 @@ class CostMap:
         """
         from joulemap.planner.lattice_xarray import lattice_dataset
 
-        return lattice_dataset(self.lattice)
+        return lattice_dataset(self._whole)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the map as a folder in zarr format, which `open_costmap` and `xarray.open_zarr` open.
@@ -325,7 +372,7 @@ class CostMap:
             raise ConflictError(
                 f"{folder} is there already: choose another name, or say overwrite=True", path=str(path)
             )
-        save_lattice(self.lattice, folder)
+        save_lattice(self._whole, folder)
         return folder
 
     def write_geotiff(self, path: str | Path) -> Path:
@@ -342,7 +389,7 @@ class CostMap:
             The file.
         """
         file = Path(path)
-        file.write_bytes(export_geotiff(self.lattice))
+        file.write_bytes(export_geotiff(self._whole))
         return file
 
     def summary(self) -> dict[str, Any]:
@@ -353,7 +400,7 @@ class CostMap:
         dict
             As the service answers it.
         """
-        return summarise(self.lattice)
+        return summarise(self._whole)
 
     def _title(self) -> str:
         rows, cols = self.lattice.frame.shape
@@ -496,55 +543,9 @@ class StoredCostMap(CostMap):
         self.stored.read_along([(x, y)])
         return super().at(x, y)
 
-    def plot(self, *_: Any, **__: Any) -> Axes:
-        """Refuse: a picture needs all cells.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise _needs_all("a picture")
-
-    def to_xarray(self) -> Dataset:
-        """Refuse: `xarray.open_zarr` opens the folder itself.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise _needs_all("an xarray.Dataset in memory")
-
-    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Refuse: the map is on disk already.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise _needs_all("saving")
-
-    def write_geotiff(self, path: str | Path) -> Path:
-        """Refuse: a GeoTIFF needs all cells.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise _needs_all("a GeoTIFF")
-
-    def summary(self) -> dict[str, Any]:
-        """Refuse: the figures need all cells.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
-        raise _needs_all("the summary")
+    @property
+    def _whole(self) -> CostLattice:
+        raise InputError("this needs the whole cost map in memory: open it without `memory_gb`")
 
     def _rows(self) -> dict[str, str]:
         west, south, east, north = self.bounds
@@ -553,10 +554,6 @@ class StoredCostMap(CostMap):
             "robot": f"{self.robot.name}, {self.robot.mass_kg:g} kg, {self.robot.speed_mps:g} m/s",
             "folder": str(self.stored.stored.path),
         }
-
-
-def _needs_all(what: str) -> InputError:
-    return InputError(f"{what} needs the whole cost map in memory: open it without `memory_gb`")
 
 
 def open_costmap(path: str | Path, *, memory_gb: float | None = None) -> CostMap:

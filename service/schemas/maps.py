@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -146,6 +146,17 @@ class CostmapOut(JobOut):
     )
     problem: Problem | None = Field(description="why it failed")
     links: dict[str, str]
+
+
+class FieldOut(ResponseModel):
+    """Figures of an energy field."""
+
+    kind: Literal["from", "to", "through"] = Field(description="from the start, to the goal, or over the cell")
+    cells: int = Field(description="cells of the map")
+    reached: int = Field(description="cells with a path")
+    least_j: float | None = Field(description="least energy of a cell; with start and goal, of the best grid path [J]")
+    most_j: float | None = Field(description="largest energy of a cell [J]")
+    corridor_cells: int | None = Field(description="cells of the corridor, where one was asked for")
 
 
 class AtOut(ResponseModel):

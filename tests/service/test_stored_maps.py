@@ -1,9 +1,13 @@
-"""Cost maps that are planned on from disk: the answers of the map in memory, refusals in words, progress that may stop."""
+"""Cost maps planned on from disk: the answers of the map in memory, refusals in words, progress that may stop."""
 
+import asyncio
 import json
+import threading
+import time
 
 import numpy as np
 import pytest
+from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 import joulemap as jm
@@ -11,6 +15,11 @@ from joulemap.model.errors import InputError, TooLargeError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.cli import app
+from joulemap.service.http.app import create_app
+from joulemap.service.http.long_questions import events, until_gone
+from tests.service.conftest import GOAL as HTTP_GOAL
+from tests.service.conftest import START as HTTP_START
+from tests.service.conftest import settings_for
 
 START, GOAL = (4.3, 5.2), (92.1, 61.7)
 
@@ -88,3 +97,69 @@ def test_the_command_plans_within_a_memory(folder, tmp_path):
         return json.loads(out.read_text())
 
     assert told("--memory", "0.5")["energy_j"] == pytest.approx(told()["energy_j"], rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def small_memory(tmp_path_factory, hill_tif):
+    """A service that plans every route from disk, with one cost map."""
+    settings = settings_for(tmp_path_factory.mktemp("data"), max_cells_in_memory=1, route_memory_gb=0.5)
+    with TestClient(create_app(settings), raise_server_exceptions=False) as client:
+        heightmap = client.post("/v1/heightmaps", files={"file": ("hill.tif", hill_tif)}).json()["id"]
+        asked = {"heightmap_id": heightmap, "model": "physics"}
+        made = client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}).json()["id"]
+        client.app.state.service.maps.forget(made)  # the service keeps what it has just made
+        yield client, f"/v1/costmaps/{made}"
+
+
+def test_http_plans_from_disk(small_memory, client, costmap_id):
+    stored, place = small_memory
+    path = {"start": HTTP_START, "goal": HTTP_GOAL}
+    ours = stored.post(f"{place}/paths", json=path).json()
+    theirs = client.post(f"/v1/costmaps/{costmap_id}/paths", json=path).json()
+    assert ours["energy_j"] == pytest.approx(theirs["energy_j"], rel=1e-3)
+    verdict = stored.post(f"{place}/feasibility", json={**path, "round_trip": True}).json()
+    assert verdict["out"]["energy_j"] == pytest.approx(ours["energy_j"], rel=1e-6)
+
+
+def test_http_tells_the_progress_as_events(small_memory):
+    stored, place = small_memory
+    path = {"start": HTTP_START, "goal": HTTP_GOAL}
+    answer = stored.post(f"{place}/paths", json=path, headers={"Accept": "text/event-stream"})
+    names = [line[7:] for line in answer.text.splitlines() if line.startswith("event: ")]
+    data = [line[6:] for line in answer.text.splitlines() if line.startswith("data: ")]
+    assert set(names[:-1]) <= {"progress"}
+    assert names[-1] == "answer"
+    assert json.loads(data[-1])["energy_j"] > 0.0
+    wrong = {**path, "goal": [0.0, 0.0]}
+    answer = stored.post(f"{place}/paths", json=wrong, headers={"Accept": "text/event-stream"})
+    assert "event: problem" in answer.text
+    assert stored.post(f"{place}/paths", json=wrong).status_code == 422
+
+
+def test_a_closed_connection_ends_the_work():
+    stopped = threading.Event()
+
+    def work(report):
+        try:
+            while True:
+                report(0.1)
+                time.sleep(0.01)
+        finally:
+            stopped.set()
+
+    class Closed:
+        async def is_disconnected(self):
+            return True
+
+    assert asyncio.run(until_gone(Closed(), work)).status_code == 499
+    assert stopped.is_set()
+
+    async def read_a_little():
+        stream = events(work)
+        await anext(stream)
+        await stream.aclose()
+        await asyncio.sleep(0.1)
+
+    stopped.clear()
+    asyncio.run(read_a_little())
+    assert stopped.is_set()

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
+from joulemap.model.errors import InputError
 from joulemap.planner.lattice_io import export_geotiff, export_npz
 from joulemap.service.http.documents import problems
 from joulemap.service.http.state import KernelsDep
 from joulemap.service.http.zip_stream import zip_folder
-from joulemap.service.pictures import lattice_image
+from joulemap.service.library.costmaps import CostMap
+from joulemap.service.pictures import field_image, lattice_image
 from joulemap.service.schemas.answers import number
-from joulemap.service.schemas.maps import AtOut
+from joulemap.service.schemas.maps import AtOut, FieldOut
 from joulemap.service.workflows import costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
@@ -103,6 +105,59 @@ def get_at(
         energy_per_m=[number(v) for v in costs.energy_per_m.tolist()],
         blocked=costs.reasons,
     )
+
+
+@router.get(
+    "/field",
+    response_model=FieldOut,
+    responses={
+        200: {"description": "Figures, a file or a picture", "content": {"image/tiff": _BINARY, "image/png": _BINARY}},
+        **problems(404, 409, 503),
+    },
+)
+def get_field(
+    costmap_id: str,
+    service: KernelsDep,
+    start_x: Annotated[Finite | None, Query(description="energy from here to each cell: world x [m]")] = None,
+    start_y: Annotated[Finite | None, Query(description="world y [m]")] = None,
+    goal_x: Annotated[Finite | None, Query(description="energy from each cell to here: world x [m]")] = None,
+    goal_y: Annotated[Finite | None, Query(description="world y [m]")] = None,
+    within: Annotated[
+        float | None,
+        Query(ge=0.0, le=1000.0, description="with start and goal: the corridor of routes so much dearer at most [%]"),
+    ] = None,
+    neighbours: Annotated[Literal[8, 16, 32], Query(description="directions of a step")] = 16,
+    snap: Annotated[bool, Query(description="move places on blocked ground to the nearest free one")] = False,
+    format: Annotated[
+        Literal["json", "geotiff", "png"],
+        Query(description="json: figures only; geotiff: energy [J], and the corridor as a second band; png: a picture"),
+    ] = "json",
+) -> Any:
+    """Least energy from a start to all cells, from all cells to a goal, or over each cell between both."""
+    row = service.done_costmap(costmap_id)
+    start, goal = _place(start_x, start_y, "start"), _place(goal_x, goal_y, "goal")
+    with service.maps.use(costmap_id) as planner:
+        found = CostMap(planner.lattice).field(start=start, goal=goal, neighbours=neighbours, snap=snap)
+    share = None if within is None else within / 100.0
+    if format == "geotiff":
+        return _file(iter([found.geotiff(within=share)]), "image/tiff", f"{row.id}-field.tif")
+    if format == "png":
+        return Response(field_image(found, within=share), media_type="image/png")
+    known = found.energy_j[np.isfinite(found.energy_j)]
+    return FieldOut(
+        kind=found.kind.value,
+        cells=found.energy_j.size,
+        reached=known.size,
+        least_j=float(known.min()) if known.size else None,
+        most_j=float(known.max()) if known.size else None,
+        corridor_cells=None if share is None else int(found.corridor(share).sum()),
+    )
+
+
+def _place(x: float | None, y: float | None, name: str) -> tuple[float, float] | None:
+    if (x is None) != (y is None):
+        raise InputError(f"{name}_x and {name}_y go together")
+    return None if x is None or y is None else (x, y)
 
 
 def _file(chunks: Iterator[bytes], kind: str, name: str) -> StreamingResponse:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Header, Query, Response
-from fastapi.responses import JSONResponse
+from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi.responses import JSONResponse, StreamingResponse
 from pydantic import BaseModel
 
 from joulemap.model.errors import ConflictError
 from joulemap.model.robot import Robot
 from joulemap.service.http.documents import problems
+from joulemap.service.http.long_questions import EVENTS, events, until_gone
 from joulemap.service.http.state import KernelsDep
 from joulemap.service.problems import jsonable
 from joulemap.service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
@@ -33,35 +35,48 @@ GEOJSON = "application/geo+json"
         **problems(404, 409, 503),
     },
 )
-def find_path(
+async def find_path(
     costmap_id: str,
     wanted: PathRequest,
     service: KernelsDep,
+    request: Request,
     format: Annotated[
         Literal["json", "geojson"] | None, Query(description="default: as the Accept header says, else json")
     ] = None,
     accept: Annotated[str | None, Header(include_in_schema=False)] = None,
 ) -> Any:
-    """The energy-optimal path from start to goal with its energy and profile, and the shortest path for comparison."""
-    row = service.done_costmap(costmap_id)
-    robot = _same_robot(row, wanted.robot)
-    battery = battery_of(wanted.battery, robot)
-    with service.maps.use(costmap_id) as planner:
-        plan = planner.plan(
-            (wanted.start[0], wanted.start[1]),
-            (wanted.goal[0], wanted.goal[1]),
-            planner=wanted.planner,
-            neighbours=wanted.neighbours,
-            refine=wanted.refine,
-            time_limit_s=wanted.time_limit_s,
-            seed=wanted.seed,
-            alternatives=wanted.alternatives,
-            snap=wanted.snap,
-        )
-        verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
-    if format == "geojson" or (format is None and GEOJSON in (accept or "")):
-        return JSONResponse(path_geojson(plan, verdict, _warnings(row)), media_type=GEOJSON)
-    return _answer(path_out(plan, verdict, _warnings(row)))
+    """The energy-optimal path from start to goal with its energy and profile, and the shortest path for comparison.
+
+    On a large cost map this takes up to a minute. It ends when the connection is closed. With the header `Accept:
+    text/event-stream` the answer comes as server-sent events: `progress` with the share that is done, and at the end
+    `answer` with the JSON, or `problem`.
+    """
+
+    def _find(report: Callable[[float], None]) -> Response:
+        row = service.done_costmap(costmap_id)
+        robot = _same_robot(row, wanted.robot)
+        battery = battery_of(wanted.battery, robot)
+        with service.maps.use_for_routes(costmap_id) as planner:
+            plan = planner.plan(
+                (wanted.start[0], wanted.start[1]),
+                (wanted.goal[0], wanted.goal[1]),
+                planner=wanted.planner,
+                neighbours=wanted.neighbours,
+                refine=wanted.refine,
+                time_limit_s=wanted.time_limit_s,
+                seed=wanted.seed,
+                alternatives=wanted.alternatives,
+                snap=wanted.snap,
+                progress=report,
+            )
+            verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
+        if format == "geojson" or (format is None and GEOJSON in (accept or "")):
+            return JSONResponse(path_geojson(plan, verdict, _warnings(row)), media_type=GEOJSON)
+        return _answer(path_out(plan, verdict, _warnings(row)))
+
+    if EVENTS in (accept or ""):
+        return StreamingResponse(events(_find), media_type=EVENTS)
+    return await until_gone(request, _find)
 
 
 @router.post("/tours", response_model=TourOut, responses=problems(404, 409, 503))
@@ -87,7 +102,7 @@ def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: Kernel
     row = service.done_costmap(costmap_id)
     robot = _same_robot(row, wanted.robot)
     path = np.array([point[:2] for point in wanted.path], dtype=np.float64) if wanted.path is not None else None
-    with service.maps.use(costmap_id) as planner:
+    with service.maps.use_for_routes(costmap_id) as planner:
         assessment = assess(
             planner,
             battery=battery_of(wanted.battery, robot),

@@ -1,0 +1,113 @@
+"""Energy fields as products: Python, command line and HTTP give the planner's numbers; the corridor holds good routes."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+import rasterio
+from typer.testing import CliRunner
+
+import joulemap as jm
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.cli import app
+from tests.service.conftest import GOAL as HTTP_GOAL
+from tests.service.conftest import START as HTTP_START
+
+START, GOAL = (5.5, 5.5), (43.5, 33.5)
+
+
+def hills():
+    y, x = np.mgrid[0:40, 0:50].astype(float)
+    heights = 1.5 * np.sin(x / 7.0) * np.cos(y / 9.0)
+    heights[15:25, 20:30] = np.nan
+    return Heightmap(heights.astype(np.float32), GridFrame(100.0, 40.0, 1.0, 40, 50, "EPSG:32630"))
+
+
+@pytest.fixture(scope="module", params=[0.0, 40.0], ids=["no turning", "turning"])
+def costmap(request):
+    return jm.costmap(hills(), robot={"turn_j_per_rad": request.param}, model="physics")
+
+
+def shifted(place):
+    return place[0] + 100.0, place[1]
+
+
+def test_fields_agree_with_routes_over_the_grid(costmap):
+    start, goal = shifted(START), shifted(GOAL)
+    best = costmap.plan(start, goal, refine=False).energy_j
+    row, col = costmap.lattice.frame.cell_of(*goal)
+    there = costmap.field(start=start).energy_j[row, col]
+    row, col = costmap.lattice.frame.cell_of(*start)
+    back = costmap.field(goal=goal).energy_j[row, col]
+    through = costmap.field(start=start, goal=goal)
+    assert there == pytest.approx(best, rel=1e-5)
+    assert back == pytest.approx(best, rel=1e-5)
+    assert through.least_j == pytest.approx(best, rel=1e-5)
+
+
+def test_the_corridor_holds_the_best_route_and_grows(costmap):
+    found = costmap.field(start=shifted(START), goal=shifted(GOAL))
+    narrow, wide = found.corridor(0.0), found.corridor(0.2)
+    assert (wide | ~narrow).all()
+    assert narrow.sum() < wide.sum() < wide.size
+    for x, y, _ in costmap.plan(shifted(START), shifted(GOAL), refine=False).points:
+        assert narrow[costmap.lattice.frame.cell_of(x, y)]
+    assert np.isnan(found.energy_j[20, 25])  # unknown ground
+
+
+def test_a_field_as_dataset_and_geotiff(costmap):
+    found = costmap.field(start=shifted(START), goal=shifted(GOAL))
+    dataset = found.to_xarray(within=0.05)
+    assert dataset.energy_j.attrs["units"] == "J"
+    np.testing.assert_array_equal(dataset.corridor, found.corridor(0.05))
+    x, _ = costmap.lattice.frame.centres()
+    np.testing.assert_allclose(dataset.x, x)
+    with rasterio.open(io.BytesIO(found.geotiff(within=0.05))) as file:
+        np.testing.assert_array_equal(file.read(1), found.energy_j)
+        np.testing.assert_array_equal(file.read(2), found.corridor(0.05))
+        assert file.crs.to_epsg() == 32630
+
+
+def test_wrong_questions_to_a_field(costmap):
+    with pytest.raises(InputError, match="start"):
+        costmap.field()
+    with pytest.raises(InputError, match="start and a goal"):
+        costmap.field(start=shifted(START)).corridor(0.1)
+    with pytest.raises(InputError, match="within"):
+        costmap.field(start=shifted(START), goal=shifted(GOAL)).corridor(-0.1)
+
+
+def test_the_command_writes_the_field(costmap, tmp_path):
+    folder, tif, out = costmap.save(tmp_path / "map.zarr"), tmp_path / "field.tif", tmp_path / "field.json"
+    start, goal = (f"{x},{y}" for x, y in map(shifted, (START, GOAL)))
+    command = ["field", str(folder), "--start", start, "--goal", goal, "--within", "5", "--out", str(tif)]
+    result = CliRunner().invoke(app, [*command, "--json", str(out)])
+    assert result.exit_code == 0, result.output
+    found = costmap.field(start=shifted(START), goal=shifted(GOAL))
+    told = json.loads(out.read_text())
+    assert told["least_j"] == pytest.approx(found.least_j)
+    assert told["corridor_cells"] == int(found.corridor(0.05).sum())
+    with rasterio.open(tif) as file:
+        np.testing.assert_array_equal(file.read(1), found.energy_j)
+
+
+def test_fields_over_http(client, costmap_id):
+    place = f"/v1/costmaps/{costmap_id}/field"
+    ends = {"start_x": HTTP_START[0], "start_y": HTTP_START[1], "goal_x": HTTP_GOAL[0], "goal_y": HTTP_GOAL[1]}
+    told = client.get(place, params={**ends, "within": 5}).json()
+    assert told["kind"] == "through"
+    answer = client.get(place, params={**ends, "within": 5, "format": "geotiff"})
+    with rasterio.open(io.BytesIO(answer.content)) as file:
+        energy, corridor = file.read(1), file.read(2)
+    assert told["least_j"] == pytest.approx(float(np.nanmin(energy)))
+    assert told["corridor_cells"] == int(corridor.sum())
+    assert told["reached"] == int(np.isfinite(energy).sum())
+    path = {"start": HTTP_START, "goal": HTTP_GOAL, "refine": False}
+    best = client.post(f"/v1/costmaps/{costmap_id}/paths", json=path).json()
+    assert told["least_j"] == pytest.approx(best["energy_j"], rel=1e-5)
+    assert client.get(place, params={**ends, "format": "png"}).content[:4] == b"\x89PNG"
+    assert client.get(place).status_code == 422
+    assert client.get(place, params={"start_x": 1.0}).status_code == 422
