@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from joulemap.model.errors import NoRouteError
 from joulemap.model.threads import share_out
 from joulemap.planner.corridors import corridor_paths
 from joulemap.planner.edges import Points, path_price
@@ -19,6 +20,7 @@ from joulemap.planner.landmarks import Landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.refine import STAGES
+from joulemap.planner.search import GridPath
 
 STAY = (0.004, 0.001, 0.0)
 """By how much a path may cost more than the best one after each stage and stay, as a share: somewhat more than the
@@ -82,9 +84,15 @@ def best_path(
     Raises
     ------
     NoRouteError
-        If the goal cannot be reached.
+        If the goal cannot be reached, and there is no seed.
     """
-    found = corridor_paths(lattice, table, start, goal, landmarks=landmarks)
+    seeds = list(seeds)
+    try:
+        found = corridor_paths(lattice, table, start, goal, landmarks=landmarks)
+    except NoRouteError:
+        if not seeds:
+            raise
+        found = [GridPath(seeds[0], path_price(lattice, seeds[0]), 0)]
     points = best_of(lattice, [*(path.points for path in found), *seeds])
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 

@@ -225,7 +225,8 @@ def _moves_of(square: NDArray[np.float32], along: NDArray[np.float32], spacing_m
     for k, one in ((1, north_east), (3, south_east), (5, south_west), (7, north_west)):
         energy[..., k] = one[..., k] * np.float32(math.sqrt(2.0))
     energy *= np.float32(spacing_m)
-    return energy - np.float32(_ROUNDING) * np.abs(energy)
+    energy -= np.float32(_ROUNDING) * np.abs(energy)
+    return energy
 
 
 @njit(cache=True, nogil=True)

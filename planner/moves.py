@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import get_num_threads, njit, prange, set_num_threads
+from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import heading_of, heading_vector, wrap_angle
+from joulemap.model.threads import share_out
 from joulemap.planner.edges import interpolation_matrix, price_terms
 from joulemap.planner.kernels import mean_response
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.potential import ROUNDING_J, even_surface, spare_per_m
+from joulemap.planner.potential import ROUNDING_J, even_surface, parts_of, spare_per_m
 
 NEIGHBOURS = (8, 16, 32)
-SMALL_MAP = 50_000
-"""Cells below which moves are priced on one thread."""
 RISE_SHARES = np.array([0.0, 0.5, 1.0])
 """Shares of the surface's rise that `MoveTable.bound_per_m` is known for."""
 
@@ -201,9 +198,8 @@ def table_of(
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * spacing_m
     turn = turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
-    with _threads_for(lifted.size):
-        surface = even_surface(energy, offsets, length_m, lifted)
-        bounds = _bounds(energy, offsets, length_m, surface, RISE_SHARES)
+    surface = even_surface(energy, offsets, length_m, lifted)
+    bounds = _bounds(energy, offsets, length_m, surface, RISE_SHARES)
     return MoveTable(offsets, headings, length_m, energy, turn, surface, RISE_SHARES, bounds)
 
 
@@ -238,9 +234,8 @@ def repriced(table: MoveTable, lattice: CostLattice, window: tuple[int, int, int
     around = slice(top, min(row1 + 2 * reach, rows)), slice(left, min(col1 + 2 * reach, cols))
     part = lattice.window(around[0].start, around[0].stop, around[1].start, around[1].stop)
     energy = _priced(part, table.offsets, table.heading_rad, table.length_m)
-    with _threads_for(part.blocked.size):
-        surface = np.ascontiguousarray(table.surface[around])
-        bounds = _bounds(energy, table.offsets, table.length_m, surface, table.rise_share)
+    surface = np.ascontiguousarray(table.surface[around])
+    bounds = _bounds(energy, table.offsets, table.length_m, surface, table.rise_share)
     bounds = np.minimum(table.bound_per_m, bounds)
     if not (bounds >= 0.0).any():
         return move_table(lattice, neighbours=len(table.offsets))
@@ -271,36 +266,17 @@ def _priced(
     pieces = [_pieces(int(r), int(c)) for r, c in offsets]
     cells, share = _stack_stencils(offsets, pieces)
     piece_share, piece_cell, piece_blend = _stack_pieces(pieces)
-    with _threads_for(lattice.blocked.size):
-        allowed = _allowed_moves(
-            np.ascontiguousarray(lattice.gradient),
-            np.ascontiguousarray(lattice.blocked),
-            *heading_vector(headings),
-            *lattice.max_tangents,
-        )
-        return _price_moves(
-            at_moves.reshape(*lattice.frame.shape, -1),
-            allowed,
-            offsets,
-            length_m,
-            price_terms(lattice),
-            cells,
-            share,
-            piece_share,
-            piece_cell,
-            piece_blend,
-        )
-
-
-@contextmanager
-def _threads_for(cells: int) -> Iterator[None]:
-    """One thread for a small map: on a busy machine waiting for a second takes a thousand times the work."""
-    threads = get_num_threads()
-    set_num_threads(1 if cells < SMALL_MAP else threads)
-    try:
-        yield
-    finally:
-        set_num_threads(threads)
+    rows, cols = lattice.frame.shape
+    allowed = np.zeros((rows, cols), dtype=np.int64)
+    limits = (*heading_vector(headings), *lattice.max_tangents)
+    parts = parts_of(rows, cols)
+    gradient, blocked = np.ascontiguousarray(lattice.gradient), np.ascontiguousarray(lattice.blocked)
+    share_out(lambda p: _allowed_moves(gradient[p], blocked[p], *limits, allowed[p]), parts)
+    at_moves = at_moves.reshape(rows, cols, -1)
+    energy = np.full(at_moves.shape, np.nan, dtype=np.float32)
+    fixed = (offsets, length_m, price_terms(lattice), cells, share, piece_share, piece_cell, piece_blend)
+    share_out(lambda p: _price_moves(at_moves, allowed, *fixed, p.start, p.stop, energy), parts)
+    return energy
 
 
 def _pieces(drow: int, dcol: int) -> list[tuple[float, NDArray[np.int64], NDArray[np.float64]]]:
@@ -357,12 +333,11 @@ def _stack_pieces(pieces):
     return share, cell, blend
 
 
-@njit(cache=True, parallel=True)
-def _allowed_moves(gradient, blocked, east, north, max_grade, max_cross):
-    """(rows, cols) int64 bit set of the moves whose heading the cell's slope allows; 0 where blocked."""
+@njit(cache=True, nogil=True)
+def _allowed_moves(gradient, blocked, east, north, max_grade, max_cross, allowed):
+    """Fill the bit sets (rows, cols) of the moves whose heading a cell's slope allows; 0 where blocked."""
     rows, cols = blocked.shape
-    allowed = np.zeros((rows, cols), dtype=np.int64)
-    for i in prange(rows):
+    for i in range(rows):
         for j in range(cols):
             if blocked[i, j] != 0:
                 continue
@@ -373,16 +348,16 @@ def _allowed_moves(gradient, blocked, east, north, max_grade, max_cross):
                 if abs(along) <= max_grade and abs(across) <= max_cross:
                     bits |= 1 << k
             allowed[i, j] = bits
-    return allowed
 
 
-@njit(cache=True, parallel=True)
-def _price_moves(traction, allowed, offsets, length_m, terms, cells, share, piece_share, piece_cell, piece_blend):
-    """Energies (rows, cols, N) float32 [J]. traction : (rows, cols, N) at the moves' headings."""
+@njit(cache=True, nogil=True)
+def _price_moves(
+    traction, allowed, offsets, length_m, terms, cells, share, piece_share, piece_cell, piece_blend, first, end, energy
+):
+    """Fill the energies (rows, cols, N) [J] of some rows. traction : (rows, cols, N) at the moves' headings."""
     rows, cols, moves = traction.shape
     hotel, regeneration = terms[1], terms[2]
-    energy = np.full((rows, cols, moves), np.nan, dtype=np.float32)
-    for i in prange(rows):
+    for i in range(first, end):
         for j in range(cols):
             if allowed[i, j] == 0:
                 continue
@@ -418,4 +393,3 @@ def _price_moves(traction, allowed, offsets, length_m, terms, cells, share, piec
                                     t1 += piece_blend[n, p, 2, q] * t
                             mean += piece_share[n, p] * mean_response(t0, tm, t1, regeneration)
                 energy[i, j, n] = (hotel + mean) * length_m[n]
-    return energy

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from joulemap.model.errors import NoRouteError
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
+from joulemap.planner.corridors import corridor_paths
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
@@ -29,6 +32,8 @@ SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_
 
 LEAST_NEIGHBOURS = 16
 """The any-angle step begins with the paths of as many neighbours at least, so that it misses no zigzag."""
+MORE_NEIGHBOURS, MORE_CORRIDORS = 32, 2
+"""Where blocked ground or limits close some moves, it begins with the corridors of as many neighbours too."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -174,6 +179,7 @@ class RoutePlanner:
         self._tables: dict[tuple[bool, int], MoveTable] = {}
         self._landmarks: dict[int, Landmarks] = {}
         self._bounds: tuple[BoundTable | None] | None = None
+        self._closed: bool | None = None
 
     def prepare(self, neighbours: int = 16, *, landmarks: bool = False) -> None:
         """Price the moves now, so that the first question does not wait for it.
@@ -186,6 +192,8 @@ class RoutePlanner:
             Whether to make landmarks too. They cost eight energy fields and save every later A* most of its search.
         """
         self._table(neighbours, distance=True)
+        if self._limited():
+            self._table(MORE_NEIGHBOURS, distance=False)
         if landmarks and neighbours not in self._landmarks:
             self._landmarks[neighbours] = make_landmarks(self._table(neighbours, distance=False))
 
@@ -371,10 +379,24 @@ class RoutePlanner:
         if neighbours < LEAST_NEIGHBOURS:
             seeds = [grid_search(self.lattice, table, start, goal).points]
             table, landmarks = self._table(LEAST_NEIGHBOURS, distance=False), self._landmarks.get(LEAST_NEIGHBOURS)
+        if neighbours < MORE_NEIGHBOURS and self._limited():
+            more = self._table(MORE_NEIGHBOURS, distance=False)
+            with suppress(NoRouteError):
+                found = corridor_paths(self.lattice, more, start, goal, count=MORE_CORRIDORS)
+                seeds += [path.points for path in found]
         best = best_path(self.lattice, table, start, goal, landmarks=landmarks, seeds=seeds)
-        grid_j = path_price(self.lattice, seeds[0]) if seeds else best.grid_energy_j
-        record = {"expanded": best.expanded, "grid_energy_j": grid_j, "corridors": best.corridors}
+        record = {"expanded": best.expanded, "grid_energy_j": best.grid_energy_j, "corridors": best.corridors}
+        if neighbours < LEAST_NEIGHBOURS:
+            record["grid_energy_j"] = path_price(self.lattice, seeds[0])
         return best.points, record
+
+    def _limited(self) -> bool:
+        """Whether blocked ground or limits close some moves: then more headings find passages that others miss."""
+        if self._closed is None:
+            table = self._table(LEAST_NEIGHBOURS, distance=False)
+            inside = (slice(table.reach, -table.reach),) * 2
+            self._closed = bool(np.isnan(table.energy[inside]).any())
+        return self._closed
 
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
         """The shortest path within the limits."""

@@ -12,10 +12,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.errors import NegativeCycleError
+from joulemap.model.threads import pieces, share_out
 
 SWEEPS = 3
 """Averages over neighbours: they remove noise, which is all that has to go."""
@@ -23,6 +24,8 @@ HALVINGS = 6
 """How closely the largest `a` is found: the span that it may lie in, which is a few J/m, is halved this many times."""
 EFFORT = 0.5
 """Visits of cells that one try may take, as a share of all cells; where a loop forbids it they never end."""
+CELLS_A_PART = 50_000
+"""Cells that are worth a thread."""
 ROUNDING_J = 1e-9
 """What a move may cost less than its rise: it would be rounding."""
 
@@ -88,15 +91,38 @@ def even_surface(
     return surface
 
 
-@njit(cache=True, parallel=True)
-def _levelled(energy, offsets, surface):
-    """(rows, cols) float64 [J]: each cell where its neighbours and the prices there and back put it, on average.
+def parts_of(rows: int, cols: int) -> list[slice]:
+    """Return rows in parts that are worth a thread each.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Size of the map.
+
+    Returns
+    -------
+    list of slice
+        The rows, in order.
+    """
+    return pieces(rows, max(CELLS_A_PART // max(cols, 1), 1))
+
+
+def _levelled(
+    energy: NDArray[np.float32], offsets: NDArray[np.int64], surface: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    out = surface.copy()
+    share_out(lambda p: _level_rows(energy, offsets, surface, p.start, p.stop, out), parts_of(*surface.shape))
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _level_rows(energy, offsets, surface, first, end, out):
+    """Fill rows first..end - 1 [J]: each cell where its neighbours and the prices there and back put it, on average.
 
     A sweep towards the surface of least squares: half of what a move costs more than its way back is its rise.
     """
-    rows, cols, moves = energy.shape
-    out = surface.copy()
-    for i in prange(rows):
+    _, cols, moves = energy.shape
+    for i in range(first, end):
         for j in range(cols):
             total, count = 0.0, 0
             for n in range(moves):
@@ -109,11 +135,11 @@ def _levelled(energy, offsets, surface):
                         count += 1
             if count > 0:
                 out[i, j] = total / count
-    return out
 
 
-@njit(cache=True, parallel=True)
-def spare_per_m(energy, offsets, length_m, surface):
+def spare_per_m(
+    energy: NDArray[np.float32], offsets: NDArray[np.int64], length_m: NDArray[np.float64], surface: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the least energy per metre beyond the rise, over the moves of each cell.
 
     Parameters
@@ -132,16 +158,24 @@ def spare_per_m(energy, offsets, length_m, surface):
     ndarray of float64, (rows, cols)
         Least (energy - rise) / length [J/m]; infinite where a cell has no move.
     """
-    rows, cols, moves = energy.shape
-    least = np.full((rows, cols), np.inf)
-    for i in prange(rows):
+    least = np.full(surface.shape, np.inf)
+    share_out(
+        lambda p: _spare_rows(energy, offsets, length_m, surface, p.start, p.stop, least), parts_of(*surface.shape)
+    )
+    return least
+
+
+@njit(cache=True, nogil=True)
+def _spare_rows(energy, offsets, length_m, surface, first, end, least):
+    """Fill rows first..end - 1 of `spare_per_m`."""
+    _, cols, moves = energy.shape
+    for i in range(first, end):
         for j in range(cols):
             for n in range(moves):
                 step = energy[i, j, n]
                 if not math.isnan(step):
                     rise = surface[i + offsets[n, 0], j + offsets[n, 1]] - surface[i, j]
                     least[i, j] = min(least[i, j], (step - rise) / length_m[n])
-    return least
 
 
 @njit(cache=True, nogil=True)
