@@ -34,7 +34,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from joulemap.model.errors import NegativeCycleError, NoRouteError
 from joulemap.model.frames import heading_bins
@@ -111,6 +110,8 @@ def _middles(lattice: CostLattice) -> NDArray[np.float64]:
     if unknown.all():
         height = np.zeros_like(height)
     elif unknown.any():
+        from scipy.ndimage import distance_transform_edt  # loads slowly, and few maps need it
+
         nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
     wide = np.pad(height, 2, mode="edge")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from joulemap.model.errors import InputError
+from joulemap.planner.bound import quick_bound
 from joulemap.planner.coarse import CoarseLevel, coarse_level
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
@@ -123,8 +125,8 @@ class StoredPlanner:
         Returns
         -------
         Plan
-            Both routes. `details` has `grid_energy_j`, the least energy over grid moves without turns, and
-            `grid_bound_j`, below which no path over grid moves can be [J].
+            Both routes. `details` has `grid_energy_j`, the energy over grid moves with turns, `grid_bound_j`, below which
+            no path over grid moves can be [J], and `grid_gap`, the share of the first above the second.
 
         Raises
         ------
@@ -160,8 +162,13 @@ class StoredPlanner:
         details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
         if details["from_shortest"]:
             points = refine_path(self.lattice, shortest) if refine else shortest
+        details["grid_gap"] = _gap(details["grid_energy_j"], details["grid_bound_j"])
         details["seconds"] = time.perf_counter() - began
-        return Plan(self._route(points, notes), self._route(shortest, notes), planner, details)
+        least = quick_bound(self.lattice, start, goal)
+        bound_j = least if math.isfinite(least) else None
+        plan = Plan(self._route(points, notes), self._route(shortest, notes), planner, details, (), bound_j)
+        details |= {"bound_j": plan.bound_j, "gap": plan.gap}
+        return plan
 
     def tour(self, stops_xy: Sequence[tuple[float, float]], **_: Any) -> RoundTrip:
         """Refuse: a tour needs the lattice in memory.
@@ -184,8 +191,8 @@ class StoredPlanner:
             Always.
         """
         raise InputError(
-            f"a tour of {len(stops_xy)} stops needs the whole cost map in memory, and this one is planned on from disk: "
-            "make a cost map with a coarser spacing"
+            f"a tour of {len(stops_xy)} stops needs the whole cost map in memory, and this one is planned on from "
+            "disk: make a cost map with a coarser spacing"
         )
 
     def _searched(
@@ -233,6 +240,11 @@ class StoredPlanner:
         self._strip.read_along(points, cells=2)
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])
         return price_route(self.lattice, np.column_stack([x, y]), notes=notes)
+
+
+def _gap(energy_j: float, bound_j: float) -> float | None:
+    """By which share of a bound an energy lies above it; None for a bound of 0 or less."""
+    return max(energy_j / bound_j - 1.0, 0.0) if bound_j > 0.0 else None
 
 
 class _Shares:

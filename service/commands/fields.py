@@ -31,7 +31,7 @@ def field(
     snap: Snap = False,
     json_file: JsonFile = None,
 ) -> None:
-    """Write the **least energy** from a start to every cell, from every cell to a goal, or over every cell between both.
+    """Write the **least energy** from a start to all cells, from all cells to a goal, or over each cell between both.
 
     Examples:
 

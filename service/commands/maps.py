@@ -183,6 +183,14 @@ def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path
             write_file(place, make(lattice))
 
 
+def _proven(details: dict[str, Any]) -> dict[str, str]:
+    """What a search from disk has proven of its path over grid moves, as a row of the answer."""
+    gap = details.get("grid_gap")
+    return (
+        {} if gap is None else {"proven": f"the grid's path is at most {100 * gap:.2g} % above the best over its moves"}
+    )
+
+
 def _memory_for(costmap: Path) -> float | None:
     """Memory [GB] for a question to a map that is better not read as a whole; None for a smaller one."""
     from joulemap.planner.stored_lattice import StoredLattice
@@ -253,6 +261,7 @@ def path(
             **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
             "shortest": route_words(found["shortest"]),
             "saved": saving_words(found, found["shortest"]),
+            **_proven(plan.details),
         }
     )
     output.warn(found["warnings"])

@@ -18,6 +18,7 @@ from rich.table import Table
 
 from joulemap.model.terrain.readers import read_heightmap
 from tests.bench.calibration import bench_calibration
+from tests.bench.large_maps import bench_large, bench_start_up
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.quality import compare_options, compare_peers, compare_planners
 from tests.bench.searches import bench_searches
@@ -37,6 +38,7 @@ def main() -> None:
     only.add_argument("--searches", action="store_true", help="only the searches")
     only.add_argument("--lattice", action="store_true", help="only the cost lattice")
     only.add_argument("--workers", action="store_true", help="only two worker processes beside one")
+    only.add_argument("--large", type=int, nargs="+", help="only start-up, and paths on maps of so many cells a side")
     only.add_argument("--calibration", action="store_true", help="only a calibration of ten runs")
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
@@ -58,7 +60,9 @@ def main() -> None:
         stages = [bench_lattice, bench]
         if options.searches or options.lattice:
             stages = [bench_searches if options.searches else bench_lattice]
-        if options.workers or options.calibration:
+        if options.large:
+            rows = [*bench_start_up(), *(row for cells in options.large for row in bench_large(cells))]
+        elif options.workers or options.calibration:
             rows = bench_workers() if options.workers else bench_calibration()
         else:
             rows = [row for cells in options.sizes for stage in stages for row in stage(cells, options.resolution)]

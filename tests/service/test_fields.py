@@ -1,4 +1,4 @@
-"""Energy fields as products: Python, command line and HTTP give the planner's numbers; the corridor holds good routes."""
+"""Energy fields as products: Python, command line and HTTP give the same numbers; the corridor holds good routes."""
 
 import io
 import json
