@@ -25,6 +25,8 @@ from joulemap.planner.search import GridPath
 STAY = (0.004, 0.001, 0.0)
 """By how much a path may cost more than the best one after each stage and stay, as a share: somewhat more than the
 gains of the stages to come differ between paths of one question."""
+KEEP = (3, 2, 1)
+"""Most paths that stay after each stage."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,13 +115,13 @@ def best_of(lattice: CostLattice, paths: list[Points]) -> Points:
         (row, col) polyline.
     """
     ways = list(paths)
-    for stage, stay in zip(STAGES, STAY, strict=True):
+    for stage, stay, most in zip(STAGES, STAY, KEEP, strict=True):
         ways = _improved(lattice, ways, stage)
         prices = np.array([path_price(lattice, way) for way in ways])
         prices[np.isnan(prices)] = math.inf
         least = float(prices.min())
         kept = np.flatnonzero(prices <= least + stay * abs(least))
-        ways = [ways[k] for k in kept[np.argsort(prices[kept], kind="stable")]]
+        ways = [ways[k] for k in kept[np.argsort(prices[kept], kind="stable")][:most]]
     return ways[0]
 
 

@@ -15,7 +15,6 @@ from joulemap.model.errors import NoRouteError
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
-from joulemap.planner.corridors import corridor_paths
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
@@ -32,8 +31,8 @@ SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_
 
 LEAST_NEIGHBOURS = 16
 """The any-angle step begins with the paths of as many neighbours at least, so that it misses no zigzag."""
-MORE_NEIGHBOURS, MORE_CORRIDORS = 32, 2
-"""Where blocked ground or limits close some moves, it begins with the corridors of as many neighbours too."""
+MORE_NEIGHBOURS = 32
+"""Where blocked ground or limits close some moves, it begins with the path of as many neighbours too."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -382,8 +381,7 @@ class RoutePlanner:
         if neighbours < MORE_NEIGHBOURS and self._limited():
             more = self._table(MORE_NEIGHBOURS, distance=False)
             with suppress(NoRouteError):
-                found = corridor_paths(self.lattice, more, start, goal, count=MORE_CORRIDORS)
-                seeds += [path.points for path in found]
+                seeds.append(grid_search(self.lattice, more, start, goal).points)
         best = best_path(self.lattice, table, start, goal, landmarks=landmarks, seeds=seeds)
         record = {"expanded": best.expanded, "grid_energy_j": best.grid_energy_j, "corridors": best.corridors}
         if neighbours < LEAST_NEIGHBOURS:

@@ -83,6 +83,16 @@ class PlannedRoute:
         return self.found.saving_j
 
     @property
+    def bound_j(self) -> float | None:
+        """Proven lower bound of the energy of every route between the two places [J]; None where nothing is known."""
+        return self.found.bound_j
+
+    @property
+    def gap(self) -> float | None:
+        """By which share of the bound the route may cost more than the best one; None without a bound above 0."""
+        return self.found.gap
+
+    @property
     def warnings(self) -> list[str]:
         """Where map or robot lie outside what the model learned."""
         return list(self.lattice.provenance.get("warnings", []))
