@@ -225,7 +225,7 @@ class CalibratedPredictor:
         for term in self.correction.terms:
             if term.form.name not in planned and term.form.on_map:
                 found.append(
-                    f"plans do not contain the effect {term.form.label}: it depends on what only a log records"
+                    f"plans do not contain the effect {term.form.title}: it depends on what only a log records"
                 )
         if self.correction.ranges:
             rows = self._on_map(heightmap, robot)

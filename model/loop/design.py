@@ -197,7 +197,7 @@ def fit_model(
     )
     own = np.arange(len(index))
     fixed = len(index) - sum(len(c.both) for c in chosen)
-    level = np.maximum(np.maximum(said, 0.0), size)
+    level = np.full(len(z), size) if residuals.charge else said  # of a charge nothing is predicted yet
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
         coefficients = model.estimate(own, low, high, own[:0]).coefficients

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, lsq_linear
+from scipy.optimize import brentq, lsq_linear, minimize_scalar
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
@@ -184,26 +184,33 @@ class MixedModel:
         Returns
         -------
         float
-            By Paule and Mandel's estimate: the weighted squares of the levels that the fit leaves equal their degrees
-            of freedom.
+            That of the largest restricted likelihood; 0 for fewer than three units.
 
         References
         ----------
-        Paule & Mandel 1982; Veroniki et al. 2016 (recommended for few units).
+        Harville 1977 (restricted maximum likelihood).
         """
         if self.units < 3:
             return 0.0
-        within = self.gram_within[np.ix_(chosen, chosen)]
-        sigma2 = self.sigma2(chosen)
+        freedom = len(self.rows) - len(chosen)
 
-        def _excess(ratio: float) -> float:
+        def _loss(ratio: float) -> float:
             gram = self.marginal(chosen, ratio).sum(axis=0)
             normal = self.with_prior(gram[:-1, :-1])
-            away = (self._h[:, -1] - self._h[:, chosen] @ np.linalg.solve(normal, gram[:-1, -1])) / self._gamma
-            used = float(np.trace(np.linalg.solve(normal, gram[:-1, :-1] - within)))  # levels that the columns explain
-            return float((away**2 / (self._level_variance + ratio)).sum()) / sigma2 - max(self.units - used, 1.0)
+            rest = gram[-1, -1] - gram[:-1, -1] @ np.linalg.solve(normal, gram[:-1, -1])
+            levels = float(np.log1p(ratio * self._gamma).sum())
+            return levels + float(np.linalg.slogdet(normal)[1]) + freedom * float(np.log(max(rest, 1e-300)))
 
-        return _root(_excess)
+        tried = np.log(self._level_variance.mean()) + np.linspace(-4.0, 16.0, 21)
+        losses = [_loss(float(np.exp(t))) for t in tried]
+        k = int(np.argmin(losses))
+        found = minimize_scalar(
+            lambda t: _loss(float(np.exp(t))),
+            bounds=(tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]),
+            method="bounded",
+            options={"xatol": 0.05},
+        )
+        return float(np.exp(found.x)) if float(found.fun) < _loss(0.0) else 0.0
 
     def sigma2(self, chosen: IntArray) -> float:
         """Return the variance of the noise beside some columns.
@@ -480,14 +487,16 @@ def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:
     return _root(excess, float(noise.max())) if freedom >= 1 else 0.0
 
 
-def _root(falling: Callable[[float], float], start: float = 1.0) -> float:
-    """Where a falling function of a variance is nil; 0 where it begins below."""
+def _root(falling: Callable[[float], float], start: float) -> float:
+    """The smallest variance at which a function falls to nil; 0 where it begins below. The search begins at `start`."""
     if falling(0.0) <= 0.0:
         return 0.0
-    high = start
-    while falling(high) > 0.0 and high < _LARGE * start:
-        high *= 4.0
-    return float(brentq(falling, 0.0, high, rtol=1e-3)) if falling(high) < 0.0 else high
+    low, high = 0.0, start
+    while falling(high) > 0.0:
+        low, high = high, 4.0 * high
+        if high > _LARGE:
+            return high
+    return float(brentq(falling, low, high, rtol=1e-3))
 
 
 def columns_of(blocks: Sequence[IntArray]) -> IntArray:

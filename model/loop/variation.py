@@ -214,7 +214,7 @@ def spread_of(predicted: FloatArray, residual: FloatArray, moving: BoolArray) ->
         constant = floor
     out = constant + share * np.maximum(predicted, 0.0)
     still = np.maximum(predicted, 0.05 * float(np.median(p))) * max(share, 0.02)
-    return np.where(moving, np.maximum(out, 0.1 * floor), still)
+    return np.maximum(np.where(moving, out, still), np.where(moving, 0.1, 1e-3) * floor)
 
 
 def fit_variation(start: Variation, predicted: FloatArray, residual: FloatArray, fixed: FloatArray) -> Variation:

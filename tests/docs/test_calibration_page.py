@@ -14,7 +14,19 @@ from tests.docs.code_blocks import ROOT
 
 PAGE = (ROOT / "docs/explanation/calibration.md").read_text(encoding="utf-8")
 TABLE = dict(re.findall(r"^\| `(\w+\.\w+)` \| ([^|]+?) \|", PAGE, re.MULTILINE))
-DECIDES = ("selection", "calibrate", "residuals", "variation", "mixed_model", "refused_columns", "forms/structure")
+DECIDES = (
+    "base_step",
+    "design",
+    "selection",
+    "calibrate",
+    "residuals",
+    "variation",
+    "mixed_model",
+    "refused_columns",
+    "forms/structure",
+    "forms/turning",
+    "forms/warming_up",
+)
 """Modules whose constants decide what is named."""
 NO_THRESHOLDS = {"variation._STARTS"}
 """Where a search starts, which changes no answer."""

@@ -223,15 +223,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     groups = {"all": (*KINDS, *PAIRS), "singles": tuple(KINDS), "pairs": PAIRS}
     names = groups.get(options.effects) or tuple(options.effects.split(","))
     end = ":stated" if options.stated else ""
-    keys = [f"{name}:{k}:{_seed(name, options.first_seed + k)}{end}" for k in range(options.seeds) for name in names]
+    keys = [f"{name}:{k}:{seed_of(name, options.first_seed + k)}{end}" for k in range(options.seeds) for name in names]
     text = table_of(sorted(rows_of(try_blind, keys, jobs=options.jobs, kept=options.kept), key=_order(names)))
     print(text)
     if options.write is not None:
         options.write.write_text(wrapped("Hidden effects", "tests.loop.blind", text, arguments), encoding="utf-8")
 
 
-def _seed(name: str, number: int) -> int:
-    """Every kind has sites and robots of its own, so that cases are independent."""
+def seed_of(name: str, number: int) -> int:
+    """Seed of a case; every kind has sites and robots of its own, so that cases are independent."""
     return 1000 * number + zlib.crc32(name.encode()) % 1000
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import linregress
+from statsmodels.regression.mixed_linear_model import MixedLM
 
 from joulemap.model.loop.mixed_model import MixedModel
 from joulemap.model.loop.variation import Variation, starts_of
@@ -59,6 +60,30 @@ def test_a_difference_between_runs_is_tested_like_a_line_through_their_levels():
     found = _model(np.column_stack([warm[run], rng.normal(size=run.size)]), z, run).test_between(FIRST, NONE, NONE)
     assert found.p_value == pytest.approx(linregress(warm, offsets).pvalue, rel=0.05)
     assert found.freedom == 6.0
+
+
+def test_the_variance_between_units_is_that_of_statsmodels():
+    """Restricted maximum likelihood of a random intercept, with a column that differs between units only."""
+    rng = np.random.default_rng(11)
+    run, x, z = _data(rng, runs=12, rows=40)
+    x = np.column_stack([np.ones(run.size), rng.normal(size=12)[run], x[:, 0]])
+    z = z + x @ [2.0, 1.5, -0.5] + rng.normal(0.0, 0.7, 12)[run]
+    model, every = _model(x, z, run), np.arange(3)
+    theirs = MixedLM(z, x, run).fit(reml=True)
+    assert model.tau2(every) == pytest.approx(theirs.cov_re[0, 0] / theirs.scale, rel=0.05)
+    limits = np.full(3, np.inf)
+    ours = model.estimate(every, -limits, limits, NONE).coefficients
+    np.testing.assert_allclose(ours, theirs.fe_params, rtol=0.02, atol=0.01)
+
+
+def test_what_a_column_explains_is_no_variation_between_units():
+    rng = np.random.default_rng(12)
+    run, x, z = _data(rng, runs=8)
+    levels = rng.normal(0.0, 3.0, 8)
+    x[:, 0] = levels[run]
+    model = _model(x, z + levels[run], run)
+    assert model.tau2(SECOND) == pytest.approx(np.var(levels, ddof=1), rel=0.4)
+    assert model.tau2(np.array([0, 1])) < 0.05
 
 
 def test_a_column_that_is_constant_in_runs_has_no_test_inside_them():
