@@ -25,7 +25,7 @@ from joulemap.planner.search import GridPath
 STAY = (0.004, 0.001, 0.0)
 """By how much a path may cost more than the best one after each stage and stay, as a share: somewhat more than the
 gains of the stages to come differ between paths of one question."""
-KEEP = (3, 2, 1)
+KEEP = (4, 3, 1)
 """Most paths that stay after each stage."""
 
 

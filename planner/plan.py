@@ -15,6 +15,7 @@ from joulemap.model.errors import NoRouteError
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
+from joulemap.planner.corridors import COUNT, corridor_paths
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
@@ -32,7 +33,9 @@ SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_
 LEAST_NEIGHBOURS = 16
 """The any-angle step begins with the paths of as many neighbours at least, so that it misses no zigzag."""
 MORE_NEIGHBOURS = 32
-"""Where blocked ground or limits close some moves, it begins with the path of as many neighbours too."""
+"""Where blocked ground or limits close some moves, it begins with the paths of as many neighbours too."""
+SHORT_CELLS = 400.0
+"""Straight distance [cells] below which these are of several corridors: on short ways headings differ most."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -381,7 +384,8 @@ class RoutePlanner:
         if neighbours < MORE_NEIGHBOURS and self._limited():
             more = self._table(MORE_NEIGHBOURS, distance=False)
             with suppress(NoRouteError):
-                seeds.append(grid_search(self.lattice, more, start, goal).points)
+                count = COUNT if math.dist(start, goal) < SHORT_CELLS else 1
+                seeds += [path.points for path in corridor_paths(self.lattice, more, start, goal, count=count)]
         best = best_path(self.lattice, table, start, goal, landmarks=landmarks, seeds=seeds)
         record = {"expanded": best.expanded, "grid_energy_j": best.grid_energy_j, "corridors": best.corridors}
         if neighbours < LEAST_NEIGHBOURS:
