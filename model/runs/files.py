@@ -1,10 +1,10 @@
-"""Measured runs from files, each under a name of its own, cut into segments for training and calibration."""
+"""Measured runs from files, each under a name of its own, cut into segments for training."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
@@ -12,10 +12,8 @@ from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
 from joulemap.model.runs.electric import Currents
-from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
 from joulemap.model.runs.reader import Run, read_run
 from joulemap.model.runs.segments import Segments, concatenate, driven_only
-from joulemap.model.terrain.heightmap import Heightmap
 
 
 def distinct_names(files: Sequence[Path]) -> list[str]:
@@ -45,169 +43,44 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
     return [names[path] for path in paths]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class CalibrationRuns:
-    """The runs that a calibration reads, as segments.
+def read_alike(
+    files: Sequence[Path], readers: Sequence[Callable[[Path, str, Currents], Run]], currents: Currents
+) -> list[Run]:
+    """Read runs of one robot, each under a name that no other file has.
 
-    Attributes
-    ----------
-    segments : Segments
-        Of the runs to learn from: energy in J, or charge in A s where no run has a voltage.
-    baseline : Segments, optional
-        Of runs in which nothing new happens.
-    test : Segments, optional
-        Of runs that take no part in the fit and are only predicted.
-    rows : int
-        Of all files.
-    repairs : dict
-        Counts by name of the run and rule.
-    placed : bool
-        Whether positions are places on a map. False where they are integrated from wheel speeds.
-    """
-
-    segments: Segments
-    baseline: Segments | None
-    test: Segments | None
-    rows: int
-    repairs: dict[str, dict[str, int]]
-    placed: bool = True
-
-
-def read_calibration_runs(
-    files: Sequence[Path],
-    robot: Robot,
-    *,
-    crs: str | None,
-    baseline_files: Sequence[Path] = (),
-    test_files: Sequence[Path] = (),
-    protocol: Protocol = "track",
-    currents: Currents = "auto",
-) -> CalibrationRuns:
-    """Read runs with positions.
+    One robot has one kind of ammeter: where single runs read the signs of their currents differently, the reading of
+    most rows is that of all.
 
     Parameters
     ----------
     files : sequence of Path
-        Of the runs to learn from.
-    robot : Robot
-        That drove; segments far above its speed are left out.
-    crs : str, optional
-        The heightmap's CRS, needed for `lat` and `lon`.
-    baseline_files : sequence of Path
-        Of runs in which nothing new happens.
-    test_files : sequence of Path
-        Of runs for the test only.
-    protocol : {"track", "chords"}
-        As in `cut_segments`.
+        The runs.
+    readers : sequence of callable
+        Of each file: takes the file, its name, and how its currents are summed.
     currents : {"auto", "signed", "magnitude"}
         How the currents of several motors are summed (`joulemap.model.runs.electric`).
 
     Returns
     -------
-    CalibrationRuns
-        Of all files.
+    list of Run
+        In the order of `files`.
 
     Raises
     ------
     RunsError
-        If there is no run to learn from, if a file is no run, or if only some runs have a voltage.
+        If a file is no run.
     """
-
-    def _cut_one(run: Run, charge: bool) -> Segments:
-        return cut_segments(run, charge=charge, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
-
-    read = _read(
-        (files, baseline_files, test_files),
-        lambda file, name, how: read_run(file, name=name, crs=crs, currents=how),
-        currents,
-    )
-    return _cut(read, _cut_one)
-
-
-def read_odometry_runs(
-    files: Sequence[Path],
-    odometry: Odometry,
-    *,
-    baseline_files: Sequence[Path] = (),
-    test_files: Sequence[Path] = (),
-    currents: Currents = "auto",
-) -> tuple[CalibrationRuns, Heightmap]:
-    """Read runs without positions, whose wheel speeds are integrated, and make flat ground for them.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Of the runs to learn from.
-    odometry : Odometry
-        How wheel speeds become a track.
-    baseline_files : sequence of Path
-        Of runs in which nothing new happens.
-    test_files : sequence of Path
-        Of runs for the test only.
-    currents : {"auto", "signed", "magnitude"}
-        As in `read_calibration_runs`.
-
-    Returns
-    -------
-    tuple of (CalibrationRuns, Heightmap)
-        The heightmap covers all runs.
-
-    Raises
-    ------
-    RunsError
-        As `read_calibration_runs`.
-    """
-    read = _read(
-        (files, baseline_files, test_files),
-        lambda file, name, how: read_odometry(file, odometry, name=name, currents=how),
-        currents,
-    )
-    runs = _cut(read, lambda run, charge: cut_travel(run, charge=charge))
-    return replace(runs, placed=False), flat_heightmap([run for some in read for run in some])
-
-
-def _read(
-    files: Sequence[Sequence[Path]], read: Callable[[Path, str, Currents], Run], currents: Currents
-) -> list[list[Run]]:
-    """The runs of each sequence of files; no two different files have the same name.
-
-    One robot has one kind of ammeter: where single runs read the signs of their currents differently, the reading of
-    most rows is that of all.
-    """
-    if not files[0]:
-        raise RunsError("there is no run to read: no file has such a name")
-    names = iter(distinct_names([file for some in files for file in some]))
-    named = [[(file, next(names)) for file in some] for some in files]
-    runs = [[read(file, name, currents) for file, name in some] for some in named]
+    given = list(zip(files, distinct_names(files), readers, strict=True))
+    runs = [read(file, name, currents) for file, name, read in given]
     rows: Counter[Currents] = Counter()
-    for run in (run for some in runs for run in some):
+    for run in runs:
         if run.currents is not None:
             rows[run.currents] += len(run)
     usual = rows.most_common(1)[0][0] if rows else currents
     return [
-        [
-            run if run.currents in (None, usual) else read(file, name, usual)
-            for run, (file, name) in zip(some, pairs, strict=True)
-        ]
-        for some, pairs in zip(runs, named, strict=True)
+        run if run.currents in (None, usual) else read(file, name, usual)
+        for run, (file, name, read) in zip(runs, given, strict=True)
     ]
-
-
-def _cut(read: list[list[Run]], cut: Callable[[Run, bool], Segments]) -> CalibrationRuns:
-    every = [run for some in read for run in some]
-    without = [run.name for run in every if not run.has_energy]
-    if without and len(without) < len(every):
-        raise RunsError(
-            f"{len(without)} of {len(every)} runs have no voltage (the first is {without[0]}): calibrate them "
-            "separately",
-            run=without[0],
-        )
-    segments, baseline, test = (
-        driven_only(concatenate([cut(run, bool(without)) for run in some])) if some else None for some in read
-    )
-    assert segments is not None
-    repairs = {run.name: run.repairs for run in every if run.repairs}
-    return CalibrationRuns(segments, baseline, test, sum(len(run) for run in every), repairs)
 
 
 def read_segments(
@@ -246,7 +119,13 @@ def read_segments(
     RunsError
         If there is no file, or one is no run.
     """
-    (runs,) = _read((files,), lambda file, name, how: read_run(file, name=name, crs=crs, currents=how), currents)
+    if not files:
+        raise RunsError("there is no run to read: no file has such a name")
+
+    def _read(file: Path, name: str, how: Currents) -> Run:
+        return read_run(file, name=name, crs=crs, currents=how)
+
+    runs = read_alike(files, [_read] * len(files), currents)
     parts = []
     for run in runs:
         counted = charge or not run.has_energy

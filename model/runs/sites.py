@@ -28,14 +28,20 @@ class Site:
     heightmap : Heightmap
         The ground, in the frame of the runs.
     files : tuple of Path
-        The runs; at least one.
+        The runs to learn from.
     robot : Robot
-        That drove here. Robots of several sites may differ in size.
+        That drove here. Robots of several sites may differ in size, except for a calibration.
+    baseline_files : tuple of Path
+        Runs in which nothing new happens, for a calibration.
+    test_files : tuple of Path
+        Runs that a calibration only predicts.
     """
 
     heightmap: Heightmap
     files: tuple[Path, ...]
     robot: Robot
+    baseline_files: tuple[Path, ...] = ()
+    test_files: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +81,103 @@ class SiteRuns:
         return np.flatnonzero(self.site == number)
 
 
+def files_of(sites: Sequence[Site]) -> list[Path]:
+    """Return the runs to learn from, and check that each lies on one map.
+
+    Parameters
+    ----------
+    sites : sequence of Site
+        At least one.
+
+    Returns
+    -------
+    list of Path
+        In the order of the sites.
+
+    Raises
+    ------
+    InputError
+        If there is no site, or a run is given twice.
+    """
+    if not sites:
+        raise InputError("there is no site: give a heightmap and its runs")
+    files = [file for site in sites for file in site.files]
+    places = [file.resolve() for file in files]
+    twice = next((file for k, file in enumerate(files) if places[k] in places[:k]), None)
+    if twice is not None:
+        raise InputError(f"the run {twice} is given twice: a run belongs to one map", run=str(twice))
+    return files
+
+
+def with_test_files(sites: Sequence[Site], files: Sequence[Path]) -> list[Site]:
+    """Take test runs out of their sites' other runs.
+
+    Parameters
+    ----------
+    sites : sequence of Site
+        Of all runs.
+    files : sequence of Path
+        The test runs. Of several sites, each must be among the runs of one; a single site takes them all.
+
+    Returns
+    -------
+    list of Site
+        Each with its test runs, which are in nothing else.
+
+    Raises
+    ------
+    InputError
+        If it is not known on which of several maps a test run was driven.
+    """
+    tests = {file.resolve(): file for file in files}
+
+    def _others(some: tuple[Path, ...]) -> tuple[Path, ...]:
+        return tuple(file for file in some if file.resolve() not in tests)
+
+    out = []
+    for site in sites:
+        own = {file.resolve() for file in (*site.files, *site.baseline_files)} if len(sites) > 1 else set(tests)
+        mine = tuple(file for place, file in tests.items() if place in own)
+        out.append(
+            replace(site, files=_others(site.files), baseline_files=_others(site.baseline_files), test_files=mine)
+        )
+    placed = {file.resolve() for site in out for file in site.test_files}
+    lost = next((file for place, file in tests.items() if place not in placed), None)
+    if lost is not None:
+        raise InputError(f"the test run {lost} is on no site: name it among the runs of its map too", run=str(lost))
+    return out
+
+
+def robot_of_all(sites: Sequence[Site]) -> Robot:
+    """Return the one robot that drove on all sites.
+
+    Parameters
+    ----------
+    sites : sequence of Site
+        At least one.
+
+    Returns
+    -------
+    Robot
+        As its owner declares it.
+
+    Raises
+    ------
+    InputError
+        If the robots differ.
+    """
+    first = sites[0]
+    for site in sites[1:]:
+        if site.robot != first.robot:
+            raise InputError(
+                f"the robot of the site {site.heightmap.source} ({site.robot.name}) is not declared like that of the "
+                f"site {first.heightmap.source} ({first.robot.name}): effects are those of one robot. Calibrate the "
+                "runs of each robot separately, or give all sites the same robot file",
+                heightmap=site.heightmap.source,
+            )
+    return first.robot
+
+
 def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protocol = "track") -> SiteRuns:
     """Read the runs of several sites, and check that each was driven on its map.
 
@@ -95,17 +198,16 @@ def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protoco
     Raises
     ------
     InputError
-        If there is no site, or a run is given twice.
+        If there is no site or no run on one, or a run is given twice.
     RunsError
         If a log cannot be read, or does not fit its map and robot.
     """
-    if not sites:
-        raise InputError("there is no site: give a heightmap and its runs")
-    files = [file for site in sites for file in site.files]
-    places = [file.resolve() for file in files]
-    twice = next((file for k, file in enumerate(files) if places[k] in places[:k]), None)
-    if twice is not None:
-        raise InputError(f"the run {twice} is given twice: a run belongs to one map", run=str(twice))
+    files = files_of(sites)
+    idle = next((site for site in sites if not site.files), None)
+    if idle is not None:
+        raise InputError(
+            f"the site {idle.heightmap.source} has no `runs` to learn from", heightmap=idle.heightmap.source
+        )
     names = iter(distinct_names(files))
     runs: list[Run] = []
     parts: list[Segments] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,12 +15,15 @@ from rich.markup import escape
 from joulemap.service.commands.console import JsonFile, Output, json_text, parse_point, progress_bar, write_file
 from joulemap.service.commands.options import (
     BaselineRuns,
+    Campaign,
     MaybeHeightmap,
+    MaybeRuns,
     ModelName,
     Reading,
     RobotFile,
-    Runs,
+    Sites,
     find_runs,
+    named_sites,
     reading_words,
     reads_heightmap,
     robot_of,
@@ -28,9 +32,8 @@ from joulemap.service.words import energy_words, runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
+    from joulemap.model.runs.calibration_runs import CalibrationRuns
     from joulemap.model.runs.electric import Currents
-    from joulemap.model.runs.files import CalibrationRuns
-    from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.service.loop.summary import NextStep
 
 _CORNERS = 8  # of a route
@@ -69,9 +72,11 @@ SumOfCurrents = Annotated[
 
 @reads_heightmap
 def calibrate(
-    runs: Runs,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for report.json, report.html and model/.")],
+    runs: MaybeRuns = None,
     heightmap: MaybeHeightmap = None,
+    site: Sites = None,
+    campaign: Campaign = None,
     model: ModelName = "default",
     robot: RobotFile = None,
     baseline_runs: BaselineRuns = None,
@@ -81,7 +86,7 @@ def calibrate(
             "--test-runs",
             metavar="FILE...",
             help="Runs (also some of `--runs`) that are not used to find or fit effects: the report has the error on "
-            "them before and after.",
+            "them before and after. With `--site` and `--campaign`: some of their runs.",
         ),
     ] = None,
     odometry: OdometryTrack = None,
@@ -90,7 +95,9 @@ def calibrate(
     start: Annotated[
         Any,
         typer.Option(
-            metavar="X,Y", parser=parse_point, help="Start of the route that is compared before and after [m]."
+            metavar="X,Y",
+            parser=parse_point,
+            help="Start of the route that is compared before and after [m], on the map with the most metres driven.",
         ),
     ] = None,
     goal: Annotated[
@@ -124,30 +131,36 @@ def calibrate(
 ) -> None:
     """Find what a **model lacks on measured runs**, name it, and write a calibrated model.
 
-    Example: `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs new/*.csv --out found`
+    Examples:
+
+    `joulemap calibrate --model mine --heightmap dem.tif --robot robot.toml --runs new/*.csv --out found`
+
+    `joulemap calibrate --model mine --site a.tif=a/*.csv --site b.tif=b.csv --robot robot.toml --out found` (several
+    maps, one robot)
     """
     from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
     from joulemap.service.loop.report_page import report_page
 
     if (start is None) != (goal is None):
         raise typer.BadParameter("--start and --goal go together")
-    output, began, driven_by = Output(json_file), time.perf_counter(), robot_of(robot)
-    read, ground = _read(
+    output, began = Output(json_file), time.perf_counter()
+    asked = _Asked(
+        model,
         runs,
-        baseline_runs,
         heightmap,
-        driven_by,
+        site,
+        campaign,
+        robot,
+        baseline_runs,
         odometry,
         terrain_from_name,
+        currents,
         reading,
-        test_runs=test_runs,
-        currents=currents,
     )
+    read = asked.read(test_runs)
     with progress_bar("Calibrating") as report:
         made = calibrate_on_runs(
             model,
-            ground,
-            driven_by,
             read,
             out=out,
             task=None if start is None else (start, goal),
@@ -156,93 +169,117 @@ def calibrate(
             seed=seed,
             progress=report,
         )
-    asked = _options(model, heightmap, robot, runs, baseline_runs, odometry, terrain_from_name, reading)
-    asked += [] if currents == "auto" else ["--currents", currents]
-    steps = _next_steps(made.document, out, heightmap, robot, reading, asked)
+    steps = _next_steps(made.document, out, asked, read.robot)
     write_file(out / "report.json", json_text(made.document).encode())
-    write_file(out / "report.html", report_page(made, ground, steps=steps).encode())
+    write_file(out / "report.html", report_page(made, steps=steps).encode())
     _say(output, made.document, out, steps)
-    count = len(read.segments.runs) + (0 if read.test is None else len(read.test.runs))
     output.say(
-        f"{runs_words(count)}, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
+        f"{runs_words(read.run_count)}, {read.rows:,} rows, {made.document['segments']['fit']:,} segments in "
         f"{time.perf_counter() - began:.0f} s"
     )
     output.warn(made.document["warnings"])
     output.document(made.document)
 
 
-def _read(
-    runs: list[str],
-    baseline_runs: list[str] | None,
-    heightmap: Path | None,
-    robot: Robot,
-    odometry: float | None,
-    terrain_from_name: bool,
-    reading: Reading,
-    *,
-    test_runs: list[str] | None = None,
-    currents: Currents = "auto",
-) -> tuple[CalibrationRuns, Heightmap]:
-    """The runs that the options name, and the map or level ground that they were driven on."""
-    from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
-    from joulemap.model.runs.odometry import Odometry
-    from joulemap.model.terrain.readers import read_heightmap
+@dataclass(frozen=True)
+class _Asked:
+    """What both commands are asked to look at: the model, the runs and the ground, as the options name them."""
 
-    if (heightmap is None) == (odometry is None):
-        raise typer.BadParameter("give either --heightmap, or --odometry for runs without positions")
-    if terrain_from_name and odometry is None:
-        raise typer.BadParameter("--terrain-from-name goes with --odometry")
-    test = find_runs(test_runs or [])
-    test_files = {file.resolve() for file in test}
-    files = [file for file in find_runs(runs) if file.resolve() not in test_files]
-    more: dict[str, Any] = {"baseline_files": find_runs(baseline_runs or []), "test_files": test, "currents": currents}
-    if odometry is not None:
-        return read_odometry_runs(files, Odometry(odometry, terrain_from_name), **more)
-    assert heightmap is not None
-    ground = read_heightmap(heightmap, **reading)
-    return read_calibration_runs(files, robot, crs=ground.frame.crs, **more), ground
+    model: str
+    runs: list[str] | None
+    heightmap: Path | None
+    site: list[str] | None
+    campaign: Path | None
+    robot: Path | None
+    baseline_runs: list[str] | None
+    odometry: float | None
+    terrain_from_name: bool
+    currents: Currents
+    reading: Reading
+
+    def __post_init__(self) -> None:
+        ways = (self.heightmap is not None, bool(self.site), self.campaign is not None, self.odometry is not None)
+        if sum(ways) != 1:
+            raise typer.BadParameter(
+                "give one of --heightmap, --site, --campaign, and --odometry for runs without positions"
+            )
+        if self.terrain_from_name and self.odometry is None:
+            raise typer.BadParameter("--terrain-from-name goes with --odometry")
+        if self.odometry is not None and not self.runs:
+            raise typer.BadParameter("--odometry and --runs go together")
+        if self.baseline_runs and (self.site or self.campaign):
+            raise typer.BadParameter(
+                "--baseline-runs goes with --heightmap or --odometry; in a campaign file a site has the key `baseline`"
+            )
+
+    def read(self, test_runs: list[str] | None = None) -> CalibrationRuns:
+        """The runs, and the maps or the level ground that they were driven on."""
+        from joulemap.model.runs.calibration_runs import read_calibration_runs, read_odometry_runs
+        from joulemap.model.runs.odometry import Odometry
+        from joulemap.model.runs.sites import with_test_files
+
+        baseline, test = find_runs(self.baseline_runs or []), find_runs(test_runs or [])
+        if self.odometry is not None:
+            tests = {file.resolve() for file in test}
+            return read_odometry_runs(
+                [file for file in find_runs(self.runs or []) if file.resolve() not in tests],
+                Odometry(self.odometry, self.terrain_from_name),
+                robot_of(self.robot),
+                baseline_files=baseline,
+                test_files=test,
+                currents=self.currents,
+            )
+        sites = named_sites(self.heightmap, self.runs, self.site, self.campaign, self.robot, self.reading)
+        if baseline:
+            sites = [replace(sites[0], baseline_files=tuple(baseline))]
+        return read_calibration_runs(with_test_files(sites, test), currents=self.currents)
+
+    def words(self) -> list[str]:
+        """The options again, as they are typed."""
+        words = ["--model", self.model]
+        for name, value in (
+            ("--heightmap", self.heightmap),
+            ("--campaign", self.campaign),
+            ("--odometry", self.odometry),
+            ("--robot", self.robot),
+        ):
+            words += [] if value is None else [name, str(value)]
+        words += ["--terrain-from-name"] * self.terrain_from_name + reading_words(self.reading)
+        for name, values in (("--site", self.site), ("--runs", self.runs), ("--baseline-runs", self.baseline_runs)):
+            words += [name, *values] if values else []
+        return words if self.currents == "auto" else [*words, "--currents", self.currents]
+
+    def ground_words(self, document: Mapping[str, Any], robot: Robot) -> list[str]:
+        """The map that the report's route is on and the robot, as a cost map needs them."""
+        from joulemap.model.robot import Robot as Declared
+        from joulemap.service.library.sites import sites_of_options
+
+        number = next(k for k, site in enumerate(document["sites"]) if site["main"])
+        ground, usual = self.heightmap, self.robot
+        if self.site:
+            ground = sites_of_options(self.site)[number][0]
+        elif self.campaign is not None:
+            beside = self.campaign.parent / document["sites"][number]["heightmap"]
+            ground = beside if beside.is_file() else None
+            usual = usual or (None if robot == Declared() else Path("ROBOT"))
+        words = [str(ground or "HEIGHTMAP"), *([] if self.campaign or ground is None else reading_words(self.reading))]
+        return words if usual is None else [*words, "--robot", str(usual)]
 
 
-def _options(
-    model: str,
-    heightmap: Path | None,
-    robot: Path | None,
-    runs: Sequence[str],
-    baseline_runs: Sequence[str] | None,
-    odometry: float | None,
-    terrain_from_name: bool,
-    reading: Reading,
-) -> list[str]:
-    """What `suggest-drive` needs to look at the same runs."""
-    words = ["--model", model]
-    for name, value in (("--heightmap", heightmap), ("--odometry", odometry), ("--robot", robot)):
-        words += [] if value is None else [name, str(value)]
-    words += ["--terrain-from-name"] * terrain_from_name + reading_words(reading) + ["--runs", *runs]
-    return words + (["--baseline-runs", *baseline_runs] if baseline_runs else [])
-
-
-def _next_steps(
-    document: Mapping[str, Any],
-    out: Path,
-    heightmap: Path | None,
-    robot: Path | None,
-    reading: Reading,
-    asked: Sequence[str],
-) -> list[NextStep]:
+def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Robot) -> list[NextStep]:
     """What to type after a calibration."""
     from joulemap.service.loop.summary import NextStep, likeliest
 
-    words = ["joulemap", "costmap", str(heightmap or "HEIGHTMAP"), *(reading_words(reading) if heightmap else [])]
-    words += ["--robot", str(robot)] if robot is not None else []
     made = out.with_name("after.zarr")
-    words += ["--model", str(out / "model"), "--out", str(made)]
+    words = ["joulemap", "costmap", *asked.ground_words(document, robot), "--model", str(out / "model")]
+    words += ["--out", str(made)]
     steps = [NextStep("Make a cost map with the calibrated model", shlex.join(words))]
     task = document["route"].get("task", {"start": None, "goal": None})
     ends = (task[end] and f"{task[end][0]:.1f},{task[end][1]:.1f}" for end in ("start", "goal"))
     start, goal = (place or "X,Y" for place in ends)
     words = ["joulemap", "path", str(made), "--start", start, "--goal", goal]
     steps.append(NextStep("Plan a path on it", shlex.join(words)))
-    words = ["joulemap", "suggest-drive", *asked]
+    words = ["joulemap", "suggest-drive", *asked.words()]
     if document["effects"]:
         steps.append(NextStep("Get the drive that would make the answer more certain", shlex.join(words)))
     elif names := likeliest(document):
@@ -292,8 +329,10 @@ def _pace(drive: Mapping[str, Any]) -> str:
 
 @reads_heightmap
 def suggest_drive(
-    runs: Runs,
+    runs: MaybeRuns = None,
     heightmap: MaybeHeightmap = None,
+    site: Sites = None,
+    campaign: Campaign = None,
     model: ModelName = "default",
     robot: RobotFile = None,
     effect: Annotated[
@@ -319,14 +358,23 @@ def suggest_drive(
     from joulemap.service.loop.next_drive import suggest_next_drive
     from joulemap.service.loop.summary import drive_words
 
-    output, driven_by = Output(json_file), robot_of(robot)
-    read, ground = _read(
-        runs, baseline_runs, heightmap, driven_by, odometry, terrain_from_name, reading, currents=currents
+    output = Output(json_file)
+    asked = _Asked(
+        model,
+        runs,
+        heightmap,
+        site,
+        campaign,
+        robot,
+        baseline_runs,
+        odometry,
+        terrain_from_name,
+        currents,
+        reading,
     )
+    read = asked.read()
     with progress_bar("Calibrating") as report:
-        found = suggest_next_drive(
-            model, ground, driven_by, read, effect=effect, length_m=length, progress=report
-        ).as_dict()
+        found = suggest_next_drive(model, read, effect=effect, length_m=length, progress=report).as_dict()
     output.say(escape(drive_words(found)))
     corners = found["points"][:: max(1, len(found["points"]) // _CORNERS)]
     output.table(

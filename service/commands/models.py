@@ -22,6 +22,7 @@ from joulemap.service.commands.options import (
     RobotFile,
     Sites,
     known_model,
+    named_sites,
     reads_heightmap,
     refuse_to_replace,
     robot_of,
@@ -31,7 +32,6 @@ from joulemap.service.words import runs_words
 
 if TYPE_CHECKING:
     from joulemap.model.robot import Robot
-    from joulemap.model.runs.sites import Site
 
 
 class SiteName(StrEnum):
@@ -301,7 +301,7 @@ def train(
     from joulemap.model.runs.segments import coverage_words
     from joulemap.service.library import models as library
 
-    sites = _sites(heightmap, runs, site, campaign, robot, reading)
+    sites = named_sites(heightmap, runs, site, campaign, robot, reading)
     with progress_bar("Training") as report:
         made = library.train(
             out=out,
@@ -364,7 +364,7 @@ def evaluate(
     from joulemap.service.library import models as library
 
     output = Output(json_file)
-    sites = _sites(heightmap, runs, site, campaign, robot, reading)
+    sites = named_sites(heightmap, runs, site, campaign, robot, reading)
     found = library.evaluate(sites=sites, model=model, charge=charge).document
     output.say(
         f"[bold]Model {found['model']}[/] on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}"
@@ -383,32 +383,6 @@ def evaluate(
     )
     output.warn(found["warnings"])
     output.document(found)
-
-
-def _sites(
-    heightmap: Path | None,
-    runs: list[str] | None,
-    site: list[str] | None,
-    campaign: Path | None,
-    robot: Path | None,
-    reading: Reading,
-) -> list[Site]:
-    """The sites of a command line. Raises typer.BadParameter where none or several ways of naming them are used."""
-    from joulemap.model.terrain.readers import read_heightmap
-    from joulemap.service.library.sites import sites_given, sites_of_options
-
-    ways = [heightmap is not None or bool(runs), bool(site), campaign is not None]
-    if sum(ways) != 1:
-        raise typer.BadParameter("give --heightmap and --runs, or --site, or --campaign")
-    if campaign is not None:
-        return sites_given(campaign=campaign, robot=robot)
-    if site:
-        named = sites_of_options(site)
-    elif heightmap is None or not runs:
-        raise typer.BadParameter("--heightmap and --runs go together")
-    else:
-        named = [(heightmap, runs)]
-    return sites_given(sites=[(read_heightmap(ground, **reading), files) for ground, files in named], robot=robot)
 
 
 def _share_words(found: dict[str, Any]) -> str:

@@ -19,8 +19,9 @@ from typing import Any
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_calibration_runs, read_odometry_runs
+from joulemap.model.runs.calibration_runs import read_calibration_runs, read_odometry_runs
 from joulemap.model.runs.odometry import Odometry
+from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.jobs.steps import Step, Steps
 from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
@@ -187,17 +188,17 @@ def _work(work: _Work, there: Connection) -> None:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        more: dict[str, Any] = {"baseline_files": work.base_files, "test_files": work.test_files}
         if isinstance(work.ground, Odometry):
-            runs, heightmap = read_odometry_runs(work.files, work.ground, **more)
+            runs = read_odometry_runs(
+                work.files, work.ground, work.robot, baseline_files=work.base_files, test_files=work.test_files
+            )
         else:
             file, name = work.ground
-            heightmap = read_heightmap(file, filename=name)
-            runs = read_calibration_runs(work.files, work.robot, crs=heightmap.frame.crs, **more)
+            files = (tuple(some) for some in (work.base_files, work.test_files))
+            site = Site(read_heightmap(file, filename=name), tuple(work.files), work.robot, *files)
+            runs = read_calibration_runs([site])
         made = calibrate_on_runs(
             work.model,
-            heightmap,
-            work.robot,
             runs,
             out=work.out,
             task=work.task,
@@ -209,7 +210,7 @@ def _work(work: _Work, there: Connection) -> None:
         work.out.mkdir(parents=True, exist_ok=True)
         (work.out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
         steps = [NextStep("Make a cost map with the calibrated model", work.request)]
-        (work.out / PAGE).write_text(report_page(made, heightmap, steps=steps), encoding="utf-8")
+        (work.out / PAGE).write_text(report_page(made, steps=steps), encoding="utf-8")
     except JoulemapError as error:
         there.send(error)
     else:

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import InputError
-from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
+from joulemap.service.library.heightmaps import GroundLike, RobotLike
 from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.run_files import RunsLike, find_run_files
+from joulemap.service.library.sites import SiteLike, sites_given
 from joulemap.service.models import CALIBRATED_FOLDER, DEFAULT_MODEL
 
 if TYPE_CHECKING:
-    from joulemap.model.robot import Robot
-    from joulemap.model.runs.files import CalibrationRuns
-    from joulemap.model.terrain.heightmap import Heightmap
+    from joulemap.model.runs.calibration_runs import CalibrationRuns
     from joulemap.service.loop.rerouting import Task
 
 Point = Sequence[float]
@@ -84,10 +83,12 @@ class CalibrationResult:
 
 
 def calibrate(
-    ground: GroundLike,
-    runs: RunsLike,
+    ground: GroundLike | None = None,
+    runs: RunsLike | None = None,
     *,
     out: str | Path,
+    sites: Sequence[SiteLike] | None = None,
+    campaign: str | Path | None = None,
     model: ModelLike = DEFAULT_MODEL,
     robot: RobotLike = None,
     baseline_runs: RunsLike | None = None,
@@ -103,22 +104,28 @@ def calibrate(
 
     Parameters
     ----------
-    ground : Heightmap, str or Path
-        The heightmap that the runs were driven on.
-    runs : Runs, str, Path or sequence of these
+    ground : Heightmap, str or Path, optional
+        The heightmap that the runs were driven on. Not with `sites` or `campaign`.
+    runs : Runs, str, Path or sequence of these, optional
         The runs, or their files.
     out : str or Path
         Folder for `report.json`, `report.html` and the calibrated model.
+    sites : sequence of tuple, optional
+        Several heightmaps and the runs on each: pairs (heightmap, runs). All are calibrated together.
+    campaign : str or Path, optional
+        A TOML file with a table [[site]] for every map.
     model : str, Path or Model, optional
         The model to be calibrated.
     robot : Robot, mapping, str, Path or None, optional
         The robot that drove.
     baseline_runs : Runs, str, Path or sequence of these, optional
-        Runs in which nothing new is at work. By default those that the model was trained on.
+        Runs on `ground` in which nothing new is at work. By default those that the model was trained on. A campaign
+        file names them with the key `baseline` of a site.
     test_runs : Runs, str, Path or sequence of these, optional
-        Runs that have no part in the fit; the report has the error on them before and after.
+        Runs that have no part in the fit; the report has the error on them before and after. Of several sites, they are
+        among the runs of one.
     start, goal : sequence of float, optional
-        World x, y [m] of a task whose routes before and after are compared.
+        World x, y [m] of a task whose routes before and after are compared, on the map with the most metres driven.
     campaigns : bool, optional
         For the errors, leave out whole campaigns instead of single runs. Runs of one campaign have the same date in
         their name, or the same name before the last underscore, such as `2018-11_00` and `2018-11_01`.
@@ -142,24 +149,23 @@ def calibrate(
     ConflictError
         If `out` holds a calibrated model already: a model version is never changed.
     InputError
-        If only one of `start` and `goal` is given, or if all runs belong to one campaign.
+        If only one of `start` and `goal` is given, if the sites are none or have several robots, or if all runs belong
+        to one campaign.
     """
-    from joulemap.model.runs.files import read_calibration_runs
+    from joulemap.model.runs.calibration_runs import read_calibration_runs
+    from joulemap.model.runs.sites import with_test_files
 
     if (start is None) != (goal is None):
         raise InputError("give `start` and `goal`, or neither")
-    heightmap, driven_by = ground_of(ground), robot_of(robot)
-    tests = find_run_files(test_runs)
-    kept = {file.resolve() for file in tests}
-    files = [file for file in find_run_files(runs) if file.resolve() not in kept]
-    read = read_calibration_runs(
-        files, driven_by, crs=heightmap.frame.crs, baseline_files=find_run_files(baseline_runs), test_files=tests
-    )
+    given = sites_given(ground, runs, sites=sites, campaign=campaign, robot=robot)
+    if baseline_runs is not None:
+        if ground is None:
+            raise InputError("`baseline_runs` go with one heightmap; in a campaign file a site has the key `baseline`")
+        given = [replace(given[0], baseline_files=tuple(find_run_files(baseline_runs)))]
+    read = read_calibration_runs(with_test_files(given, find_run_files(test_runs)))
     task = None if start is None or goal is None else ((start[0], start[1]), (goal[0], goal[1]))
     return calibrate_and_report(
         model_folder(model),
-        heightmap,
-        driven_by,
         read,
         out=Path(out),
         task=task,
@@ -172,8 +178,6 @@ def calibrate(
 
 def calibrate_and_report(
     model: str | Path,
-    heightmap: Heightmap,
-    robot: Robot,
     runs: CalibrationRuns,
     *,
     out: Path,
@@ -189,10 +193,6 @@ def calibrate_and_report(
     ----------
     model : str or Path
         Name or folder of the model to be calibrated.
-    heightmap : Heightmap
-        The ground; level ground for runs without positions.
-    robot : Robot
-        The robot that drove.
     runs : CalibrationRuns
         What is learned from, compared with, and tested on.
     out : Path
@@ -221,8 +221,6 @@ def calibrate_and_report(
 
     made = calibrate_on_runs(
         model,
-        heightmap,
-        robot,
         runs,
         out=out,
         task=task,
@@ -233,5 +231,5 @@ def calibrate_and_report(
     )
     text = json.dumps(made.document, indent=2, allow_nan=False) + "\n"
     (out / REPORT_JSON).write_text(text, encoding="utf-8")
-    (out / REPORT_HTML).write_text(report_page(made, heightmap), encoding="utf-8")
+    (out / REPORT_HTML).write_text(report_page(made), encoding="utf-8")
     return CalibrationResult(out, made.document)

@@ -15,7 +15,7 @@ from joulemap.service.library.run_files import RunsLike, find_run_files
 SiteLike = Site | tuple[GroundLike, RunsLike] | tuple[GroundLike, RunsLike, RobotLike]
 """A heightmap, its runs and, where it is another one, the robot that drove there."""
 
-_SITE_KEYS = ("heightmap", "runs", "robot")
+_SITE_KEYS = ("heightmap", "runs", "robot", "baseline")
 
 
 def sites_of(sites: Sequence[SiteLike], *, robot: RobotLike = None) -> list[Site]:
@@ -142,8 +142,9 @@ def sites_of_options(values: Sequence[str]) -> list[tuple[Path, list[str]]]:
 def read_campaign(path: str | Path, *, robot: RobotLike = None) -> list[Site]:
     """Read a campaign file: a TOML file with a table [[site]] for every map.
 
-    A site has the keys `heightmap`, `runs` (a file, a pattern, or a list of them) and, if another robot drove there,
-    `robot`. The key `robot` at the top names the robot of all other sites. Paths are relative to the file.
+    A site has the keys `heightmap`, `runs` (a file, a pattern, or a list of them), `baseline` (likewise, the baseline
+    runs of a calibration; such a site may lack `runs`) and, if another robot drove there, `robot`. The key `robot` at
+    the top names the robot of all other sites. Paths are relative to the file.
 
     Parameters
     ----------
@@ -180,16 +181,21 @@ def read_campaign(path: str | Path, *, robot: RobotLike = None) -> list[Site]:
         )
     sites = []
     for number, table in enumerate(tables, start=1):
-        missing = [key for key in ("heightmap", "runs") if not table.get(key)]
+        needed = ("heightmap", "runs") if not table.get("baseline") else ("heightmap",)
+        missing = [key for key in needed if not table.get(key)]
         other = {key: value for key, value in table.items() if key not in _SITE_KEYS}
         if missing or other:
             what = f"`{missing[0]}` is missing" if missing else _unknown(other, _SITE_KEYS)
             raise InputError(f"campaign file {path}, site {number}: {what}", path=str(path), site=number)
-        runs = [table["runs"]] if isinstance(table["runs"], str) else table["runs"]
-        found = find_run_files([path.parent / str(run) for run in runs])
+        runs, baseline = (_runs_in(path, table.get(key)) for key in ("runs", "baseline"))
         ground = ground_of(path.parent / str(table["heightmap"]))
-        sites.append(Site(ground, tuple(found), _robot_in(path, table.get("robot"), usual)))
+        sites.append(Site(ground, runs, _robot_in(path, table.get("robot"), usual), baseline))
     return sites
+
+
+def _runs_in(path: Path, named: Any) -> tuple[Path, ...]:
+    runs = [named] if isinstance(named, str) else named or []
+    return tuple(find_run_files([path.parent / str(run) for run in runs]))
 
 
 def _robot_in(path: Path, named: Any, usual: RobotLike) -> Any:

@@ -23,13 +23,13 @@ from joulemap.model.loop.calibrated import (
 )
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.residuals import Residuals
-from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import CalibrationRuns
+from joulemap.model.runs.calibration_runs import CalibrationRuns
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.deprecated_keys import with_former_keys
+from joulemap.service.loop.measured import Measured, measure, sites_document
 from joulemap.service.loop.next_drive import next_drive
 from joulemap.service.loop.rerouting import Comparison, Task, compare_routes
 from joulemap.service.models import CALIBRATED_FOLDER, load_model, model_name, planning_robot
@@ -53,17 +53,18 @@ class Calibrated:
         What was found, with the residuals.
     routes : Comparison, optional
         A task before and after. Without it the report's `route` says why there is none.
+    heightmap : Heightmap
+        Where it was compared: of several, the one with the most metres driven.
     """
 
     document: dict[str, Any]
     found: Calibration
     routes: Comparison | None
+    heightmap: Heightmap
 
 
 def calibrate_on_runs(
     model: str | Path,
-    heightmap: Heightmap,
-    robot: Robot,
     runs: CalibrationRuns,
     *,
     out: Path,
@@ -79,16 +80,13 @@ def calibrate_on_runs(
     ----------
     model : str or Path
         Name or folder of the base model.
-    heightmap : Heightmap
-        On which the runs were driven.
-    robot : Robot
-        That drove, as its owner declares it.
     runs : CalibrationRuns
-        As `runs.files` reads them. Without baseline runs, those in the model's folder are used.
+        Of one robot, on one map or several. Without baseline runs, those in the model's folder are used.
     out : Path
         Folder to write to.
     task : tuple of tuple of float, optional
-        Start and goal [m] whose routes before and after are compared, see `compare_routes`.
+        Start and goal [m] whose routes before and after are compared, see `compare_routes`; on the map with the most
+        metres driven.
     groups : sequence of str, optional
         Of each run, such as its campaign: groups are left out together.
     cross_validate : bool
@@ -125,34 +123,29 @@ def calibrate_on_runs(
     out.mkdir(parents=True, exist_ok=True)  # what cannot be written there is known before it is computed
     predictor = load_model(model)
     refuse_calibrated(model, predictor)
-    segments = runs.segments
-    measured, electric, std = residuals_on(predictor, heightmap, robot, segments)
-    base = base_residuals(model, predictor, heightmap, robot, runs.baseline)
-    test = None if runs.test is None else residuals_on(predictor, heightmap, robot, runs.test, least=1)[0]
+    measured = measure(model, predictor, runs)
     _report(progress, _READ)
     found = calibrate(
-        measured,
-        electric=electric,
-        base=base,
+        measured.residuals,
+        electric=measured.electric,
+        base=measured.baseline,
         groups=groups,
         cross_validate=cross_validate,
         progress=_part(progress, _READ, _CALIBRATED),
     )
-    base_turn = planning_robot(predictor, robot).turn_j_per_rad
-    correction = correction_of(found, std)
+    correction = correction_of(found, measured.std)
     version = _write(begun, model, predictor, correction)
     after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
+    ground = measured.main.heightmap
     routes, why_not = None, "the runs have no positions"
     if runs.placed:
-        driven = measured.features.take(measured.moving)  # on ground that the map knows
-        places = np.column_stack([driven.x, driven.y])
         try:
             routes = compare_routes(
-                heightmap,
-                robot,
+                ground,
+                runs.robot,
                 predictor,
                 after,
-                places,
+                measured.places,
                 task=task,
                 seed=seed,
                 progress=_part(progress, _CALIBRATED, 1.0),
@@ -160,30 +153,46 @@ def calibrate_on_runs(
         except InfeasibleError as error:  # a report all the same
             why_not = error.message
     report = report_document(found, before=predictor.provenance(), after=version)
-    if groups is not None and measured.whole_runs:
+    if groups is not None and measured.residuals.whole_runs:
         report["validation"]["left_out"] = "campaigns"
-    if any(e.term.form.name == "turning" and e.term.form.known_before for e in found.effects):
-        total = base_turn + correction.turn_j_per_rad
-        report["turning_in_plans"] = {"j_per_rad": max(total, 0.0), "new_j_per_rad": correction.turn_j_per_rad}
-    report["route"] = routes.as_dict() if routes is not None else {"why_not": why_not}
-    if routes is not None:
-        report["map"] = routes.map_as_dict()
-    if routes is not None and segments.charge:
-        report["route"]["nominal_voltage_v"] = robot.nominal_voltage_v
-    if test is not None:
-        report["test_set"] = {"segments": int(test.moving.sum()), "error": found.errors_on(test)}
-    report["runs"] = {
+    report |= _turning(found, predictor, runs.robot, correction) | _runs(runs, measured)
+    report |= _route(routes, why_not, runs)
+    if measured.test is not None:
+        report["test_set"] = {"segments": int(measured.test.moving.sum()), "error": found.errors_on(measured.test)}
+    report["next_drive"] = _next_drive(found, predictor, ground, runs, seed)
+    report["warnings"] = after.warnings(ground, runs.robot)
+    begun.rename(target)
+    _report(progress, 1.0)
+    return Calibrated(with_former_keys(report), found, routes, ground)
+
+
+def _turning(found: Calibration, predictor: Predictor, robot: Robot, correction: Correction) -> dict[str, Any]:
+    """What turning costs in plans, where it is known before a drive."""
+    if not any(e.term.form.name == "turning" and e.term.form.known_before for e in found.effects):
+        return {}
+    total = planning_robot(predictor, robot).turn_j_per_rad + correction.turn_j_per_rad
+    return {"turning_in_plans": {"j_per_rad": max(total, 0.0), "new_j_per_rad": correction.turn_j_per_rad}}
+
+
+def _route(routes: Comparison | None, why_not: str, runs: CalibrationRuns) -> dict[str, Any]:
+    if routes is None:
+        return {"route": {"why_not": why_not}}
+    route = routes.as_dict()
+    if runs.segments.charge:
+        route["nominal_voltage_v"] = runs.robot.nominal_voltage_v
+    return {"route": route, "map": routes.map_as_dict()}
+
+
+def _runs(runs: CalibrationRuns, measured: Measured) -> dict[str, Any]:
+    segments = runs.segments
+    read = {
         "names": list(segments.runs),
         "rows": runs.rows,
         "repairs": runs.repairs,
         "left_out": segments.left_out,
-        "coverage": _coverage(segments, measured),
+        "coverage": _coverage(segments, measured.residuals),
     }
-    report["next_drive"] = _next_drive(found, predictor, heightmap, robot, runs, seed)
-    report["warnings"] = after.warnings(heightmap, robot)
-    begun.rename(target)
-    _report(progress, 1.0)
-    return Calibrated(with_former_keys(report), found, routes)
+    return {"runs": read, "sites": sites_document(runs, measured)}
 
 
 def _coverage(segments: Segments, measured: Residuals) -> dict[str, Any]:
@@ -196,10 +205,10 @@ def _coverage(segments: Segments, measured: Residuals) -> dict[str, Any]:
 
 
 def _next_drive(
-    found: Calibration, predictor: Predictor, heightmap: Heightmap, robot: Robot, runs: CalibrationRuns, seed: int
+    found: Calibration, predictor: Predictor, heightmap: Heightmap, runs: CalibrationRuns, seed: int
 ) -> dict[str, Any]:
     try:
-        return next_drive(found, predictor, heightmap, robot, placed=runs.placed, seed=seed).as_dict()
+        return next_drive(found, predictor, heightmap, runs.robot, placed=runs.placed, seed=seed).as_dict()
     except (InputError, InfeasibleError) as error:  # no effect was found, or no route fits
         return {"why_not": error.message}
 

@@ -14,11 +14,11 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError
 from joulemap.model.loop.calibrate import Calibration, Effect, calibrate
 from joulemap.model.loop.forms import Form
-from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.loop.suggest import Suggestion, suggest_drive
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import CalibrationRuns
+from joulemap.model.runs.calibration_runs import CalibrationRuns
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.loop.measured import measure
 from joulemap.service.models import load_model
 
 FloatArray = NDArray[np.float64]
@@ -175,8 +175,6 @@ def _best_forms(found: Calibration) -> dict[str, Form]:
 
 def suggest_next_drive(
     model: str | Path,
-    heightmap: Heightmap,
-    robot: Robot,
     runs: CalibrationRuns,
     *,
     effect: str | None = None,
@@ -190,12 +188,8 @@ def suggest_next_drive(
     ----------
     model : str or Path
         Name or folder of the base model.
-    heightmap : Heightmap
-        On which the runs were driven.
-    robot : Robot
-        That drove.
     runs : CalibrationRuns
-        The runs so far.
+        The runs so far. Of several maps, the one with the most metres driven is driven on next.
     effect : str, optional
         As `next_drive`.
     length_m : float
@@ -211,9 +205,21 @@ def suggest_next_drive(
         As `next_drive`.
     """
     predictor = load_model(model)
-    measured, electric, _ = residuals_on(predictor, heightmap, robot, runs.segments)
-    base = base_residuals(model, predictor, heightmap, robot, runs.baseline)
-    found = calibrate(measured, electric=electric, base=base, cross_validate=False, progress=progress)
+    measured = measure(model, predictor, runs)
+    found = calibrate(
+        measured.residuals,
+        electric=measured.electric,
+        base=measured.baseline,
+        cross_validate=False,
+        progress=progress,
+    )
     return next_drive(
-        found, predictor, heightmap, robot, placed=runs.placed, effect=effect, length_m=length_m, seed=seed
+        found,
+        predictor,
+        measured.main.heightmap,
+        runs.robot,
+        placed=runs.placed,
+        effect=effect,
+        length_m=length_m,
+        seed=seed,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import matplotlib
@@ -186,13 +186,15 @@ def error_figure(found: Calibration) -> str:
     return _figure(_draw, (_FULL, 1.3 + 0.34 * runs.size))
 
 
-def residual_maps(found: Calibration) -> list[str]:
+def residual_maps(found: Calibration, runs: Collection[str] | None = None) -> list[str]:
     """Draw the residual of every segment at its place, before and after.
 
     Parameters
     ----------
     found : Calibration
         What was found.
+    runs : collection of str, optional
+        Names of the runs that are drawn, which lie on one map. Without it all.
 
     Returns
     -------
@@ -200,6 +202,8 @@ def residual_maps(found: Calibration) -> list[str]:
         Two SVG figures with the same colour scale.
     """
     rows, moving = found.residuals.features, found.residuals.moving
+    if runs is not None:
+        moving = moving & np.array([name in runs for name in found.residuals.runs])[rows.run]
     x, y = rows.x[moving] - rows.x[moving].min(), rows.y[moving] - rows.y[moving].min()
     before = (found.residuals.measured - found.held_out["before"])[moving]
     after = (found.residuals.measured - found.held_out["after"])[moving]

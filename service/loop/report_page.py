@@ -12,7 +12,6 @@ from typing import Any
 from joulemap.model.energy.metrics import LEAST_J
 from joulemap.model.loop.selection import ALPHA
 from joulemap.model.loop.words import left_out_words, p_words, quantity_name, quantity_words, repair_words
-from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (
     LEAST_SPAN,
@@ -38,6 +37,7 @@ from joulemap.service.loop.summary import (
     likeliest,
     percent,
     range_words,
+    site_words,
     unit_of,
     validation_words,
     variation_words,
@@ -66,15 +66,13 @@ _AGAINST = (
 _ALIKE = 0.005  # of the mean energy per metre: less than this is no change of the map
 
 
-def report_page(made: Calibrated, heightmap: Heightmap, *, steps: Sequence[NextStep] = ()) -> str:
+def report_page(made: Calibrated, *, steps: Sequence[NextStep] = ()) -> str:
     """Return the page.
 
     Parameters
     ----------
     made : Calibrated
         What a calibration left.
-    heightmap : Heightmap
-        On which the runs were driven.
     steps : sequence of NextStep
         What to type next.
 
@@ -96,10 +94,10 @@ def report_page(made: Calibrated, heightmap: Heightmap, *, steps: Sequence[NextS
         _confounded(document),
         "<h2>Ranges of these runs</h2>" + _ranges(document),
         "<h2>Change of the cost map</h2>" + _map(made),
-        "<h2>A route before and after</h2>" + _route(made, heightmap),
+        "<h2>A route before and after</h2>" + _route(made),
         "<h2>What to drive next</h2>" + _next_drive(document),
         "<h2>Measured against predicted</h2>" + _figures(prediction_figures(found, unit)),
-        "<h2>Residuals on the map</h2>" + _figures(residual_maps(found)),
+        "<h2>Residuals on the map</h2>" + _figures(residual_maps(found, _runs_of_main(document))),
         f"<h2>Residual [{unit}] against each quantity</h2>{_AGAINST}",
         _figures(against_figures(found, unit), "figures small"),
         "<h2>All candidate effects</h2>" + _candidates(document),
@@ -112,6 +110,11 @@ def report_page(made: Calibrated, heightmap: Heightmap, *, steps: Sequence[NextS
     )
 
 
+def _runs_of_main(document: Mapping[str, Any]) -> list[str] | None:
+    """Of the map that routes are compared on."""
+    return next((site["runs"] for site in document.get("sites", []) if site["main"]), None)
+
+
 def _lead(document: Mapping[str, Any], steps: Sequence[NextStep]) -> str:
     """What was found, how much better the model is, and what to do next."""
     first, *rest = found_words(document)
@@ -119,6 +122,7 @@ def _lead(document: Mapping[str, Any], steps: Sequence[NextStep]) -> str:
     if rest:
         words += "<ul>" + "".join(f"<li>{_text(sentence)}</li>" for sentence in rest) + "</ul>"
     words += f"<p>{_text(variation_words(document))}</p>"
+    words += "".join(f"<p>{_text(sentence)}</p>" for sentence in site_words(document))
     words += "".join(f"<p{_loud(sentence)}>{_text(sentence)}</p>" for sentence in error_words(document))
     if steps:
         words += "<p>Next:</p>" + "".join(
@@ -340,7 +344,7 @@ def _map(made: Calibrated) -> str:
     return f'<p>{lead} {spread}</p>{_full(change_figure(made.routes))}<p class="note">{caption}</p>'
 
 
-def _route(made: Calibrated, heightmap: Heightmap) -> str:
+def _route(made: Calibrated) -> str:
     if made.routes is None:
         return f"<p>None: {escape(made.document['route']['why_not'])}.</p>"
     route, shown = made.document["route"], made.routes.shown
@@ -365,7 +369,7 @@ def _route(made: Calibrated, heightmap: Heightmap) -> str:
         for key, name in (("before", "planned before"), ("after", "planned after"))
     ]
     names = ("planned after", "planned before")
-    picture = route_picture(heightmap, shown.after, shown.repriced, title="", names=names)
+    picture = route_picture(made.heightmap, shown.after, shown.repriced, title="", names=names)
     data = base64.b64encode(picture).decode("ascii")
     head = ["route", "length", "energy by the model before", "energy by the calibrated model"]
     return f'<p>{lead}</p>{_table(head, rows)}<img alt="both routes on the terrain" src="data:image/png;base64,{data}">'

@@ -76,12 +76,13 @@ def summary_lines(document: Mapping[str, Any]) -> list[str]:
     -------
     list of str
         The headline; the base parameters; the effects found; what no effect explains; how much better the model
-        predicts; what these runs cannot distinguish; and in which ranges they were driven. Details are indented.
+        predicts; what these runs cannot distinguish; in which ranges they were driven; and of several maps, which one
+        the route is on. Details are indented.
     """
     first, *rest = found_words(document)
     lines = [headline(document), "Base parameters:", *(f"  {words}" for words in base_words(document))]
     lines += [first, *(f"  {words}" for words in rest), variation_words(document), *error_words(document)]
-    return [*lines, *confounded_words(document), range_words(document)]
+    return [*lines, *confounded_words(document), range_words(document), *site_words(document)]
 
 
 def unit_of(document: Mapping[str, Any]) -> str:
@@ -469,6 +470,29 @@ def range_words(document: Mapping[str, Any]) -> str:
         if key in ranges
     ]
     return f"Driven: {', '.join(driven)}. Beyond these, effects keep their value at the border."
+
+
+def site_words(document: Mapping[str, Any]) -> list[str]:
+    """Return on which of several maps the route was compared.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        One sentence, none for a single map.
+    """
+    sites = document.get("sites", [])
+    if len(sites) < 2:
+        return []
+    main = next(site for site in sites if site["main"])
+    return [
+        f"Of {len(sites)} maps, the most metres were driven on {main['heightmap']} (run {main['runs'][0]}): the maps, "
+        "the route, the next drive and the warnings of this report are for that one."
+    ]
 
 
 def drive_words(drive: Mapping[str, Any]) -> str:

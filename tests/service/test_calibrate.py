@@ -12,7 +12,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.loop.record import read_record
 from joulemap.model.loop.residuals_of_runs import keep_base_runs
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_calibration_runs
+from joulemap.model.runs.files import read_segments
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import open_costmap
@@ -183,7 +183,7 @@ def test_a_missing_input_is_not_there(field, tmp_path):
 
 def test_too_few_runs_are_not_kept_beside_a_model(field, tmp_path):
     robot, ground = Robot.from_toml(field / "robot.toml"), read_heightmap(field / "dem.tif")
-    segments = read_calibration_runs([field / "run_01.csv"], robot, crs=ground.frame.crs).segments
+    _, segments = read_segments([field / "run_01.csv"], robot, crs=ground.frame.crs)
     few = segments.take(np.arange(10))
     assert not keep_base_runs(tmp_path, ground, robot, few, np.full(10, 40.0), np.full(10, 60.0))
     assert list(tmp_path.iterdir()) == []
@@ -292,7 +292,6 @@ def wheels(tmp_path_factory):
     return options, done.output, folder / "out"
 
 
-@pytest.mark.xfail(strict=True, reason="most of what differs between the grounds is taken for run-to-run variation")
 def test_the_cost_of_the_ground_is_that_of_the_logs(wheels):
     report = json.loads((wheels[2] / "report.json").read_text())
     ground = next(e for e in report["effects"] if e["name"] == "terrain_class")["coefficients"][0]

@@ -18,7 +18,9 @@ from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
 from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.loop.record import RECORD_FILE
 from joulemap.model.robot import Robot
-from joulemap.model.runs.files import read_calibration_runs, read_segments
+from joulemap.model.runs.calibration_runs import read_calibration_runs
+from joulemap.model.runs.files import read_segments
+from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import evaluate_on_runs
 from joulemap.model.training.measured_runs import train_on_runs
@@ -189,9 +191,7 @@ def test_a_forgotten_robot_file_is_a_warning_wherever_the_model_answers(tmp_path
     reports = {
         robot.name: calibrate_on_runs(
             tmp_path / "mine",
-            waves(),
-            robot,
-            read_calibration_runs(new, robot, crs=None),
+            read_calibration_runs([Site(waves(), tuple(new), robot)]),
             out=tmp_path / robot.name,
         ).document
         for robot in (ROBOT, other)
@@ -254,6 +254,7 @@ def test_runs_of_one_name_in_several_folders_stay_apart(tmp_path):
     found = evaluate_on_runs(find_predictor("physics"), waves(), ROBOT, files)
     assert list(found["route_relative_errors"]) == names
     assert found["route_relative_error"] == pytest.approx(np.mean(list(found["route_relative_errors"].values())))
-    with_base = read_calibration_runs(files[:1], ROBOT, crs=None, baseline_files=files[1:2], test_files=files[2:])
-    parts = with_base.segments, with_base.baseline, with_base.test
+    site = Site(waves(), tuple(files[:1]), ROBOT, tuple(files[1:2]), tuple(files[2:]))
+    with_base = read_calibration_runs([site]).sites[0]
+    parts = with_base.new, with_base.baseline, with_base.test
     assert [part.runs for part in parts] == [(name,) for name in names]

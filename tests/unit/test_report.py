@@ -59,7 +59,7 @@ def calibrated(measured, rows, **options):
         },
         "warnings": [],
     }
-    return Calibrated(with_former_keys(document), found, None)
+    return Calibrated(with_former_keys(document), found, None, LEVEL)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def effect_of(form, name, label, **more):
 
 def test_the_page_begins_with_what_was_found_how_much_better_it_is_and_what_to_type(turning):
     step = NextStep("Make a cost map with the calibrated model", "joulemap costmap dem.tif --model found/model")
-    text = shown(report_page(turning, None, steps=[step])).replace("&nbsp;", " ")
+    text = shown(report_page(turning, steps=[step])).replace("&nbsp;", " ")
     effect = turning.document["effects"][0]
     (only,) = effect["coefficients"]
     assert effect["name"] == "turning"
@@ -143,8 +143,8 @@ def test_base_parameters_are_declared_and_measured(turning):
         "Idle power: 12 W declared, 9.5 W by the runs (95 % interval 8 to 11).",
         "Current drawn all the time: 2 A by the runs (95 % interval 1 to 3).",
     ]
-    made = Calibrated(turning.document | {"base_parameters": parameters}, turning.found, None)
-    text = shown(report_page(made, None))
+    made = Calibrated(turning.document | {"base_parameters": parameters}, turning.found, None, LEVEL)
+    text = shown(report_page(made))
     assert "not shown by these runs" in text
     assert text.index("rolling resistance") < text.index("0.0812") < text.index("0.07 to 0.09")
     named = [base_name(name) for name in PARTS]
@@ -196,7 +196,7 @@ def test_errors_of_the_fit_are_said_to_be_that(nothing):
     said = error_words(nothing.document)
     assert said[0].startswith("Errors on the runs that the model was fitted to: before")
     assert said[1].startswith("WARNING: these are errors of the fit")
-    page = report_page(nothing, None)
+    page = report_page(nothing)
     assert '<p class="warning">WARNING: these are errors of the fit' in page
     assert "after, fitted to these runs" in page
     assert "left out of the calibration" not in shown(page)
@@ -213,7 +213,7 @@ def test_what_was_left_out_is_said(turning):
     blocks = said(left_out="blocks", folds=4)
     assert blocks[0].startswith("Errors on blocks that had no part")
     assert blocks[1].startswith("There are too few runs to leave whole ones out")
-    assert "after, left out of the calibration" in report_page(turning, None)
+    assert "after, left out of the calibration" in report_page(turning)
 
 
 def test_campaigns_are_dates_or_names_before_the_last_underscore():
@@ -259,11 +259,11 @@ def test_a_fitted_curve_is_summed_up_by_its_direction_and_range(turning):
 
 def test_the_page_shows_a_picture_of_each_curve(turning):
     heading = curve(4.0, -3.0, over="heading", label="structure in heading")
-    made = Calibrated(turning.document | {"effects": [curve(-7.0, 2.0), heading]}, turning.found, None)
-    page = report_page(made, None)
+    made = Calibrated(turning.document | {"effects": [curve(-7.0, 2.0), heading]}, turning.found, None, LEVEL)
+    page = report_page(made)
     assert "Fitted curves with 95&nbsp;% intervals (structure in grade, structure in heading)" in page
     assert ">heading [deg]<" in page
-    plain = report_page(turning, None)
+    plain = report_page(turning)
     assert page.count("<svg") == plain.count("<svg") + 2 - sum(
         e["form"] == "curve" for e in turning.document["effects"]
     )
@@ -275,7 +275,7 @@ def test_faults_of_the_log_are_no_part_of_plans(turning):
     document = turning.document | {"effects": [late, drift]}
     assert found_words(document)[1].endswith("It is a fault of the log: plans never contain it.")
     assert found_words(document)[2].endswith("Plans do not contain it: it depends on what only a log records.")
-    text = shown(report_page(Calibrated(document, turning.found, None), None))
+    text = shown(report_page(Calibrated(document, turning.found, None, LEVEL)))
     assert text.index("late power readings") < text.index("no: a fault of the log") < text.index("no: needs a log")
 
 
@@ -309,7 +309,7 @@ def test_what_cannot_be_distinguished_is_told_with_the_drive_that_would(turning)
         "radii at one place."
     )
     assert words in summary_lines(document)
-    text = shown(report_page(Calibrated(document, turning.found, None), None))
+    text = shown(report_page(Calibrated(document, turning.found, None, LEVEL)))
     assert "turning, speed, structure in heading" in text
 
 
@@ -319,13 +319,13 @@ def test_ranges_and_what_holds_beyond_them_are_told(turning):
     assert range_words(document) == (
         "Driven: speed 0.2 to 0.6 m/s, grade -0.1 to 0.1. Beyond these, effects keep their value at the border."
     )
-    assert "4 to 9 degC" in shown(report_page(Calibrated(document, turning.found, None), None))
+    assert "4 to 9 degC" in shown(report_page(Calibrated(document, turning.found, None, LEVEL)))
     driven = turning.document["ranges"]["speed"]  # of 2 s to a metre, more or less
     assert 0.3 < driven[0] < 0.5 < driven[1] < 0.6
 
 
 def test_metres_used_and_left_out_are_told_by_reason(turning):
-    text = shown(report_page(turning, None)).replace("&nbsp;", " ")
+    text = shown(report_page(turning)).replace("&nbsp;", " ")
     for words in ("used</td>", "720 m (90.0 %)", "left out: gaps", "50 m (6.2 %)", "left out: unknown ground"):
         assert words.removesuffix("</td>") in text
     assert "No part of the track is left out because of its energy." in text
@@ -352,7 +352,7 @@ def test_counts_of_logs_are_said_in_words():
 
 def test_least_p_values_are_bounds(turning):
     assert (p_words(1e-12), p_words(1e-9), p_words(0.0234)) == ("< 1e-9", "= 1e-09", "= 0.023")
-    assert "&lt; 1e-9" in report_page(turning, None)
+    assert "&lt; 1e-9" in report_page(turning)
 
 
 def test_nothing_found_is_said_with_what_could_be_driven(nothing):
@@ -360,18 +360,18 @@ def test_nothing_found_is_said_with_what_could_be_driven(nothing):
     assert headline(document) == "No missing effect was found"
     assert "show no effect that the model made up lacks" in found_words(document)[0]
     assert document["model"]["after"] == "2"  # a model is written all the same
-    text = shown(report_page(nothing, None))
+    text = shown(report_page(nothing))
     for name, drive in likeliest(document):
         assert f"{name}: {drive}" in text
     near = [c | {"p_value": 0.02} if c["name"] == "speed" else c | {"p_value": 1.0} for c in document["candidates"]]
     assert [name for name, _ in likeliest(document | {"candidates": near})] == ["speed"]
-    made = Calibrated(document | {"candidates": near}, nothing.found, None)
-    assert "speed: the same line at several speeds" in shown(report_page(made, None))
+    made = Calibrated(document | {"candidates": near}, nothing.found, None, LEVEL)
+    assert "speed: the same line at several speeds" in shown(report_page(made))
 
 
 def test_pages_have_no_private_word(turning, nothing):
     for made in (turning, nothing):
-        assert [match[0] for match in PRIVATE.finditer(shown(report_page(made, None)))] == []
+        assert [match[0] for match in PRIVATE.finditer(shown(report_page(made)))] == []
         assert [match[0] for match in PRIVATE.finditer("\n".join(summary_lines(made.document)))] == []
 
 
