@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from joulemap.model.loop import forms, selection
+from joulemap.model.loop import design, forms
 from joulemap.model.loop.forms import FORMS, form_from_dict
 from joulemap.model.loop.forms.base import Form
 from joulemap.service.models import load_model
@@ -35,7 +35,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[
             if block.title == "snow.py":  # what the two lines of the registry do
                 form = machine.names["Snow"]
                 patch.setitem(FORMS, form.key, form)
-                for module in (forms, selection):
+                for module in (forms, design):
                     patch.setattr(module, "NAMED", (*forms.NAMED, form))
         yield folder, machine.names
 
