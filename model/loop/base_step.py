@@ -107,7 +107,8 @@ def scale_of(residuals: Residuals) -> Term:
     Term
         What the base model says before a calibration.
     """
-    return _alone(residuals.driven_by(Drives()), BaseParameters(SCALE))
+    plain = replace(residuals, features=replace(residuals.features, drives=Drives(), corrected=None))
+    return _alone(plain, BaseParameters(SCALE))
 
 
 def _alone(residuals: Residuals, base: BaseParameters) -> Term:

@@ -196,12 +196,18 @@ def fit_model(
         np.ones(len(z)),
     )
     own = np.arange(len(index))
-    fixed = len(index) - sum(len(c.both) for c in chosen)
-    level = np.full(len(z), size) if residuals.charge else said  # of a charge nothing is predicted yet
+    rows, alone = (
+        residuals.features,
+        residuals.features.corrected is None,
+    )  # the base parameters are fitted by themselves
+    level = rows.hotel_part + rows.motion_part
+    if alone and residuals.charge:  # of which nothing is predicted yet
+        level = np.full(len(z), size)
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
         coefficients = model.estimate(own, low, high, own[:0]).coefficients
-        energy, level = x @ coefficients, said + x[:, :fixed] @ coefficients[:fixed]
+        energy = x @ coefficients
+        level = said + energy if alone else level
         variation = fit_variation(variation, said + energy, z - energy, x)
     every = MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
     return variation, every
