@@ -199,7 +199,7 @@ def fit_model(
     rows, alone = (
         residuals.features,
         residuals.features.corrected is None,
-    )  # the base parameters are fitted by themselves
+    )  # alone: no effects
     level = rows.hotel_part + rows.motion_part
     if alone and residuals.charge:  # of which nothing is predicted yet
         level = np.full(len(z), size)
