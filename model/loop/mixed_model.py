@@ -124,7 +124,8 @@ class MixedModel:
     residual : ndarray of float, (n,)
         Measured minus predicted.
     level : ndarray of float, (n,)
-        Predicted energy: the level of a unit is a share of it.
+        Predicted energy, with its sign: the level of a unit is a share of it. It is a combination of columns that are
+        in every model, so that no choice of levels explains what a column could.
     unit : ndarray of int, (n,)
         What is left out together and has a level of its own; its rows follow each other.
     whole_runs : bool
@@ -141,7 +142,7 @@ class MixedModel:
         *,
         whole_runs: bool,
     ) -> None:
-        energies = np.column_stack([columns, np.maximum(level, 0.0), residual])
+        energies = np.column_stack([columns, level, residual])
         every = variation.scaled(energies)
         self.size = np.sqrt(np.mean(every[:, :-2] ** 2, axis=0))
         self.size[self.size == 0.0] = 1.0
