@@ -125,8 +125,8 @@ class StoredPlanner:
         Returns
         -------
         Plan
-            Both routes. `details` has `grid_energy_j`, the energy over grid moves with turns, `grid_bound_j`, below which
-            no path over grid moves can be [J], and `grid_gap`, the share of the first above the second.
+            Both routes. `details` has `grid_energy_j`, the energy over grid moves with turns; `grid_bound_j`, below
+            which no path over grid moves can be [J]; and `grid_gap`, the share of the first above the second.
 
         Raises
         ------

@@ -139,9 +139,7 @@ class Spread:
         energy, std = np.asarray(energy_j, dtype=np.float64), np.asarray(std_j, dtype=np.float64)
         neighbour = (self.correlation_m - 1.0) / (self.correlation_m + 1.0)
         summed = accumulate(std.tolist(), lambda before, own: neighbour * before + own)
-        carried = np.fromiter(
-            summed, dtype=np.float64, count=std.size
-        )  # (n,) sums of neighbour^(k - i) std_i
+        carried = np.fromiter(summed, dtype=np.float64, count=std.size)  # (n,) sums of neighbour^(k - i) std_i
         rest = np.cumsum(std * (2.0 * carried - std))
         return np.hypot(self.run_share * np.cumsum(energy), np.sqrt(np.maximum(rest, 0.0)))
 

@@ -149,7 +149,9 @@ def test_a_form_comes_back_from_its_file(case):
 
 def test_a_direction_has_no_range():
     """Runs with winds from 10 to 40 degrees say nothing against a wind from 350 degrees, which is near."""
-    rows = even(4, columns={"wind_from": np.array([10.0, 20.0, 30.0, 40.0]), "wind_speed": np.array([1.0, 2.0, 3.0, 4.0])})
+    rows = even(
+        4, columns={"wind_from": np.array([10.0, 20.0, 30.0, 40.0]), "wind_speed": np.array([1.0, 2.0, 3.0, 4.0])}
+    )
     ranges = driven_ranges(rows)
     assert "column:wind_from" not in ranges
     other = even(columns={"wind_from": np.array([350.0]), "wind_speed": np.array([9.0])}).within(ranges)
