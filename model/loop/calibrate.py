@@ -254,7 +254,7 @@ def fit(
     rows = measured if base is None else joined([base, measured])
     new = np.arange(len(rows)) >= len(rows) - len(measured)
     rows, first = base_step(rows, rows if base is None else base)
-    chosen = select(make_design(rows, new, tuple(refused)), progress=progress)
+    chosen = select(make_design(rows, new, tuple(refused), first), progress=progress)
     _, estimate, index = chosen.estimate()
     low, high = estimate.interval()
     count = len(chosen.design.fixed)

@@ -13,6 +13,7 @@ from joulemap.model.loop.forms.base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.mixed_model import MixedModel, columns_of
 from joulemap.model.loop.residuals import Residuals
+from joulemap.model.loop.terms import Term
 from joulemap.model.loop.variation import Variation, fit_variation, starts_of
 
 FloatArray = NDArray[np.float64]
@@ -69,6 +70,8 @@ class Design:
         Of the base parameters.
     candidates : tuple of Candidate
         All that are tested.
+    first : ndarray of float, (b,), optional
+        The base parameters before any effect, of whose prediction the levels of runs are shares.
     """
 
     residuals: Residuals
@@ -76,6 +79,7 @@ class Design:
     columns: FloatArray = field(repr=False)
     base: BaseParameters
     candidates: tuple[Candidate, ...] = field(repr=False)
+    first: FloatArray | None = None
 
     @property
     def fixed(self) -> IntArray:
@@ -83,7 +87,7 @@ class Design:
         return np.arange(len(self.base.coefficient_names()))
 
 
-def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str]) -> Design:
+def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str], first: Term) -> Design:
     """Return the columns of all forms on some rows.
 
     Parameters
@@ -94,6 +98,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
         False in the baseline runs.
     refused : sequence of str
         Logged columns that no effect may depend on.
+    first : Term
+        The base parameters before any effect.
 
     Returns
     -------
@@ -140,7 +146,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
             columns = form.columns(rows)
             covered = np.flatnonzero(_covered(residuals, columns, parameters, new))
             _add(form, columns * new[:, None], columns, covered)
-    return Design(residuals, new, np.concatenate(blocks, axis=1), base, tuple(candidates))
+    every = np.concatenate(blocks, axis=1)
+    return Design(residuals, new, every, base, tuple(candidates), np.asarray(first.coefficients))
 
 
 def _covered(
@@ -196,18 +203,18 @@ def fit_model(
         np.ones(len(z)),
     )
     own = np.arange(len(index))
-    rows, alone = (
-        residuals.features,
-        residuals.features.corrected is None,
-    )  # alone: no effects
-    level = rows.hotel_part + rows.motion_part
-    if alone and residuals.charge:  # of which nothing is predicted yet
-        level = np.full(len(z), size)
+    known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
+    if design.first is None:  # the base parameters by themselves; of a charge nothing is predicted yet
+        level = np.full(len(z), size) if residuals.charge else known
+    else:
+        fixed = index[: len(index) - sum(len(c.both) for c in chosen)]
+        level = known + design.columns[:, fixed] @ design.first[fixed]
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
         coefficients = model.estimate(own, low, high, own[:0]).coefficients
         energy = x @ coefficients
-        level = said + energy if alone else level
+        if design.first is None:
+            level = known + energy
         variation = fit_variation(variation, said + energy, z - energy, x)
     every = MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
     return variation, every
