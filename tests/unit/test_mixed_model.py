@@ -68,9 +68,9 @@ def test_the_variance_between_units_is_that_of_statsmodels():
     run, x, z = _data(rng, runs=12, rows=40)
     x = np.column_stack([np.ones(run.size), rng.normal(size=12)[run], x[:, 0]])
     z = z + x @ [2.0, 1.5, -0.5] + rng.normal(0.0, 0.7, 12)[run]
-    model, every = _model(x, z, run), np.arange(3)
+    model, every = _model(x, z, run, level=np.full(run.size, 20.0)), np.arange(3)  # levels of some percent
     theirs = MixedLM(z, x, run).fit(reml=True)
-    assert model.tau2(every) == pytest.approx(theirs.cov_re[0, 0] / theirs.scale, rel=0.05)
+    assert 20.0**2 * model.tau2(every) == pytest.approx(theirs.cov_re[0, 0] / theirs.scale, rel=0.05)
     limits = np.full(3, np.inf)
     ours = model.estimate(every, -limits, limits, NONE).coefficients
     np.testing.assert_allclose(ours, theirs.fe_params, rtol=0.02, atol=0.01)
@@ -81,9 +81,20 @@ def test_what_a_column_explains_is_no_variation_between_units():
     run, x, z = _data(rng, runs=8)
     levels = rng.normal(0.0, 3.0, 8)
     x[:, 0] = levels[run]
-    model = _model(x, z + levels[run], run)
-    assert model.tau2(SECOND) == pytest.approx(np.var(levels, ddof=1), rel=0.4)
-    assert model.tau2(np.array([0, 1])) < 0.05
+    model = _model(x, z + levels[run], run, level=np.full(run.size, 100.0))
+    assert 100.0**2 * model.tau2(SECOND) == pytest.approx(np.var(levels, ddof=1), rel=0.4)
+    assert 100.0**2 * model.tau2(np.array([0, 1])) < 0.05
+
+
+def test_a_flat_likelihood_invents_no_runs_that_differ_several_times():
+    """Four short runs whose energy is three times its prediction: that is an error of the prediction, not of the runs."""
+    rng = np.random.default_rng(13)
+    run, _, _ = _data(rng, runs=4, rows=12)
+    level = 100.0 * rng.uniform(0.5, 1.5, run.size)
+    model = _model(level[:, None], 3.0 * level * (1.0 + rng.normal(0.0, 0.3, run.size)), run, level=level)
+    assert np.sqrt(model.tau2(FIRST) * model.sigma2(FIRST)) < 0.5
+    wide = np.array([np.inf])
+    assert model.estimate(FIRST, -wide, wide, NONE).coefficients[0] == pytest.approx(3.0, rel=0.15)
 
 
 def test_a_column_that_is_constant_in_runs_has_no_test_inside_them():
