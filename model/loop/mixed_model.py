@@ -35,8 +35,8 @@ error is over thirty times that of the column alone."""
 
 
 RUN_SPREAD = 0.25
-"""Setting: share of the energy by which runs of one robot usually differ at most for unknown reasons; those of the shipped
-model differ by 19 %."""
+"""Setting: share of the energy by which runs of one robot usually differ at most for unknown reasons; those of the
+shipped model differ by 19 %."""
 _ROUNDING = 1e-9
 _LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels
 _ROUNDS = 3  # the variance between units follows the coefficients and the coefficients the variance

@@ -87,7 +87,7 @@ def test_what_a_column_explains_is_no_variation_between_units():
 
 
 def test_a_flat_likelihood_invents_no_runs_that_differ_several_times():
-    """Four short runs whose energy is three times its prediction: that is an error of the prediction, not of the runs."""
+    """Four short runs whose energy is three times its prediction: that is an error of the prediction."""
     rng = np.random.default_rng(13)
     run, _, _ = _data(rng, runs=4, rows=12)
     level = 100.0 * rng.uniform(0.5, 1.5, run.size)
