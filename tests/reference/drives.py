@@ -106,7 +106,7 @@ def found_in(rows, energy, *, cross_validate=False, **options) -> Calibration:
 
 def wheel_logs(runs=8) -> dict[str, str]:
     """Logs in CSV of wheel speeds and currents by file name: straight on and turning, on two grounds in turn. The
-    current goes with the torque, whatever the speed: straight ahead 4 A on ice and 7 A on loam; a turn of 0.5 rad/s
+    current goes with the torque, whatever the speed: straight ahead 4 A on ice and 7 A on loam; a curve of 1 rad/m
     (track 1 m) takes 1 A more on ice, 15 A on loam."""
     rng = np.random.default_rng(2)
     logs = {}
@@ -114,7 +114,8 @@ def wheel_logs(runs=8) -> dict[str, str]:
         ground = ("ice", "sandy_loam")[number % 2]
         speed = 0.5 + 0.1 * np.sin(np.arange(900) / rng.uniform(40, 60))
         turn = np.repeat(rng.choice([0.0, 0.25], 18, p=[0.7, 0.3]), 50)  # half the difference of the sides
-        amps = {"ice": 4.0 + 4.0 * turn, "sandy_loam": 7.0 + 60.0 * turn}[ground] * np.ones(900)
+        curvature = 2.0 * turn / speed
+        amps = {"ice": 4.0 + curvature, "sandy_loam": 7.0 + 15.0 * curvature}[ground]
         amps *= 1.0 + 0.1 * rng.standard_normal(900)
         rows = zip(np.arange(900) / 6.5, amps / 2, -amps / 2, speed + turn, speed - turn, strict=True)
         lines = ["time,curL,curR,velL,velR", *(",".join(map(str, row)) for row in rows)]
