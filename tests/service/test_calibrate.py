@@ -297,7 +297,7 @@ def test_the_cost_of_the_ground_is_that_of_the_logs(wheels):
     ground = next(e for e in report["effects"] if e["name"] == "terrain_class")["coefficients"][0]
     if ground["unit"] == "A s/m":
         assert ground["value"] == pytest.approx(-6.0, rel=0.05)
-    else:  # on level ground the same, as a share of what the base parameters alone make of both grounds with their curves
+    else:  # on level ground the same, as a share of what the base parameters alone make of both grounds
         assert ground["unit"] == "of the motion's energy"
         assert -0.75 < ground["value"] < -0.3  # 6 of 8 (ice) to 20 A s/m (loam with its curves)
 
