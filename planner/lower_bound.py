@@ -185,7 +185,7 @@ def _project(nodes, least, unit, side, sweeps):
 
 @njit(cache=True, nogil=True)
 def _worst(nodes, least, unit, side):
-    """By which share an inequality is broken at most, and whether one is that no scaling mends."""
+    """Largest share by which an inequality is broken, and whether one is broken that scaling cannot restore."""
     rows, cols, moves = least.shape
     worst = 0.0
     for i in range(rows):
