@@ -14,6 +14,10 @@
     ├── NotFoundError                no such heightmap, cost map or model          404
     ├── ConflictError                this lattice is for another robot, or not ready 409
     ├── TooLargeError                more bytes or cells than the limit            413
+    ├── UnauthorizedError            no key, or one that is not valid              401
+    ├── ForbiddenError               a foreign web page, or not what this key may do 403
+    ├── RateError                    more requests or jobs at once than a key may  429
+    ├── StorageFullError             no room: the disk's, or what a key may keep   507
     └── BusyError                    come back later                               503
 
 `service/problems.py` alone maps the tree to HTTP statuses and exit codes. Anything else that escapes is our bug.
@@ -121,6 +125,30 @@ class TooLargeError(JoulemapError):
     """More bytes or cells than the limit allows."""
 
     code = "too_large"
+
+
+class UnauthorizedError(JoulemapError):
+    """A request without a key, or with one that is not valid."""
+
+    code = "unauthorized"
+
+
+class ForbiddenError(JoulemapError):
+    """A request that this caller may not make: from a foreign web page, or for the operator alone."""
+
+    code = "forbidden"
+
+
+class RateError(JoulemapError):
+    """More requests, or more jobs at once, than one key may have; `retry_after_s` is in the context."""
+
+    code = "rate_limited"
+
+
+class StorageFullError(JoulemapError):
+    """No room to keep more: of the disk, or of what one key may keep."""
+
+    code = "storage_full"
 
 
 class BusyError(JoulemapError):

@@ -34,7 +34,8 @@ app = typer.Typer(
         "On your own map: `joulemap costmap dem.tif --robot robot.toml --out dem.zarr`, then "
         "`joulemap path dem.zarr --start X,Y --goal X,Y`. "
         "Exit codes: 0 answered, 2 wrong usage, 3 unusable input, 4 no answer (blocked, no route), 5 not there, "
-        "6 conflict, 7 too large, 8 busy, 130 stopped by Ctrl-C, 1 anything else."
+        "6 conflict, 7 too large, 8 busy, 9 no key, 10 not allowed, 11 too many at once, 12 no room, "
+        "130 stopped by Ctrl-C, 1 anything else."
     ),
 )
 

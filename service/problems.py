@@ -18,11 +18,15 @@ from starlette.exceptions import HTTPException
 from joulemap.model.errors import (
     BusyError,
     ConflictError,
+    ForbiddenError,
     InfeasibleError,
     InputError,
     JoulemapError,
     NotFoundError,
+    RateError,
+    StorageFullError,
     TooLargeError,
+    UnauthorizedError,
 )
 
 MEDIA_TYPE = "application/problem+json"
@@ -58,6 +62,10 @@ TABLE: dict[type[JoulemapError], Row] = {
     ConflictError: Row(409, 6, "The request contradicts what is stored"),
     TooLargeError: Row(413, 7, "Too large"),
     BusyError: Row(503, 8, "Come back later"),
+    UnauthorizedError: Row(401, 9, "A key is needed"),
+    ForbiddenError: Row(403, 10, "Not allowed"),
+    RateError: Row(429, 11, "Too many at once"),
+    StorageFullError: Row(507, 12, "No room to keep more"),
 }
 """By branch of the tree; a leaf is answered as its nearest branch. Exit code 2 means wrong usage of a command."""
 
