@@ -36,6 +36,10 @@ def share_out(
         Arguments of `initializer`.
     """
     threads = min(numba.get_num_threads(), len(parts))
+    if threads <= 1 and initializer is None:
+        for part in parts:
+            do(part)
+        return
     with ThreadPoolExecutor(threads, initializer=initializer, initargs=tuple(initargs)) as pool:
         for _ in pool.map(do, parts):
             pass

@@ -166,7 +166,22 @@ def open_ring(first, least, guide, cols, per_j):
 
 @njit(cache=True, nogil=True)
 def search_cells(
-    energy, pred, price, jump, first, targets, target_rest, guide, cols, width, slack, backward, margin, most, ceiling
+    energy,
+    pred,
+    price,
+    jump,
+    first,
+    targets,
+    target_rest,
+    guide,
+    cols,
+    width,
+    slack,
+    backward,
+    margin,
+    most,
+    ceiling,
+    stop,
 ):
     """Settle cells until no bucket may improve the path to a target, or all cells where there is no target.
 
@@ -203,6 +218,8 @@ def search_cells(
         Energy beyond which nothing is settled [J].
     ceiling : ndarray of float32, (cells,) or (0,)
         Energy above which a cell is left alone [J]; empty for none.
+    stop : ndarray of uint8, (1,)
+        The search ends early once this is not 0, see `stopping`.
 
     Returns
     -------
@@ -235,7 +252,7 @@ def search_cells(
     expanded = 0
     limit = most
     capped = ceiling.size > 0
-    while waiting > 0 and current * width < limit:
+    while waiting > 0 and current * width < limit and stop[0] == 0:
         here = current % BUCKETS
         k = 0
         while k < count[here]:

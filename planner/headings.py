@@ -31,6 +31,7 @@ def search_headings(
     margin,
     most,
     ceiling,
+    stop,
 ):
     """Settle states where turning costs, as `search_cells` does without turning.
 
@@ -70,6 +71,8 @@ def search_headings(
         Energy beyond which nothing is settled [J].
     ceiling : ndarray of float32, (cells,) or (0,)
         Energy above which a cell is left alone [J]; empty for none.
+    stop : ndarray of uint8, (1,)
+        The search ends early once this is not 0, see `stopping`.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def search_headings(
     expanded = 0
     limit = most
     capped = ceiling.size > 0
-    while waiting > 0 and current * width < limit:
+    while waiting > 0 and current * width < limit and stop[0] == 0:
         here = current % BUCKETS
         q = 0
         while q < count[here]:

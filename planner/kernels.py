@@ -20,7 +20,7 @@ TOUCH = 1e-9
 """Bilinear weight below which a cell does not count as touched."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def heading_weights(heading_rad, weights):
     """Fill an array with the weights of the trigonometric interpolation between equal heading bins.
 
@@ -328,7 +328,7 @@ def turn_angle(row0, col0, row1, col1, row2, col2):
     return abs(math.atan2(a * d - b * c, a * c + b * d))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
     """Return the energy of a polyline with its turns.
 

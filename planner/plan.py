@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -182,6 +183,7 @@ class RoutePlanner:
         self._landmarks: dict[int, Landmarks] = {}
         self._bounds: tuple[BoundTable | None] | None = None
         self._closed: bool | None = None
+        self._making = threading.RLock()  # what is kept is made once; questions then share it without a lock
 
     def prepare(self, neighbours: int = 16, *, landmarks: bool = False) -> None:
         """Price the moves now, so that the first question does not wait for it.
@@ -197,16 +199,19 @@ class RoutePlanner:
         if self._limited():
             self._table(MORE_NEIGHBOURS, distance=False)
         if landmarks and neighbours not in self._landmarks:
-            self._landmarks[neighbours] = make_landmarks(self._table(neighbours, distance=False))
+            with self._making:
+                self._landmarks[neighbours] = make_landmarks(self._table(neighbours, distance=False))
 
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
         if key not in self._tables:
-            self._tables[key] = (
-                distance_table(self._table(neighbours, distance=False))
-                if distance
-                else move_table(self.lattice, neighbours=neighbours)
-            )
+            with self._making:
+                if key not in self._tables:
+                    self._tables[key] = (
+                        distance_table(self._table(neighbours, distance=False))
+                        if distance
+                        else move_table(self.lattice, neighbours=neighbours)
+                    )
         return self._tables[key]
 
     def plan(
@@ -370,8 +375,9 @@ class RoutePlanner:
         return point
 
     def _bound_prices(self) -> BoundTable | None:
-        if self._bounds is None:
-            self._bounds = (bound_table(self.lattice),)
+        with self._making:
+            if self._bounds is None:
+                self._bounds = (bound_table(self.lattice),)
         return self._bounds[0]
 
     def _best(self, start: Points, goal: Points, neighbours: int) -> tuple[Points, dict[str, Any]]:

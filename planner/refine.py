@@ -16,6 +16,7 @@ from joulemap.planner.deform import bent
 from joulemap.planner.edges import Points, path_price, price_arrays
 from joulemap.planner.kernels import leg_energy_with, turn_angle
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.stopping import check_stop
 
 SPAN = 4
 """Vertices that a shortcut may leave out in one pass; passes are repeated while the path becomes cheaper."""
@@ -176,6 +177,7 @@ def _bent(
     """The path after bending with each of some shifts, in each of some directions."""
     arrays, turn = price_arrays(lattice), lattice.robot.turn_j_per_rad
     for step in steps:
+        check_stop()
         for angle in turned if len(points) > 2 else ():
             points = bent(*arrays, turn, points, every, step, angle, SWEEPS)
     return points

@@ -11,6 +11,7 @@ from joulemap.planner.buckets import Guide, search_cells, trace_cells
 from joulemap.planner.headings import SEED, search_headings, trace_headings
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
+from joulemap.planner.stopping import check_stop, stop_flag
 
 _SLACK = 1e-12
 """Relative gain that counts as rounding where prices may be negative, so that no loop goes on for ever."""
@@ -168,6 +169,11 @@ def run_search(
         Energy to the goal [J].
     settled : int
         Number of settled states.
+
+    Raises
+    ------
+    Stopped
+        If nobody waits for the answer any more, see `stopping`.
     """
     layers = search.layers
     cols = table.energy.shape[1]
@@ -177,7 +183,7 @@ def run_search(
     slack = 0.0 if table.never_pays else _SLACK
     ceiling = np.empty(0, dtype=np.float32) if ceiling is None else ceiling
     if layers == 1:
-        return search_cells(
+        found = search_cells(
             search.energy_j,
             search.pred,
             price,
@@ -193,23 +199,28 @@ def run_search(
             margin,
             most,
             ceiling,
+            stop_flag(),
         )
-    width = table.typical_j + _TURN_WIDTH * float(table.gap_j.sum())
-    return search_headings(
-        search.energy_j,
-        search.pred,
-        price,
-        table.jump,
-        table.gap_j,
-        first,
-        targets,
-        rest,
-        guide,
-        cols,
-        width,
-        slack,
-        search.backward,
-        margin,
-        most,
-        ceiling,
-    )
+    else:
+        width = table.typical_j + _TURN_WIDTH * float(table.gap_j.sum())
+        found = search_headings(
+            search.energy_j,
+            search.pred,
+            price,
+            table.jump,
+            table.gap_j,
+            first,
+            targets,
+            rest,
+            guide,
+            cols,
+            width,
+            slack,
+            search.backward,
+            margin,
+            most,
+            ceiling,
+            stop_flag(),
+        )
+    check_stop()
+    return found

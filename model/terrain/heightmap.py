@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import HeightmapError
@@ -164,7 +164,7 @@ def bilinear(values: NDArray[np.float32], row: float, col: float) -> float:
     return total
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def sample_bilinear(values: NDArray[np.float32], row: FloatArray, col: FloatArray) -> FloatArray:
     """Return `bilinear` values at many places.
 
@@ -181,6 +181,6 @@ def sample_bilinear(values: NDArray[np.float32], row: FloatArray, col: FloatArra
         The values.
     """
     out = np.empty(row.size)
-    for k in prange(row.size):
+    for k in range(row.size):
         out[k] = bilinear(values, row[k], col[k])
     return out

@@ -130,7 +130,7 @@ def _flat(*arrays: ArrayLike) -> tuple[FloatArray, ...]:
     return tuple(np.ascontiguousarray(a) for a in broadcast)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _cut_patches(
     heights: NDArray[np.float32], row: FloatArray, col: FloatArray, east: FloatArray, north: FloatArray, size: int
 ) -> NDArray[np.float32]:
@@ -196,7 +196,7 @@ def _continued(heights: NDArray[np.float32], row: float, col: float, pad: float)
     return inside
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, nogil=True)
 def _cut_squares(
     heights: NDArray[np.float32],
     row: FloatArray,
