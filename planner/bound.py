@@ -41,7 +41,8 @@ from joulemap.model.threads import pieces, share_out
 from joulemap.planner.edges import Points, interpolation_matrix, price_terms
 from joulemap.planner.heuristics import energy_bounds, guide_towards
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import MoveTable, move_offsets, table_of
+from joulemap.planner.move_prices import move_offsets
+from joulemap.planner.moves import MoveTable, table_of
 from joulemap.planner.search import joining_legs
 from joulemap.planner.states import new_search, run_search
 

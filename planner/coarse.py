@@ -22,9 +22,9 @@ from numba import njit
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
+from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.potential import SWEEPS
 from joulemap.planner.stored_lattice import StoredLattice
-from joulemap.planner.tile_moves import TileMoves
 
 BLOCK_CELLS = 32
 """Side of a block: fine enough to follow hills, coarse enough that a map of 10,000 x 10,000 cells has 100,000."""
@@ -61,7 +61,7 @@ class CoarseLevel:
 
 def coarse_level(
     stored: StoredLattice,
-    moves: TileMoves,
+    moves: MovePrices,
     *,
     block_cells: int = BLOCK_CELLS,
     progress: Callable[[float], None] | None = None,
@@ -74,7 +74,7 @@ def coarse_level(
     ----------
     stored : StoredLattice
         The lattice.
-    moves : TileMoves
+    moves : MovePrices
         Its moves.
     block_cells : int, optional
         Side of a block.
@@ -129,7 +129,7 @@ def _opened(place: Path) -> CoarseLevel | None:
 
 
 def _make(
-    place: Path, stored: StoredLattice, moves: TileMoves, block: int, progress: Callable[[float], None] | None
+    place: Path, stored: StoredLattice, moves: MovePrices, block: int, progress: Callable[[float], None] | None
 ) -> None:
     rows, cols = stored.frame.shape
     side = stored.chunk

@@ -8,7 +8,7 @@ import numpy as np
 from joulemap.model.errors import TooLargeError
 from joulemap.planner.edges import leg_prices_between
 from joulemap.planner.lattice import Blocked, CostLattice
-from joulemap.planner.moves import move_offsets
+from joulemap.planner.move_prices import move_offsets
 
 MAX_GRAPH_CELLS = 250_000
 """A node is a Python object: larger lattices belong to `joulemap.planner.search`."""

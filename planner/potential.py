@@ -60,8 +60,10 @@ def even_surface(
     ----------
     Johnson 1977; Cherkassky & Goldberg 1999 (negative cycles).
     """
+    quarter = max(len(offsets) // 4, 1)  # four moves a quarter turn apart average as well as all of them
+    near, steps = np.ascontiguousarray(energy[..., ::quarter]), np.ascontiguousarray(offsets[::quarter])
     for _ in range(SWEEPS):
-        surface = _levelled(energy, offsets, surface)
+        surface = _levelled(near, steps, surface)
     least = spare_per_m(energy, offsets, length_m, surface)
     if least.min() < 0.0:
         lower = surface.copy()
@@ -169,13 +171,69 @@ def spare_per_m(
 def _spare_rows(energy, offsets, length_m, surface, first, end, least):
     """Fill rows first..end - 1 of `spare_per_m`."""
     _, cols, moves = energy.shape
+    per_m = 1.0 / length_m
     for i in range(first, end):
         for j in range(cols):
+            here, most = surface[i, j], np.inf
             for n in range(moves):
                 step = energy[i, j, n]
                 if not math.isnan(step):
-                    rise = surface[i + offsets[n, 0], j + offsets[n, 1]] - surface[i, j]
-                    least[i, j] = min(least[i, j], (step - rise) / length_m[n])
+                    rise = surface[i + offsets[n, 0], j + offsets[n, 1]] - here
+                    most = min(most, (step - rise) * per_m[n])
+            least[i, j] = most
+
+
+def spare_bounds(
+    energy: NDArray[np.float32],
+    offsets: NDArray[np.int64],
+    length_m: NDArray[np.float64],
+    surface: NDArray[np.float64],
+    shares: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the least energy per metre beyond shares of the rise, over all moves of the map.
+
+    Parameters
+    ----------
+    energy : ndarray of float32, (rows, cols, N)
+        Energy of every move [J]; NaN where there is none.
+    offsets : ndarray of int64, (N, 2)
+        (drow, dcol) of the moves.
+    length_m : ndarray of float64, (N,)
+        Their lengths [m].
+    surface : ndarray of float64, (rows, cols)
+        What a rise is counted on [J].
+    shares : ndarray of float64, (B,)
+        Shares of the rise.
+
+    Returns
+    -------
+    ndarray of float64, (B,)
+        Least (energy - share * rise) / length [J/m], 0 where that is rounding; infinite where there is no move.
+    """
+    parts = parts_of(*surface.shape)
+    found = np.full((len(parts), shares.size), np.inf)
+    share_out(
+        lambda k: _least_rows(energy, offsets, length_m, surface, shares, parts[k].start, parts[k].stop, found[k]),
+        range(len(parts)),
+    )
+    bounds = found.min(axis=0)
+    return np.where(np.abs(bounds) * length_m.min() < 2.0 * ROUNDING_J, 0.0, bounds)
+
+
+@njit(cache=True, nogil=True)
+def _least_rows(energy, offsets, length_m, surface, shares, first, end, least):
+    """Lower `least` (B,) to `spare_bounds` of rows first..end - 1."""
+    _, cols, moves = energy.shape
+    per_m = 1.0 / length_m
+    for i in range(first, end):
+        for j in range(cols):
+            here = surface[i, j]
+            for n in range(moves):
+                step = energy[i, j, n]
+                if not math.isnan(step):
+                    rise = surface[i + offsets[n, 0], j + offsets[n, 1]] - here
+                    for b in range(shares.size):
+                        least[b] = min(least[b], (step - shares[b] * rise) * per_m[n])
 
 
 @njit(cache=True, nogil=True)

@@ -17,13 +17,13 @@ from joulemap.planner.bound import quick_bound
 from joulemap.planner.coarse import CoarseLevel, coarse_level
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.places import end_point
 from joulemap.planner.plan import Plan, RoundTrip
 from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.stored_lattice import StoredLattice
 from joulemap.planner.strip import Strip
-from joulemap.planner.tile_moves import TileMoves
 from joulemap.planner.tiled_search import DEFAULT_MEMORY, TiledSearch
 
 MARGIN_CELLS = 48
@@ -49,7 +49,7 @@ class StoredPlanner:
         self.stored = StoredLattice(path)
         self._memory = memory_bytes
         self._strip = Strip(self.stored)
-        self._levels: dict[int, tuple[TileMoves, CoarseLevel]] = {}
+        self._levels: dict[int, tuple[MovePrices, CoarseLevel]] = {}
 
     @property
     def lattice(self) -> CostLattice:
@@ -68,9 +68,11 @@ class StoredPlanner:
         """
         self._level(neighbours, progress)
 
-    def _level(self, neighbours: int, progress: Callable[[float], None] | None = None) -> tuple[TileMoves, CoarseLevel]:
+    def _level(
+        self, neighbours: int, progress: Callable[[float], None] | None = None
+    ) -> tuple[MovePrices, CoarseLevel]:
         if neighbours not in self._levels:
-            moves = TileMoves(self.stored.headings, neighbours)
+            moves = MovePrices(self.stored.headings, neighbours)
             self._levels[neighbours] = moves, coarse_level(self.stored, moves, progress=progress)
         return self._levels[neighbours]
 
@@ -206,7 +208,7 @@ class StoredPlanner:
     ) -> tuple[Points, dict[str, Any]]:
         """The best path at any angle, or the shortest one where no coarse level is given."""
         moves = (
-            self._levels[neighbours][0] if neighbours in self._levels else TileMoves(self.stored.headings, neighbours)
+            self._levels[neighbours][0] if neighbours in self._levels else MovePrices(self.stored.headings, neighbours)
         )
         search = TiledSearch(self.stored, moves, level, memory_bytes=self._memory, progress=progress)
         found = search.run(start, goal)

@@ -21,9 +21,9 @@ from joulemap.planner.coarse import CoarseLevel
 from joulemap.planner.edges import Points
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lower_bound import Potential, fill_bounds, potentials_towards
+from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.search import direct_energy, joining_legs
 from joulemap.planner.stored_lattice import StoredLattice
-from joulemap.planner.tile_moves import TileMoves
 
 TILE_CELLS = 128
 """Side of a tile of the search, a power of two; a fourth of a chunk on disk, so that little is priced in vain."""
@@ -73,7 +73,7 @@ class TiledSearch:
     ----------
     stored : StoredLattice
         The lattice.
-    moves : TileMoves
+    moves : MovePrices
         Its moves.
     coarse : CoarseLevel, optional
         Its coarse level; without it the search is for the shortest path.
@@ -88,7 +88,7 @@ class TiledSearch:
     def __init__(
         self,
         stored: StoredLattice,
-        moves: TileMoves,
+        moves: MovePrices,
         coarse: CoarseLevel | None,
         *,
         memory_bytes: int = DEFAULT_MEMORY,

@@ -21,7 +21,8 @@ from joulemap.planner.heuristics import guide_everywhere
 from joulemap.planner.landmarks import make_landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_build import build_lattice
-from joulemap.planner.moves import MoveTable, move_offsets, move_table, table_of
+from joulemap.planner.move_prices import move_offsets
+from joulemap.planner.moves import MoveTable, move_table, table_of
 from joulemap.planner.plan import SAMPLING_PLANNERS, RoutePlanner
 from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search

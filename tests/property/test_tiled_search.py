@@ -11,10 +11,10 @@ from joulemap.model.errors import InputError, JoulemapError, NegativeCycleError,
 from joulemap.planner.coarse import coarse_level
 from joulemap.planner.edges import path_price
 from joulemap.planner.lattice_io import save_lattice
+from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.moves import move_table
 from joulemap.planner.search import grid_search
 from joulemap.planner.stored_lattice import StoredLattice
-from joulemap.planner.tile_moves import TileMoves
 from joulemap.planner.tiled_search import TiledSearch
 from tests.reference.lattices import random_lattice
 
@@ -34,7 +34,7 @@ def searched(lattice, folder, start, goal, *, neighbours=16):
     """The tiled answer, in little blocks and tiles and with as few price slots as there may be."""
     save_lattice(lattice, folder)
     stored = StoredLattice(folder)
-    moves = TileMoves(stored.headings, neighbours)
+    moves = MovePrices(stored.headings, neighbours)
     level = coarse_level(stored, moves, block_cells=4)
     return TiledSearch(stored, moves, level, tile_cells=8, memory_bytes=2_000_000).run(start, goal)
 
@@ -98,7 +98,7 @@ def test_the_shortest_path_over_tiles_is_that_in_memory(tmp_path_factory, seed):
     folder = tmp_path_factory.mktemp("tiles") / "a.zarr"
     save_lattice(lattice, folder)
     stored = StoredLattice(folder)
-    search = TiledSearch(stored, TileMoves(stored.headings), None, tile_cells=8)
+    search = TiledSearch(stored, MovePrices(stored.headings), None, tile_cells=8)
     if isinstance(expected, JoulemapError):
         with pytest.raises(NoRouteError):
             search.run(start, goal)

@@ -8,7 +8,8 @@ from joulemap.model.errors import NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.planner.edges import path_price
-from joulemap.planner.moves import move_offsets, move_table
+from joulemap.planner.move_prices import move_offsets
+from joulemap.planner.moves import move_table
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search

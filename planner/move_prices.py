@@ -1,7 +1,4 @@
-"""The price of every grid move of one tile, a plane per move, on the thread that asks: for lattices larger than memory.
-
-The same prices as those of `moves`. Planes instead of cells let the compiler work on whole rows.
-"""
+"""The prices of the grid moves of a lattice or a window of it, those of `edges`, in compiled loops over whole rows."""
 
 from __future__ import annotations
 
@@ -11,14 +8,44 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from joulemap.model.errors import InputError
 from joulemap.model.frames import heading_of, heading_vector
+from joulemap.model.threads import share_out
 from joulemap.planner.edges import interpolation_matrix
 from joulemap.planner.kernels import mean_response
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.moves import _pieces, _stack_pieces, _stack_stencils, move_offsets
+from joulemap.planner.potential import parts_of
+
+NEIGHBOURS = (8, 16, 32)
 
 
-class TileMoves:
+def move_offsets(neighbours: int) -> NDArray[np.int64]:
+    """Return the shortest moves of different heading.
+
+    Parameters
+    ----------
+    neighbours : {8, 16, 32}
+        Number of moves N.
+
+    Returns
+    -------
+    ndarray of int64, (N, 2)
+        (drow, dcol), clockwise from north.
+
+    Raises
+    ------
+    InputError
+        If `neighbours` is another number.
+    """
+    if neighbours not in NEIGHBOURS:
+        raise InputError(f"neighbours must be 8, 16 or 32, got {neighbours}", neighbours=neighbours)
+    reach = {8: 1, 16: 2, 32: 3}[neighbours]
+    steps = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1) if math.gcd(r, c) == 1]
+    steps.sort(key=lambda s: float(heading_of(s[1], -s[0])))
+    return np.array(steps, dtype=np.int64)
+
+
+class MovePrices:
     """Prices the moves of windows of one lattice.
 
     Parameters
@@ -76,6 +103,30 @@ class TileMoves:
             Energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the window.
         """
         return self._priced(part, part.traction_per_m, self._matrix, part.robot.hotel_per_m)
+
+    def by_cell(self, lattice: CostLattice) -> NDArray[np.float32]:
+        """Return the energies of the moves of a lattice, those of a cell side by side; rows are shared out to threads.
+
+        Parameters
+        ----------
+        lattice : CostLattice
+            Prices and limits.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols, N)
+            Energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the lattice.
+        """
+        rows, cols = lattice.frame.shape
+        out = np.empty((rows, cols, len(self.offsets)), dtype=np.float32)
+
+        def _fill(part: slice) -> None:
+            top = max(part.start - self.reach, 0)
+            planes = self.energies(lattice.window(top, min(part.stop + self.reach, rows)))
+            _by_cell(planes, part.start - top, out[part])
+
+        share_out(_fill, parts_of(rows, cols))
+        return out
 
     def lengths(self, part: CostLattice) -> NDArray[np.float32]:
         """Return the length of each move of a window; its traction is not read.
@@ -179,6 +230,16 @@ def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, pi
     return energy
 
 
+@njit(cache=True, nogil=True)
+def _by_cell(planes, first, out):
+    """Fill (rows, cols, N) with rows of (N, rows, cols), from row `first` of the planes on."""
+    rows, cols, moves = out.shape
+    for i in range(rows):
+        for j in range(cols):
+            for n in range(moves):
+                out[i, j, n] = planes[n, first + i, j]
+
+
 @njit(cache=True)
 def _kinked(traction, i, j, share, cell, blend, regeneration):
     """Mean price of motion along a move on which the traction changes its sign."""
@@ -194,3 +255,57 @@ def _kinked(traction, i, j, share, cell, blend, regeneration):
                     t1 += blend[p, 2, q] * t
             mean += share[p] * mean_response(t0, tm, t1, regeneration)
     return mean
+
+
+def _pieces(drow: int, dcol: int) -> list[tuple[float, NDArray[np.int64], NDArray[np.float64]]]:
+    """A move from (0, 0), cut where it crosses lines of cell centres.
+
+    Each piece: its share of the move, its four cells (4, 2), and their bilinear weights at start, middle, end (3, 4).
+    """
+    cuts = {0.0, 1.0}
+    for span in (drow, dcol):
+        cuts |= {k / abs(span) for k in range(1, abs(span))}
+    edges = sorted(cuts)
+    out = []
+    for t0, t1 in zip(edges[:-1], edges[1:], strict=True):
+        middle = 0.5 * (t0 + t1)
+        i, j = math.floor(middle * drow), math.floor(middle * dcol)
+        cells = np.array([(i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1)], dtype=np.int64)
+        blend = np.empty((3, 4))
+        for k, t in enumerate((t0, middle, t1)):
+            u, v = t * drow - i, t * dcol - j
+            blend[k] = (1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v
+        out.append((t1 - t0, cells, blend))
+    return out
+
+
+def _stack_stencils(offsets, pieces):
+    """Per move, the cells it touches (N, S, 2) and their shares of the mean traction (N, S); padded with share -1."""
+    stencils = []
+    for move in pieces:
+        total: dict[tuple[int, int], float] = {}
+        for share, cells, blend in move:
+            simpson = share * (blend[0] + 4.0 * blend[1] + blend[2]) / 6.0
+            for cell, weight, touched in zip(cells.tolist(), simpson, blend.max(axis=0), strict=True):
+                if touched > 1e-9:
+                    total[tuple(cell)] = total.get(tuple(cell), 0.0) + weight
+        stencils.append(total)
+    width = max(len(s) for s in stencils)
+    cells = np.zeros((len(offsets), width, 2), dtype=np.int64)
+    shares = np.full((len(offsets), width), -1.0)
+    for n, stencil in enumerate(stencils):
+        for k, (cell, share) in enumerate(stencil.items()):
+            cells[n, k] = cell
+            shares[n, k] = share
+    return cells, shares
+
+
+def _stack_pieces(pieces):
+    width = max(len(move) for move in pieces)
+    share = np.zeros((len(pieces), width))
+    cell = np.zeros((len(pieces), width, 4, 2), dtype=np.int64)
+    blend = np.zeros((len(pieces), width, 3, 4))
+    for n, move in enumerate(pieces):
+        for k, (part, cells, weights) in enumerate(move):
+            share[n, k], cell[n, k], blend[n, k] = part, cells, weights
+    return share, cell, blend
