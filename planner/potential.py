@@ -60,10 +60,8 @@ def even_surface(
     ----------
     Johnson 1977; Cherkassky & Goldberg 1999 (negative cycles).
     """
-    quarter = max(len(offsets) // 4, 1)  # four moves a quarter turn apart average as well as all of them
-    near, steps = np.ascontiguousarray(energy[..., ::quarter]), np.ascontiguousarray(offsets[::quarter])
     for _ in range(SWEEPS):
-        surface = _levelled(near, steps, surface)
+        surface = _levelled(energy, offsets, surface)
     least = spare_per_m(energy, offsets, length_m, surface)
     if least.min() < 0.0:
         lower = surface.copy()
