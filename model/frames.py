@@ -15,11 +15,9 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import HeightmapError, PointError
+from joulemap.model.ranges import COORDINATE_M, RESOLUTION_M
 
 TAU = 2.0 * math.pi
-RESOLUTION_LIMITS_M = (1e-3, 1e4)
-MAX_COORDINATE_M = 1e9
-"""Beyond these a cell's place would be lost in rounding."""
 
 
 def heading_bins(count: int) -> NDArray[np.float64]:
@@ -140,7 +138,7 @@ class GridFrame:
         )
 
     def __post_init__(self) -> None:
-        low, high = RESOLUTION_LIMITS_M
+        low, high = RESOLUTION_M.low, RESOLUTION_M.high
         if math.isfinite(self.resolution_m) and self.resolution_m > 0 and not low <= self.resolution_m <= high:
             raise HeightmapError(
                 f"a resolution of {self.resolution_m:g} m is outside the {low:g}..{high:g} m a map may have",
@@ -154,10 +152,10 @@ class GridFrame:
             )
         if not (math.isfinite(self.west_m) and math.isfinite(self.north_m)):
             raise HeightmapError(f"the map's corner must be finite, got ({self.west_m}, {self.north_m})")
-        if max(abs(self.west_m), abs(self.north_m)) > MAX_COORDINATE_M:
+        if self.west_m not in COORDINATE_M or self.north_m not in COORDINATE_M:
             raise HeightmapError(
-                f"the map's corner ({self.west_m:g}, {self.north_m:g}) is beyond {MAX_COORDINATE_M:g} m",
-                limit=MAX_COORDINATE_M,
+                f"the map's corner ({self.west_m:g}, {self.north_m:g}) is beyond {COORDINATE_M.high:g} m",
+                limit=COORDINATE_M.high,
             )
         if self.rows < 1 or self.cols < 1:
             raise HeightmapError(f"a map needs at least one cell, got {self.rows} x {self.cols}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model import ranges
 from joulemap.model.errors import InputError, RobotError, nearest_name
 
 GRAVITY_MPS2 = 9.80665
@@ -79,23 +79,30 @@ class Robot:
     turn_j_per_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        for key, (low, high, low_ok) in _RANGES.items():
+        for key, allowed in ranges.ROBOT.items():
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, Real):
-                raise RobotError(f"robot.{key} is {value!r}; it must be a number", key=key)
-            number = float(value)
-            inside = (low <= number if low_ok else low < number) and number <= high
-            if not (math.isfinite(number) and inside):
-                least = f"at least {low:g}" if low_ok else f"above {low:g}"
+                raise RobotError(f"robot.{key} is {ranges.short(value)!r}; it must be a number", key=key)
+            if value not in allowed:
                 raise RobotError(
-                    f"robot.{key} is {value}; it must be {least} and at most {_plain(high)}",
+                    f"robot.{key} is {ranges.short(value)}; it must be {allowed}",
                     key=key,
-                    value=str(value),
-                    limit=[low, high],
+                    value=ranges.short(value),
+                    limit=[allowed.low, allowed.high],
                 )
-            object.__setattr__(self, key, number)
+            object.__setattr__(self, key, float(value))
         if not self.name or not isinstance(self.name, str):
-            raise RobotError(f"robot.name is {self.name!r}; it must be a text that is not empty", key="name")
+            raise RobotError(
+                f"robot.name is {ranges.short(self.name)!r}; it must be a text that is not empty", key="name"
+            )
+        if len(self.name) > ranges.LONGEST_NAME or not re.fullmatch(ranges.NAME_PATTERN, self.name):
+            raise RobotError(
+                f"robot.name is {self.name[:40]!r} ({len(self.name)} characters); it must be at most "
+                f"{ranges.LONGEST_NAME} characters, none of them a control character",
+                key="name",
+                value=self.name[:80],
+                limit=ranges.LONGEST_NAME,
+            )
 
     def __repr__(self) -> str:
         return (
@@ -220,23 +227,6 @@ class Robot:
         return Battery(capacity_wh=self.battery_wh)
 
 
-_RANGES = {  # key: (low, high, is low allowed)
-    "mass_kg": (0.0, 1e5, False),
-    "width_m": (0.0, 10.0, False),
-    "length_m": (0.0, 20.0, False),
-    "wheel_radius_m": (0.0, 3.0, False),
-    "nominal_voltage_v": (0.0, 2000.0, False),
-    "speed_mps": (0.0, 20.0, False),
-    "battery_wh": (0.0, 1e6, False),
-    "idle_power_w": (0.0, 1e5, True),
-    "max_grade_deg": (0.0, 60.0, False),
-    "max_cross_slope_deg": (0.0, 60.0, False),
-    "rolling_resistance": (0.0, 2.0, True),
-    "regeneration": (0.0, 0.99, True),
-    "turn_j_per_rad": (0.0, 1e5, True),
-}
-
-
 @dataclass(frozen=True)
 class Battery:
     """A battery and its state at the start of a path.
@@ -264,20 +254,21 @@ class Battery:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, bool) or not isinstance(value, Real):
-                raise InputError(f"battery: {field.name} is {value!r}; it must be a number", key=field.name)
-            object.__setattr__(self, field.name, float(value))
-        if not (math.isfinite(self.capacity_wh) and self.capacity_wh > 0):
-            raise InputError(
-                f"battery: capacity_wh is {self.capacity_wh}; it must be a positive number of watt hours",
-                key="capacity_wh",
-            )
-        for key in ("charge", "reserve"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and 0.0 <= value <= 1.0):
-                hint = f": for {value:g} % write {value / 100:g}" if 1.0 < value <= 100.0 else ""
                 raise InputError(
-                    f"battery: {key} is {value:g}; it lies between 0 and 1{hint}", key=key, value=str(value)
+                    f"battery: {field.name} is {ranges.short(value)!r}; it must be a number", key=field.name
                 )
+            allowed = ranges.BATTERY[field.name]
+            if value not in allowed:
+                percent = allowed.high == 1.0 and 1.0 < value <= 100.0
+                hint = f": for {value:g} % write {value / 100:g}" if percent else ""
+                words = "lies between 0 and 1" if allowed.high == 1.0 else f"must be {allowed}"
+                raise InputError(
+                    f"battery: {field.name} is {ranges.short(value)}; it {words}{hint}",
+                    key=field.name,
+                    value=ranges.short(value),
+                    limit=[allowed.low, allowed.high],
+                )
+            object.__setattr__(self, field.name, float(value))
 
     def __repr__(self) -> str:
         return (
@@ -288,11 +279,6 @@ class Battery:
     def available_j(self) -> float:
         """Energy above the reserve [J]; negative when the charge is already below it."""
         return (self.charge - self.reserve) * self.capacity_wh * 3600.0
-
-
-def _plain(number: float) -> str:
-    """100000 instead of 1e+05."""
-    return f"{number:g}" if abs(number) < 1e5 else f"{number:.0f}"
 
 
 def _hint(name: str, value: Any, known: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
+from joulemap.model.ranges import HEADINGS
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground
@@ -15,7 +16,6 @@ from joulemap.model.terrain.windows import Ground
 TILE_CELLS = 256
 """Side of a tile [cells] unless its heights would be too many; a lattice on disk has one chunk per tile."""
 
-HEADING_LIMITS = (4, 360)
 _TILE_HEIGHTS = 64_000_000
 _LEAST_CELLS = 16
 _REACH_M = 2.0  # a model reads the square of at most 2 m around a place, turned by any heading
@@ -67,8 +67,8 @@ class Tiling:
         HeightmapError
             If the spacing does not fit the map.
         """
-        low, high = HEADING_LIMITS
-        if not low <= headings <= high:
+        low, high = int(HEADINGS.low), int(HEADINGS.high)
+        if headings not in HEADINGS:
             raise InputError(
                 f"headings must lie in {low}..{high}, got {headings}", headings=headings, limit=[low, high]
             )

@@ -94,11 +94,17 @@ def projected(lat: FloatArray, lon: FloatArray, crs: str) -> tuple[FloatArray, F
     Raises
     ------
     RunsError
-        If the CRS is not known.
+        If the CRS is not known, or is not one of the Earth.
     """
     from pyproj import Transformer
+    from pyproj.exceptions import ProjError
 
-    x, y = Transformer.from_crs("EPSG:4326", _crs(crs), always_xy=True).transform(lon, lat)
+    try:
+        x, y = Transformer.from_crs("EPSG:4326", _crs(crs), always_xy=True).transform(lon, lat)
+    except ProjError as error:
+        raise RunsError(
+            f"latitudes and longitudes cannot be projected to the CRS {crs[:80]!r}: {str(error)[:200]}", crs=crs[:80]
+        ) from error
     placed = np.isfinite(x) & np.isfinite(y)
     return np.where(placed, x, np.nan), np.where(placed, y, np.nan)
 
@@ -110,7 +116,7 @@ def _crs(crs: str) -> CRS:
     try:
         return CRS.from_user_input(crs)
     except CRSError as error:
-        raise RunsError(f"the CRS {crs!r} is not known: {error}", crs=crs) from error
+        raise RunsError(f"the CRS {crs[:80]!r} is not known: {str(error)[:200]}", crs=crs[:80]) from error
 
 
 def _belongs_to(lat: FloatArray, lon: FloatArray, crs: str) -> bool:

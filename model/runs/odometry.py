@@ -6,7 +6,6 @@ the sides, larger than the measured one. Positions drift within minutes; on flat
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
+from joulemap.model.ranges import TRACK_M
 from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing, station_at, stops_of
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.reader import Run, run_of
@@ -54,15 +54,19 @@ class Odometry:
     Raises
     ------
     InputError
-        If `track_m` is not positive.
+        If `track_m` is outside `joulemap.model.ranges.TRACK_M`.
     """
 
     track_m: float
     terrain_from_name: bool = False
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.track_m) and self.track_m > 0):
-            raise InputError(f"the track must be positive, got {self.track_m} m", track_m=str(self.track_m))
+        if self.track_m not in TRACK_M:
+            raise InputError(
+                f"the track must be {TRACK_M} metres, got {self.track_m}",
+                track_m=str(self.track_m),
+                limit=[TRACK_M.low, TRACK_M.high],
+            )
 
 
 def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = None, currents: Currents = "auto") -> Run:

@@ -42,7 +42,7 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
     Raises
     ------
     HeightmapError
-        If the CRS is unknown, in degrees or feet, or a Mercator projection.
+        If the CRS is unknown, in degrees or feet, a Mercator projection, or has parameters that it cannot have.
 
     Notes
     -----
@@ -56,6 +56,8 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
                     raise ValueError(crs)
                 crs = CRS.from_string(crs)
             code, wkt = crs.to_epsg(), crs.to_wkt()
+            geographic, projected = crs.is_geographic, crs.is_projected
+            unit, metres = crs.linear_units_factor if projected else ("", 1.0)
     except Exception as error:
         if not (is_gdal_error(error) or isinstance(error, (ValueError, OverflowError))):
             raise
@@ -65,18 +67,19 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
     name = f"EPSG:{code}" if code else wkt
     short = name[:80]
     centre = _centre(crs, bounds)
-    if crs.is_geographic:
+    if geographic:
         raise HeightmapError(
             f"the map is in degrees ({short}), not in metres: {_advice(centre, nodata_declared)}", crs=short
         )
-    if crs.is_projected:
-        unit, metres = crs.linear_units_factor
+    if projected:
         if abs(metres - 1.0) > 1e-9:
             raise HeightmapError(
                 f"the map is in {unit} ({metres:g} m), not in metres ({short}): {_advice(centre, nodata_declared)}",
                 crs=short,
                 unit=unit,
             )
+        if not code:
+            _check_projection(wkt, short)
         projection = _PROJECTION.search(wkt)
         if projection is not None and projection.group(1).lower() in _MERCATOR:
             raise HeightmapError(
@@ -87,6 +90,20 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
     elif not wkt.upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")) or "FOOT" in wkt.upper():
         raise HeightmapError(f"the map's coordinate reference system is no plane in metres: {short}", crs=short)
     return name
+
+
+def _check_projection(wkt: str, short: str) -> None:
+    """Refuse parameters that no projection can have, such as a latitude of 999; GDAL finds them only as it is used."""
+    from pyproj import CRS as ProjCRS
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    try:
+        Transformer.from_crs("EPSG:4326", ProjCRS.from_wkt(wkt), always_xy=True)
+    except ProjError as error:
+        raise HeightmapError(
+            f"the coordinate reference system cannot be used ({short}): {str(error)[:200]}", crs=short
+        ) from error
 
 
 def _centre(crs: CRS, bounds: Bounds | None) -> tuple[float, float] | None:

@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model import ranges
 from joulemap.model.errors import HeightmapError, TooLargeError
 
 UNDECLARED = (-9999.0, -32767.0, -32768.0)
 """Values that surveys write for "no data". Met undeclared they are refused, never taken for ground."""
 
-HEIGHT_LIMIT_M = 50_000.0
-"""No ground is farther from zero than this; what is, is a no-data value or a wrong scale."""
+MAX_SIDE = 1_000_000
+"""Most rows, and most columns, of a map: 1,000 km at 1 m."""
+
+_PART_CELLS = 4_000_000
 
 SAME_LENGTH = 1e-3
 """Relative difference of two lengths that still count as the same."""
@@ -73,10 +76,18 @@ class Scaling:
     nodata: float | None = None
 
     def __post_init__(self) -> None:
-        if self.scale_m is not None and not (math.isfinite(self.scale_m) and self.scale_m > 0):
-            raise HeightmapError(f"`scale_m` must be a positive number of metres per count, got {self.scale_m}")
-        if not math.isfinite(self.offset_m):
-            raise HeightmapError(f"`offset_m` must be a finite number of metres, got {self.offset_m}")
+        if self.scale_m is not None and self.scale_m not in ranges.SCALE_M:
+            raise HeightmapError(
+                f"`scale_m` must be {ranges.SCALE_M} metres per count, got {self.scale_m}",
+                value=str(self.scale_m),
+                limit=[ranges.SCALE_M.low, ranges.SCALE_M.high],
+            )
+        if self.offset_m not in ranges.HEIGHT_M:
+            raise HeightmapError(
+                f"`offset_m` must be {ranges.HEIGHT_M} metres, got {self.offset_m}",
+                value=str(self.offset_m),
+                limit=[ranges.HEIGHT_M.low, ranges.HEIGHT_M.high],
+            )
 
     def to_metres(
         self,
@@ -105,8 +116,25 @@ class Scaling:
         Raises
         ------
         HeightmapError
-            On an undeclared no-data value, and on a height beyond `HEIGHT_LIMIT_M`.
+            On an undeclared no-data value, and on a height beyond `joulemap.model.ranges.HEIGHT_M`.
+
+        Notes
+        -----
+        Large arrays are converted in parts, so that a big map needs no second copy of itself.
         """
+        if values.size <= _PART_CELLS or len(values) < 2:
+            return self._part_to_metres(values, band_scale, band_offset, known)
+        metres = np.empty(values.shape, dtype=np.float32)
+        step = max(1, _PART_CELLS * len(values) // values.size)
+        for start in range(0, len(values), step):
+            part = slice(start, start + step)
+            mask = None if known is None else known[part]
+            metres[part] = self._part_to_metres(values[part], band_scale, band_offset, mask)
+        return metres
+
+    def _part_to_metres(
+        self, values: NDArray, band_scale: float, band_offset: float, known: NDArray[np.bool_] | None
+    ) -> NDArray[np.float32]:
         if not (math.isfinite(band_scale) and band_scale != 0.0 and math.isfinite(band_offset)):
             raise HeightmapError(f"the file scales its heights by {band_scale} and {band_offset}: it is corrupt")
         unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, dtype=bool)
@@ -130,14 +158,15 @@ class Scaling:
                 metres = np.multiply(values, scale, dtype=np.float64)
                 metres += offset
         metres[unknown] = np.nan
-        too_far = np.abs(metres) > HEIGHT_LIMIT_M
+        limit = ranges.HEIGHT_M.high
+        too_far = np.abs(metres) > limit
         if too_far.any():
             worst = float(metres[too_far][0])
             raise HeightmapError(
-                f"the file holds a height of {worst:g} m, beyond {HEIGHT_LIMIT_M:g} m: an undeclared no-data value "
+                f"the file holds a height of {worst:g} m, beyond {limit:g} m: an undeclared no-data value "
                 "(give its value as `nodata`) or a wrong scale (`scale_m`)",
                 value=str(worst),
-                limit=HEIGHT_LIMIT_M,
+                limit=limit,
             )
         return metres.astype(np.float32, copy=False)
 
@@ -157,9 +186,9 @@ def check_cells(rows: int, cols: int, max_cells: int, *, what: str = "the file")
     Raises
     ------
     TooLargeError
-        If there are more than `max_cells` cells.
+        If there are more than `max_cells` cells, or a side is longer than `MAX_SIDE`.
     HeightmapError
-        If there is none.
+        If there is none, or the map is a single row or column.
     """
     if rows < 1 or cols < 1:
         raise HeightmapError(f"{what} declares {rows} x {cols} cells: there is nothing in it", rows=rows, cols=cols)
@@ -168,4 +197,12 @@ def check_cells(rows: int, cols: int, max_cells: int, *, what: str = "the file")
             f"{what} declares {rows} x {cols} = {rows * cols} cells, more than the limit of {max_cells}",
             cells=rows * cols,
             limit=max_cells,
+        )
+    if min(rows, cols) < 2:
+        raise HeightmapError(f"a heightmap needs at least 2 x 2 cells, {what} declares {rows} x {cols}")
+    if max(rows, cols) > MAX_SIDE:
+        raise TooLargeError(
+            f"{what} declares {rows} x {cols} cells, and the limit of a side is {MAX_SIDE}",
+            cells_of_a_side=max(rows, cols),
+            limit=MAX_SIDE,
         )

@@ -19,10 +19,13 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from joulemap.model.errors import nearest_name
+from joulemap.model.ranges import COORDINATE_M, LONGEST_NAME, NAME_PATTERN, ROBOT, Range
 from joulemap.model.robot import Robot
 
 UNKNOWN_FIELD = "unknown_field"
 """The type of pydantic's finding for a field that a request does not have."""
+_MOST_UNKNOWN = 100
+"""An object with more fields than it can have, and so many beyond, is refused as a whole."""
 
 
 class ClosedModel(BaseModel):
@@ -33,6 +36,12 @@ class ClosedModel(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _name_the_nearest(cls, values: Any, check: ModelWrapValidatorHandler[Self]) -> Self:
+        if isinstance(values, Mapping) and len(values) > len(cls.model_fields) + _MOST_UNKNOWN:
+            raise PydanticCustomError(
+                "too_many_fields",
+                "an object of {count} fields; it has at most {limit}",
+                {"count": len(values), "limit": len(cls.model_fields)},
+            )
         try:
             return check(values)
         except ValidationError as error:
@@ -68,14 +77,32 @@ class ResponseModel(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+def within(allowed: Range) -> dict[str, float]:
+    """Return the bounds of a range as pydantic's `Field` takes them.
+
+    Parameters
+    ----------
+    allowed : Range
+        Of `joulemap.model.ranges`.
+
+    Returns
+    -------
+    dict
+        The keywords `ge` and `le`.
+    """
+    return {"ge": allowed.low, "le": allowed.high}
+
+
+Coordinate = Annotated[float, Field(**within(COORDINATE_M))]  # type: ignore[arg-type]
+Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=NAME_PATTERN)]
 Point = Annotated[
-    list[float],
+    list[Coordinate],
     Field(
         min_length=2, max_length=3, description="world [x, y] in the map's CRS [m], x east and y north; z is ignored"
     ),
 ]
 PathPoint = Annotated[
-    list[float | None],
+    list[Coordinate | None],
     Field(min_length=2, max_length=3, description="world [x, y] or [x, y, z] [m]; z, which may be null, is ignored"),
 ]
 Point3 = Annotated[
@@ -99,13 +126,18 @@ _ROBOT_WORDS = {
     "turn_j_per_rad": "energy of turning, per radian [J/rad]",
 }
 _KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
+_BOUNDS: dict[str, Any] = {key: within(allowed) for key, allowed in ROBOT.items()}
+_BOUNDS["name"] = {"min_length": 1, "max_length": LONGEST_NAME, "pattern": NAME_PATTERN}
 
 RobotIn = create_model(  # type: ignore[call-overload]
     "RobotIn",
     __base__=Request,
     __doc__="A robot. A field that is left out has the default robot's value, or in a question the cost map's.",
     **{
-        key: (kind | None, Field(default=None, description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]))
+        key: (
+            kind | None,
+            Field(default=None, description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)], **_BOUNDS[key]),
+        )
         for key, kind in _KIND.items()
     },
 )

@@ -7,25 +7,37 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from joulemap.model.ranges import COORDINATE_M, HEADINGS, HEIGHT_M, RESOLUTION_M, SCALE_M, SPACING_M, STORED
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS
-from joulemap.planner.tiles import HEADING_LIMITS
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.schemas.base import ClosedModel, JobOut, Problem, Request, ResponseModel, RobotIn, RobotOut
+from joulemap.service.schemas.base import (
+    ClosedModel,
+    JobOut,
+    Name,
+    Problem,
+    Request,
+    ResponseModel,
+    RobotIn,
+    RobotOut,
+    within,
+)
 
 
 class UploadOptions(ClosedModel):
     """What a heightmap file may not say itself; as query parameters or form fields."""
 
-    name: str | None = Field(
-        default=None, min_length=1, max_length=200, description="name of the heightmap; default: the file's name"
-    )
+    name: Name | None = Field(default=None, description="name of the heightmap; default: the file's name")
     resolution_m: float | None = Field(
         default=None,
+        **within(RESOLUTION_M),
         description="side of a cell [m]; needed where the file does not say it, refused where the file says another",
     )
-    west_m: float = Field(default=0.0, description="x of the map's west edge [m], where the file does not say")
+    west_m: float = Field(
+        default=0.0, **within(COORDINATE_M), description="x of the map's west edge [m], where the file does not say"
+    )
     north_m: float | None = Field(
         default=None,
+        **within(COORDINATE_M),
         description="y of the map's north edge [m], where the file does not say; default: the south edge is y = 0",
     )
     crs: str | None = Field(
@@ -34,10 +46,12 @@ class UploadOptions(ClosedModel):
         max_length=4000,
         description="CRS in metres, e.g. EPSG:32630, where the file does not say",
     )
-    scale_m: float | None = Field(default=None, description="metres per stored unit; a PNG needs it")
-    offset_m: float = Field(default=0.0, description="height of the stored value 0 [m]")
+    scale_m: float | None = Field(default=None, **within(SCALE_M), description="metres per stored unit; a PNG needs it")
+    offset_m: float = Field(default=0.0, **within(HEIGHT_M), description="height of the stored value 0 [m]")
     nodata: float | None = Field(
-        default=None, description="stored value that means unknown, where the file does not declare it"
+        default=None,
+        **within(STORED),
+        description="stored value that means unknown, where the file does not declare it",
     )
     band: int | None = Field(
         default=None,
@@ -82,11 +96,11 @@ class CostmapOptions(Request):
         description="`physics`, `default`, or the id of a trained model",
         examples=["physics"],
     )
-    spacing_m: float = Field(default=1.0, ge=0.01, le=10_000.0, description="side of a cell [m]", examples=[1.0])
+    spacing_m: float = Field(default=1.0, **within(SPACING_M), description="side of a cell [m]", examples=[1.0])
     headings: int = Field(
         default=DEFAULT_HEADINGS,
-        ge=HEADING_LIMITS[0],
-        le=HEADING_LIMITS[1],
+        ge=int(HEADINGS.low),
+        le=int(HEADINGS.high),
         description="number of heading bins",
         examples=[16],
     )

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import FailFast, Field, ValidationInfo, field_validator, model_validator
 
+from joulemap.model.ranges import BATTERY, SEARCH_S
 from joulemap.planner.plan import PLANNERS
-from joulemap.service.schemas.base import PathPoint, Point, Point3, Request, ResponseModel, RobotIn
+from joulemap.service.schemas.base import PathPoint, Point, Point3, Request, ResponseModel, RobotIn, within
 
 
 class BatteryIn(Request):
     """A battery. What is left out is as in the robot's own battery, full and without a reserve."""
 
-    capacity_wh: float | None = Field(default=None, gt=0, le=1e9, description="energy when full [Wh]", examples=[280.0])
+    capacity_wh: float | None = Field(
+        default=None, **within(BATTERY["capacity_wh"]), description="energy when full [Wh]", examples=[280.0]
+    )
     charge: float = Field(
-        default=1.0, ge=0, le=1, description="state of charge at the start, 0..1 (0.6 is 60 %)", examples=[0.8]
+        default=1.0,
+        **within(BATTERY["charge"]),
+        description="state of charge at the start, 0..1 (0.6 is 60 %)",
+        examples=[0.8],
     )
     reserve: float = Field(
-        default=0.0, ge=0, le=1, description="share of the capacity that must remain at the end, 0..1", examples=[0.2]
+        default=0.0,
+        **within(BATTERY["reserve"]),
+        description="share of the capacity that must remain at the end, 0..1",
+        examples=[0.2],
     )
 
     @field_validator("charge", "reserve", mode="before")
@@ -39,7 +48,9 @@ class PathRequest(Request):
     planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
     neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the grid planners")
     refine: bool = Field(default=True, description="shorten the grid path where it need not follow the grid")
-    time_limit_s: float = Field(default=5.0, ge=0.05, le=60.0, description="how long the sampling planners search [s]")
+    time_limit_s: float = Field(
+        default=5.0, **within(SEARCH_S), description="how long the sampling planners search [s]"
+    )
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="seed of the sampling planners")
     alternatives: int = Field(default=0, ge=0, le=10, description="most other good paths to look for")
     snap: bool = Field(
@@ -125,7 +136,7 @@ class PathOut(RouteOut):
 class FeasibilityRequest(Request):
     """A task, either a path or start and goal, and a battery."""
 
-    path: list[PathPoint] | None = Field(
+    path: Annotated[list[PathPoint], FailFast()] | None = Field(
         default=None, min_length=2, max_length=100_000, description="world points [m], in order"
     )
     start: Point | None = Field(default=None, examples=[[12.5, 40.5]])

@@ -6,12 +6,13 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from joulemap.model.ranges import SEARCH_S
 from joulemap.planner.budget import Verdict
 from joulemap.planner.plan import RoundTrip
 from joulemap.planner.route import geojson
 from joulemap.planner.tours import MAX_STOPS
 from joulemap.service.schemas.answers import route_values, verdict_out
-from joulemap.service.schemas.base import Point, Request, RobotIn
+from joulemap.service.schemas.base import Point, Request, RobotIn, within
 from joulemap.service.schemas.planning import BatteryIn, RouteOut, VerdictOut
 
 
@@ -30,7 +31,7 @@ class TourRequest(Request):
         default=False, description="move stops on blocked ground to the nearest free place; warnings say where that is"
     )
     time_limit_s: float = Field(
-        default=10.0, ge=0.05, le=60.0, description="longest time for proving that the order is the best one [s]"
+        default=10.0, **within(SEARCH_S), description="longest time for proving that the order is the best one [s]"
     )
     battery: BatteryIn | None = Field(
         default=None, description="given: the answer says whether this battery lasts for the whole tour"

@@ -317,7 +317,7 @@ def test_bad_questions(service: TestClient, ground_id: str, runs_id: str) -> Non
         ({"base_runs": [], "baseline_runs": []}, 422, "invalid_request", "former name of `baseline_runs`"),
         ({"runs": []}, 422, "invalid_request", "runs"),
         ({"model": "../physics"}, 422, "invalid_model", "known are physics"),
-        ({"robot": {"mass_kg": -1.0}}, 422, "invalid_robot", "mass_kg"),
+        ({"robot": {"mass_kg": -1.0}}, 422, "invalid_request", "mass_kg"),
         ({"start": [1.0, 2.0]}, 422, "invalid_request", "goal"),
         ({"speed": 1.0}, 422, "invalid_request", "speed"),
         ({"campaigns": True}, 422, "invalid_input", "all 4 runs belong to the campaign 'run'"),

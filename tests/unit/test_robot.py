@@ -56,7 +56,7 @@ def test_impossible_robots_are_refused_by_name(values: dict, words: str) -> None
         ({"voltage": 24.0}, "robot.voltage: unknown; did you mean nominal_voltage_v?"),
         ({"Mass_kg": 30.0}, "robot.Mass_kg: unknown; did you mean mass_kg?"),
         ({"batery_wh": 24.0}, "robot.batery_wh: unknown; did you mean battery_wh?"),
-        ({"mass_kg": 0}, "robot.mass_kg is 0; it must be above 0 and at most 100000"),
+        ({"mass_kg": 0}, "robot.mass_kg is 0; it must be at least 0.1 and at most 100000"),
         ({"idle_power_w": -1.0}, "robot.idle_power_w is -1.0; it must be at least 0 and at most 100000"),
         ({"speed_mps": "fast"}, "robot.speed_mps is 'fast'; it must be a number"),
     ],
@@ -84,7 +84,7 @@ def test_a_name_near_to_none_gets_the_list() -> None:
             r"robot\.toml, lines 1 and 3: robot\.mass: unknown; did you mean mass_kg\?; "
             r"robot\.voltage: unknown; did you mean nominal_voltage_v\?$",
         ),
-        ("# mass_kg\nmass_kg = -3\n", r"robot\.toml, line 2: robot\.mass_kg is -3; it must be above 0"),
+        ("# mass_kg\nmass_kg = -3\n", r"robot\.toml, line 2: robot\.mass_kg is -3; it must be at least 0\.1"),
     ],
 )
 def test_broken_files_are_refused_with_file_and_line(tmp_path: Path, text: str, words: str) -> None:

@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
 from joulemap.model.errors import InputError
+from joulemap.model.ranges import COORDINATE_M, CORRIDOR_PERCENT, HEADING_DEG
 from joulemap.planner.lattice_io import export_geotiff, export_npz
 from joulemap.service.http.documents import problems
 from joulemap.service.http.state import KernelsDep
@@ -17,11 +18,12 @@ from joulemap.service.http.zip_stream import zip_folder
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.pictures import field_image, lattice_image
 from joulemap.service.schemas.answers import number
+from joulemap.service.schemas.base import within as bounds
 from joulemap.service.schemas.maps import AtOut, FieldOut
 from joulemap.service.workflows import costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
-Finite = Annotated[float, Query(allow_inf_nan=False)]
+Place = Annotated[float, Query(**bounds(COORDINATE_M))]
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
@@ -68,7 +70,8 @@ def get_image(
     heading_deg: Annotated[
         float | None,
         Query(
-            allow_inf_nan=False, description="clockwise from north [deg]; the picture shows the prices in this heading"
+            **bounds(HEADING_DEG),
+            description="clockwise from north [deg]; the picture shows the prices in this heading",
         ),
     ] = None,
     view: Annotated[
@@ -90,8 +93,8 @@ def get_image(
 def get_at(
     costmap_id: str,
     service: KernelsDep,
-    x: Annotated[Finite, Query(description="world x [m]", examples=[12.5])],
-    y: Annotated[Finite, Query(description="world y [m]", examples=[40.5])],
+    x: Annotated[Place, Query(description="world x [m]", examples=[12.5])],
+    y: Annotated[Place, Query(description="world y [m]", examples=[40.5])],
 ) -> AtOut:
     """Energy per metre at one place in all headings, and why some headings are blocked."""
     service.done_costmap(costmap_id)
@@ -118,13 +121,16 @@ def get_at(
 def get_field(
     costmap_id: str,
     service: KernelsDep,
-    start_x: Annotated[Finite | None, Query(description="energy from here to each cell: world x [m]")] = None,
-    start_y: Annotated[Finite | None, Query(description="world y [m]")] = None,
-    goal_x: Annotated[Finite | None, Query(description="energy from each cell to here: world x [m]")] = None,
-    goal_y: Annotated[Finite | None, Query(description="world y [m]")] = None,
+    start_x: Annotated[Place | None, Query(description="energy from here to each cell: world x [m]")] = None,
+    start_y: Annotated[Place | None, Query(description="world y [m]")] = None,
+    goal_x: Annotated[Place | None, Query(description="energy from each cell to here: world x [m]")] = None,
+    goal_y: Annotated[Place | None, Query(description="world y [m]")] = None,
     within: Annotated[
         float | None,
-        Query(ge=0.0, le=1000.0, description="with start and goal: the corridor of routes so much dearer at most [%]"),
+        Query(
+            **bounds(CORRIDOR_PERCENT),
+            description="with start and goal: the corridor of routes so much dearer at most [%]",
+        ),
     ] = None,
     neighbours: Annotated[Literal[8, 16, 32], Query(description="directions of a step")] = 16,
     snap: Annotated[bool, Query(description="move places on blocked ground to the nearest free one")] = False,

@@ -8,11 +8,13 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
 from joulemap.model.errors import InputError
+from joulemap.model.ranges import LONGEST_NAME, NAME_PATTERN, TRACK_M
 from joulemap.model.runs.odometry import Odometry
 from joulemap.service.http.documents import problems, runs_body
 from joulemap.service.http.state import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.uploads import media_type, take_raw_run, take_runs
 from joulemap.service.schemas.answers import runs_out
+from joulemap.service.schemas.base import within
 from joulemap.service.schemas.loop import RunsOut
 
 router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
@@ -39,8 +41,7 @@ async def send_runs(
     odometry_track_m: Annotated[
         float | None,
         Query(
-            gt=0.0,
-            le=100.0,
+            **within(TRACK_M),
             description="the runs have no positions: integrate `speed_left` and `speed_right` with this effective "
             "track width [m]",
         ),
@@ -52,7 +53,8 @@ async def send_runs(
         str,
         Query(
             min_length=1,
-            max_length=200,
+            max_length=LONGEST_NAME,
+            pattern=NAME_PATTERN,
             description="name of a run that is the raw body; in a form, the file has a name",
         ),
     ] = "run.csv",
