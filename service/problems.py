@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +35,7 @@ INTERNAL_EXIT_CODE = 1
 _LOG = logging.getLogger("joulemap.service")
 _MAX_TEXT = 500
 _MAX_ERRORS = 20
+_MAX_ITEMS = 200
 _BODY, _THE_BODY = "body", "the body "
 
 
@@ -129,7 +131,9 @@ def jsonable(value: Any, *, depth: int = 6) -> Any:
         text = value.encode("utf-8", "replace").decode("utf-8")
         return text if len(text) <= _MAX_TEXT else text[:_MAX_TEXT] + "..."
     if depth > 0 and isinstance(value, Mapping):
-        return {str(key): jsonable(item, depth=depth - 1) for key, item in value.items()}
+        first = islice(value.items(), _MAX_ITEMS)
+        kept = {str(key)[:_MAX_TEXT]: jsonable(item, depth=depth - 1) for key, item in first}
+        return kept | ({"...": f"{len(value)} in all"} if len(value) > _MAX_ITEMS else {})
     if depth > 0 and isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (bytes, bytearray)):
         items = [jsonable(item, depth=depth - 1) for item in list(value)[:_MAX_ERRORS]]
         return [*items, f"... {len(value)} in all"] if len(value) > _MAX_ERRORS else items

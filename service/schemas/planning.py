@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import FailFast, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from joulemap.model.ranges import BATTERY, SEARCH_S
 from joulemap.planner.plan import PLANNERS
@@ -136,7 +136,7 @@ class PathOut(RouteOut):
 class FeasibilityRequest(Request):
     """A task, either a path or start and goal, and a battery."""
 
-    path: Annotated[list[PathPoint], FailFast()] | None = Field(
+    path: Annotated[list[PathPoint], Field(fail_fast=True)] | None = Field(
         default=None, min_length=2, max_length=100_000, description="world points [m], in order"
     )
     start: Point | None = Field(default=None, examples=[[12.5, 40.5]])
