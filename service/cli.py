@@ -12,6 +12,7 @@ from joulemap.service.commands import (
     distillation,
     fields,
     heightmaps,
+    keys,
     maps,
     models,
     reproduction,
@@ -79,6 +80,7 @@ for _panel, _commands in (
 ):
     for _command in _commands:
         app.command(cls=Command, rich_help_panel=_panel)(_command)
+app.add_typer(keys.keys, rich_help_panel="Serve")
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -23,7 +24,7 @@ class _KnowsTurning(Protocol):
     def robot_with_turning(self, robot: Robot) -> Robot: ...
 
 
-def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Predictor:
+def find_predictor(model: str | Path, *, models_dir: Path | None = None, hidden: Collection[str] = ()) -> Predictor:
     """Return the predictor of this name.
 
     Parameters
@@ -33,6 +34,8 @@ def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Pred
     models_dir : Path, optional
         Folder of the trained models. With it no other folder can be named, so that a request over HTTP cannot read
         other files.
+    hidden : collection of str, optional
+        Ids of models that belong to others, which are not there for this caller.
 
     Returns
     -------
@@ -47,6 +50,7 @@ def find_predictor(model: str | Path, *, models_dir: Path | None = None) -> Pred
     if models_dir is None or model in MODEL_NAMES:
         return load_model(model)
     trained = sorted(p.name for p in models_dir.iterdir() if p.is_dir()) if models_dir.is_dir() else []
+    trained = [name for name in trained if name not in hidden]
     if not _MODEL_ID.fullmatch(str(model)) or str(model) not in trained:
         known = [*MODEL_NAMES, *trained]
         raise ModelError(

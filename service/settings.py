@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 from urllib.parse import unquote
 
 from pydantic import Field, field_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from joulemap.service.models import DEFAULT_MODEL
+
+Names = Annotated[tuple[str, ...], NoDecode]
 
 
 class Settings(BaseSettings):
@@ -40,7 +43,27 @@ class Settings(BaseSettings):
     max_calibration_segments: int = Field(default=200_000, gt=0, description="most 1 m segments of all its runs")
     build_here: bool = Field(default=True, description="do jobs in the service too; else only in `joulemap worker`")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
+    allowed_hosts: Names = Field(
+        default=(),
+        description="further names by which the service is called, separated by commas, besides localhost, 127.0.0.1 "
+        "and [::1]; `*` for any",
+    )
+    cors_origins: Names = Field(
+        default=(),
+        description="web pages that may call the service, like `https://maps.example`, separated by commas",
+    )
+    key_requests_per_s: float = Field(
+        default=300.0, gt=0, description="most requests per second of one key, over ten seconds"
+    )
+    key_jobs: int = Field(default=8, gt=0, description="most jobs of one owner that wait or run at a time")
+    key_gb: float = Field(default=100.0, gt=0, description="most that one owner keeps [GB = 1e9 bytes]")
     warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
+
+    @field_validator("allowed_hosts", "cors_origins", mode="before")
+    @classmethod
+    def _separated_by_commas(cls, value: str | tuple[str, ...]) -> tuple[str, ...]:
+        names = value.split(",") if isinstance(value, str) else value
+        return tuple(name.strip().lower().rstrip("/") for name in names if name.strip())
 
     @field_validator("data_dir", mode="before")
     @classmethod

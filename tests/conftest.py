@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+os.environ.setdefault("JOULEMAP_ALLOWED_HOSTS", "testserver")  # how Starlette's TestClient calls a service
+
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:

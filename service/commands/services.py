@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
+from joulemap.service.commands.data_folder import settings_of, writable
 from joulemap.service.commands.options import Reading, reads_heightmap, there
-
-if TYPE_CHECKING:
-    from joulemap.service.settings import Settings
 
 
 def serve(
@@ -40,7 +36,7 @@ def serve(
 
     from joulemap.service.http.app import create_app
 
-    settings = _writable(_settings(host=host, port=port, data_dir=data_dir))
+    settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
     uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
 
 
@@ -63,7 +59,7 @@ def worker(
     from joulemap.service.storage.store import Store
     from joulemap.service.workflows import warm_up
 
-    settings = _writable(_settings(data_dir=data_dir))
+    settings = writable(settings_of(data_dir=data_dir))
     store = Store(settings.data_dir, settings.resolved_database_url)
     store.open(as_service=False)
     makers = make_makers(store, settings)
@@ -74,30 +70,6 @@ def worker(
     typer.echo(f"doing jobs of {settings.data_dir.resolve()}")
     at_work.work()
     store.close()
-
-
-def _settings(**given: Any) -> Settings:
-    """The settings of the options that are given, and of the environment. A wrong one is wrong usage."""
-    from pydantic import ValidationError
-    from pydantic_settings import SettingsError
-
-    from joulemap.service.settings import Settings
-
-    try:
-        return Settings(**{key: value for key, value in given.items() if value is not None})
-    except ValidationError as error:
-        wrong = [f"JOULEMAP_{e['loc'][0]!s}".upper() + f" is {e['input']!r}: {e['msg']}" for e in error.errors()]
-        raise typer.BadParameter("; ".join(wrong)) from error
-    except SettingsError as error:
-        raise typer.BadParameter(f"{error}: it is a list in JSON") from error
-
-
-def _writable(settings: Settings) -> Settings:
-    """The same settings, with a data folder. Raises OSError where it cannot be written."""
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
-    if not os.access(settings.data_dir, os.W_OK):
-        raise PermissionError(errno.EACCES, "no right to write there", str(settings.data_dir))
-    return settings
 
 
 @reads_heightmap
@@ -138,7 +110,7 @@ def demo(
     from joulemap.service.commands.demo import run_demo
 
     output = Output(json_file)
-    settings = _settings(host=host, port=port)
+    settings = settings_of(host=host, port=port)
     run_demo(
         output,
         heightmap=heightmap,

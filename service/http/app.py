@@ -11,9 +11,12 @@ from typing import Any
 
 import anyio
 from fastapi import FastAPI
+from starlette.middleware.cors import CORSMiddleware
 
 from joulemap.service import problems
 from joulemap.service.http import documents
+from joulemap.service.http.access_keys import KeyCheck, Keys, warn_if_open
+from joulemap.service.http.access_origin import TrustedPages
 from joulemap.service.http.limits import RequestLimits
 from joulemap.service.http.routes import calibrations, contents, costmaps, heightmaps, meta, questions, runs
 from joulemap.service.http.state import Service
@@ -44,6 +47,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def _lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await anyio.to_thread.run_sync(service.start)
+        await anyio.to_thread.run_sync(warn_if_open, service.store, settings.host)
         try:
             yield
         finally:
@@ -64,6 +68,21 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.include_router(module.router, prefix="/v1")
     problems.install(app)
     documents.install(app)
+    # The middleware that is added last sees a request first.
+    app.add_middleware(KeyCheck, keys=Keys(service.store, settings))
+    app.add_middleware(
+        CORSMiddleware,
+        allow_origins=settings.cors_origins,
+        allow_methods=("GET", "POST", "DELETE"),
+        allow_headers=("Authorization", "X-API-Key", "Content-Type", "Prefer", "X-Request-ID", "Last-Event-ID"),
+        expose_headers=("Location", "Retry-After", "X-Request-ID", "Preference-Applied"),
+    )
+    app.add_middleware(
+        TrustedPages,
+        host=settings.host,
+        allowed_hosts=settings.allowed_hosts,
+        cors_origins=settings.cors_origins,
+    )
     app.add_middleware(
         RequestLimits,
         upload_bytes=int(settings.max_upload_mb * 1e6),

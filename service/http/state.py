@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import threading
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 import anyio
 from fastapi import Depends, Query, Request
 
+from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import BusyError, ConflictError, JoulemapError
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.terrain.readers import read_heightmap
@@ -19,7 +21,9 @@ from joulemap.service.http.intake import RunLimits, read_sent_runs
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.jobs.makers import make_makers
 from joulemap.service.jobs.worker import SERVICE, Jobs, Worker
+from joulemap.service.models import find_predictor
 from joulemap.service.settings import Settings
+from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import CALIBRATION, DONE, FAILED, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
 from joulemap.service.workflows import warm_up
@@ -62,6 +66,43 @@ class Service:
         self.warm_seconds: float | None = None
         self._warm = threading.Event()
         self._warm_failure = "see the log"
+
+    def seen_by(self, caller: Caller) -> Service:
+        """Return this service as a caller sees it.
+
+        Parameters
+        ----------
+        caller : Caller
+            On whose behalf it is asked.
+
+        Returns
+        -------
+        Service
+            With the same jobs and maps; what others own is not in its store.
+        """
+        seen = copy.copy(self)
+        seen.store = self.store.seen_by(caller)
+        return seen
+
+    def find_predictor(self, model: str) -> Predictor:
+        """Return a model that the caller may use.
+
+        Parameters
+        ----------
+        model : str
+            Its name, or the id of a calibration.
+
+        Returns
+        -------
+        Predictor
+            Ready to be asked.
+
+        Raises
+        ------
+        ModelError
+            If there is no such model, or if it belongs to another owner.
+        """
+        return find_predictor(model, models_dir=self.settings.resolved_models_dir, hidden=self.store.hidden_models())
 
     def start(self) -> None:
         """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
@@ -270,7 +311,7 @@ class Service:
 
 
 def get_service(request: Request) -> Service:
-    """Return the service of the app that answers a request (a FastAPI dependency).
+    """Return the service of the app that answers a request (a FastAPI dependency), as its caller sees it.
 
     Parameters
     ----------
@@ -283,7 +324,8 @@ def get_service(request: Request) -> Service:
         Started.
     """
     service: Service = request.app.state.service
-    return service
+    caller: Caller = request.state.caller
+    return service if caller is NOBODY else service.seen_by(caller)
 
 
 def with_kernels(request: Request) -> Service:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import datetime as dt
 import fcntl
 import re
 import secrets
 import shutil
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,6 +27,9 @@ from joulemap.model.terrain.windows import Ground
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.service.storage.columns import add_missing_columns
+from joulemap.service.storage.owners import NOBODY, Caller
+from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.tables import (
     CALIBRATION,
     COSTMAP,
@@ -70,6 +75,25 @@ class Store:
         self._url = database_url
         self._engine: Engine | None = None
         self._lock: IO[str] | None = None
+        self._caller = NOBODY
+        self._adding = threading.Lock()  # so that requests at the same moment do not pass a limit together
+
+    def seen_by(self, caller: Caller) -> Store:
+        """Return this store as a caller sees it: what others own is not there, and what is added is the caller's.
+
+        Parameters
+        ----------
+        caller : Caller
+            On whose behalf it is asked.
+
+        Returns
+        -------
+        Store
+            Open as long as this one is.
+        """
+        seen = copy.copy(self)
+        seen._caller = caller
+        return seen
 
     def open(self, *, as_service: bool = True) -> None:
         """Create the folders and tables that are missing.
@@ -95,6 +119,7 @@ class Store:
             if self._engine.dialect.name == "postgresql":  # services and workers may start at the same moment
                 connection.execute(text(f"select pg_advisory_xact_lock({_TABLES_LOCK})"))
             Base.metadata.create_all(connection)
+            add_missing_columns(connection)
         self._sessions = sessionmaker(self._engine, expire_on_commit=False)
 
     @property
@@ -139,6 +164,21 @@ class Store:
         finally:
             path.unlink(missing_ok=True)
 
+    def _keep(self, row: Any, size: int) -> None:
+        """Add a row with its owner. Raises StorageFullError if the owner would keep too much, RateError if a job is one
+        too many.
+        """
+        caller = self._caller
+        row.owner, row.bytes = caller.name, size
+        with self._adding, self._sessions.begin() as session:
+            caller.check_room(session, size)
+            if isinstance(row, JobRow):
+                caller.check_jobs(session)
+            session.add(row)
+            if isinstance(row, JobRow):
+                session.flush()
+                session.add(StepRow.first(row))
+
     # heightmaps
 
     def add_heightmap(self, heightmap: Heightmap, *, name: str, stats: dict[str, Any]) -> HeightmapRow:
@@ -159,9 +199,13 @@ class Store:
             The new row.
         """
         row = HeightmapRow(id=f"hm-{secrets.token_hex(6)}", created_at=_now(), name=name, stats=stats)
-        write_geotiff(self.heightmap_path(row.id), heightmap)
-        with self._sessions.begin() as session:
-            session.add(row)
+        path = self.heightmap_path(row.id)
+        write_geotiff(path, heightmap)
+        try:
+            self._keep(row, bytes_of(path))
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
         return row
 
     def heightmap(self, heightmap_id: str) -> HeightmapRow:
@@ -277,10 +321,13 @@ class Store:
         row = RunsRow(id=f"runs-{secrets.token_hex(6)}", created_at=_now(), stats=stats)
         folder = self._runs_folder(row.id)
         folder.mkdir()
-        for name, file in files:
-            shutil.copyfile(file, folder / safe_name(name))
-        with self._sessions.begin() as session:
-            session.add(row)
+        try:
+            for name, file in files:
+                shutil.copyfile(file, folder / safe_name(name))
+            self._keep(row, bytes_of(folder))
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
         return row
 
     def runs(self, runs_id: str) -> RunsRow:
@@ -376,7 +423,7 @@ class Store:
 
     # jobs: cost maps and calibrations
 
-    def add_costmap(self, heightmap_id: str, request: dict[str, Any]) -> CostmapRow:
+    def add_costmap(self, heightmap_id: str, request: dict[str, Any], *, most_bytes: int = 0) -> CostmapRow:
         """Add a cost map to the queue.
 
         Parameters
@@ -385,6 +432,8 @@ class Store:
             Id of the heightmap that it is made from.
         request : dict
             Robot, model, spacing and headings, JSON-able.
+        most_bytes : int, optional
+            The most that it can take on disk.
 
         Returns
         -------
@@ -395,8 +444,12 @@ class Store:
         ------
         NotFoundError
             If the heightmap was deleted.
+        StorageFullError
+            If the caller would keep more than it may.
+        RateError
+            If the caller has as many jobs as it may.
         """
-        return self._add(CostmapRow(**_asked(COSTMAP, heightmap_id, request)))
+        return self._add(CostmapRow(**_asked(COSTMAP, heightmap_id, request)), most_bytes)
 
     def add_calibration(self, heightmap_id: str | None, request: dict[str, Any]) -> CalibrationRow:
         """Add a calibration to the queue.
@@ -417,15 +470,16 @@ class Store:
         ------
         NotFoundError
             If the heightmap was deleted.
+        StorageFullError
+            If the caller keeps as much as it may.
+        RateError
+            If the caller has as many jobs as it may.
         """
         return self._add(CalibrationRow(**_asked(CALIBRATION, heightmap_id, request)))
 
-    def _add(self, row: Any) -> Any:
+    def _add(self, row: Any, size: int = 0) -> Any:
         try:
-            with self._sessions.begin() as session:
-                session.add(row)
-                session.flush()
-                session.add(StepRow.first(row))
+            self._keep(row, size)
         except IntegrityError as error:
             raise NotFoundError(f"there is no heightmap {row.heightmap_id!r}", heightmap_id=row.heightmap_id) from error
         return row
@@ -579,6 +633,7 @@ class Store:
 
     def _end(self, job_id: str, **values: Any) -> bool:
         table = JOBS[kind_of(job_id)]
+        values["bytes"] = bytes_of(self._place(job_id)) if values["status"] == DONE else 0
         with self._sessions.begin() as session:
             at_work = table.status.in_([QUEUED, RUNNING])
             ended = update(table).where(table.id == job_id, at_work).values(finished_at=_now(), **values)
@@ -615,6 +670,20 @@ class Store:
         """
         self._delete(self.costmap(costmap_id))
         LatticeFolder(self.lattice_path(costmap_id)).discard()
+
+    def hidden_models(self) -> set[str]:
+        """Return the models that the caller must not see.
+
+        Returns
+        -------
+        set of str
+            Ids of the calibrations that others own.
+        """
+        if self._caller.sees_all:
+            return set()
+        with self._sessions() as session:
+            ids = select(CalibrationRow.id)
+            return set(session.scalars(ids)) - set(session.scalars(self._caller.own(ids, CalibrationRow)))
 
     def delete_calibration(self, calibration_id: str) -> None:
         """Delete the row of a calibration; its files are the caller's to delete.
@@ -693,6 +762,9 @@ class Store:
         """
         return self._dir / "heightmaps" / f"{heightmap_id}.tif"
 
+    def _place(self, job_id: str) -> Path:
+        return self.lattice_path(job_id) if kind_of(job_id) == COSTMAP else self.calibration_folder(job_id)
+
     def _runs_folder(self, runs_id: str) -> Path:
         return self._dir / "runs" / runs_id
 
@@ -700,14 +772,15 @@ class Store:
         ((name, row_id),) = key.items()
         with self._sessions() as session:
             row = session.get(table, row_id)
-        if row is None:
+        if row is None or not self._caller.may_see(row):
             raise NotFoundError(f"there {there} {row_id[:80]!r}", **{name: row_id[:80]})
         return row
 
     def _page(self, table: type[Any], limit: int, offset: int) -> tuple[list[Any], int]:
         with self._sessions() as session:
-            total = session.scalar(select(func.count()).select_from(table)) or 0
-            query = select(table).order_by(table.created_at.desc(), table.id).limit(limit).offset(offset)
+            own = self._caller.own
+            total = session.scalar(own(select(func.count()).select_from(table), table)) or 0
+            query = own(select(table), table).order_by(table.created_at.desc(), table.id).limit(limit).offset(offset)
             return list(session.scalars(query)), total
 
 

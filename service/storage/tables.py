@@ -6,7 +6,7 @@ import datetime as dt
 from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import JSON, ForeignKey, Text
+from sqlalchemy import JSON, BigInteger, ForeignKey, Text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 QUEUED, RUNNING, DONE, FAILED = "queued", "running", "done", "failed"
@@ -18,7 +18,55 @@ class Base(DeclarativeBase):
     """Base of all tables."""
 
 
-class HeightmapRow(Base):
+class Kept:
+    """What is said of everything that is kept.
+
+    Attributes
+    ----------
+    owner : str or None
+        Name of the key with which it was sent or asked for; None where there were no keys.
+    bytes : int or None
+        Size of its files; of a job that is not done, the most that it can take. None where it was not measured.
+    used_at : datetime or None
+        When it was last used, UTC, to some minutes; None where it was not used since it was added.
+    """
+
+    owner: Mapped[str | None] = mapped_column(index=True)
+    bytes: Mapped[int | None] = mapped_column(BigInteger)
+    used_at: Mapped[dt.datetime | None]
+
+
+class KeyRow(Base):
+    """A key of the HTTP service. A name may have several keys, so that one can be replaced by another.
+
+    Attributes
+    ----------
+    prefix : str
+        The beginning of the key, by which it is found and shown.
+    digest : str
+        SHA-256 of the whole key. A key has 256 random bits: no list of likely keys exists, so a slow hash adds nothing.
+    name : str
+        Owner of what is sent and made with the key.
+    operator : bool
+        Whether it sees everything, and the metrics.
+    revoked_at : datetime or None
+        UTC; a revoked key stays in the table, so that a service that had keys does not become open.
+    """
+
+    __tablename__ = "keys"
+
+    prefix: Mapped[str] = mapped_column(primary_key=True)
+    digest: Mapped[str]
+    name: Mapped[str] = mapped_column(index=True)
+    operator: Mapped[bool] = mapped_column(default=False)
+    created_at: Mapped[dt.datetime]
+    revoked_at: Mapped[dt.datetime | None]
+    jobs: Mapped[int | None]
+    gb: Mapped[float | None]
+    requests_per_s: Mapped[float | None]
+
+
+class HeightmapRow(Kept, Base):
     """A heightmap that was sent; its heights are in heightmaps/{id}.tif, `stats` is what a listing says about it."""
 
     __tablename__ = "heightmaps"
@@ -29,7 +77,7 @@ class HeightmapRow(Base):
     stats: Mapped[dict[str, Any]] = mapped_column(JSON)
 
 
-class RunsRow(Base):
+class RunsRow(Kept, Base):
     """Measured runs that were sent together; their files are in runs/{id}/, `stats` is what was read of each."""
 
     __tablename__ = "runs"
@@ -39,7 +87,7 @@ class RunsRow(Base):
     stats: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
 
 
-class JobRow(Base):
+class JobRow(Kept, Base):
     """What was asked for and how far it is; `summary` is set once it is done, `problem` once it has failed."""
 
     __abstract__ = True

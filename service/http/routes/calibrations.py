@@ -17,7 +17,6 @@ from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.jobs.calibrations import PAGE
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
-from joulemap.service.models import find_predictor
 from joulemap.service.schemas.answers import calibration_out
 from joulemap.service.schemas.base import robot_values
 from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest
@@ -104,7 +103,7 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     if ground is not None and odometry is not None:
         raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
     robot = Robot.from_mapping(robot_values(wanted.robot))
-    predictor = find_predictor(wanted.model, models_dir=settings.resolved_models_dir)
+    predictor = service.find_predictor(wanted.model)
     refuse_calibrated(wanted.model, predictor)
     service.jobs.check_room(CALIBRATION)
     asked = wanted.model_dump(include={"model", "start", "goal", "campaigns", "quick", "seed"})

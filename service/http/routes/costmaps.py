@@ -16,7 +16,6 @@ from joulemap.service.http.documents import costmap_body, problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.http.uploads import invalid, media_type, take_form
-from joulemap.service.models import find_predictor
 from joulemap.service.schemas.answers import costmap_out
 from joulemap.service.schemas.base import robot_values
 from joulemap.service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions
@@ -24,6 +23,7 @@ from joulemap.service.storage.tables import CostmapRow, HeightmapRow
 from joulemap.service.workflows import check_lattice
 
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])
+MOST_BYTES_PER_VALUE = 8  # a price and its uncertainty, float32 each, before they are compressed
 
 
 class CostmapList(BaseModel):
@@ -112,7 +112,7 @@ def _form_options(form: FormData) -> CostmapOptions:
 def _check_settings(service: Service, wanted: CostmapOptions) -> None:
     """Check all that can be checked without the map. Raises RobotError, ModelError."""
     Robot.from_mapping(robot_values(wanted.robot))
-    find_predictor(wanted.model, models_dir=service.settings.resolved_models_dir)
+    service.find_predictor(wanted.model)
 
 
 def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) -> CostmapRow:
@@ -120,7 +120,7 @@ def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) 
     west, _, _, north = stats["bounds"]
     frame = GridFrame(west, north, stats["resolution_m"], stats["rows"], stats["cols"], stats["crs"])
     limit = service.settings.max_lattice_values
-    check_lattice(frame, spacing_m=wanted.spacing_m, headings=wanted.headings, max_values=limit)
+    tiling = check_lattice(frame, spacing_m=wanted.spacing_m, headings=wanted.headings, max_values=limit)
     robot = Robot.from_mapping(robot_values(wanted.robot))
     service.jobs.check_room()
     row = service.store.add_costmap(
@@ -131,6 +131,7 @@ def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) 
             "spacing_m": wanted.spacing_m,
             "headings": wanted.headings,
         },
+        most_bytes=MOST_BYTES_PER_VALUE * tiling.values,
     )
     service.jobs.submit()
     return row

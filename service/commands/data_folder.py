@@ -1,0 +1,60 @@
+"""What the commands share that work on a service's data folder, beside a service that may be running."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from joulemap.service.settings import Settings
+    from joulemap.service.storage.store import Store
+
+DataDir = Annotated[
+    Path | None,
+    typer.Option(
+        "--data-dir", metavar="DIR", help="The service's data folder. [default: JOULEMAP_DATA_DIR, else data]"
+    ),
+]
+
+
+def settings_of(**given: Any) -> Settings:
+    """The settings of the options that are given, and of the environment. A wrong one is wrong usage."""
+    from pydantic import ValidationError
+    from pydantic_settings import SettingsError
+
+    from joulemap.service.settings import Settings
+
+    try:
+        return Settings(**{key: value for key, value in given.items() if value is not None})
+    except ValidationError as error:
+        wrong = [f"JOULEMAP_{e['loc'][0]!s}".upper() + f" is {e['input']!r}: {e['msg']}" for e in error.errors()]
+        raise typer.BadParameter("; ".join(wrong)) from error
+    except SettingsError as error:
+        raise typer.BadParameter(f"{error}: it is a list in JSON") from error
+
+
+def writable(settings: Settings) -> Settings:
+    """The same settings, with a data folder. Raises OSError where it cannot be written."""
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    if not os.access(settings.data_dir, os.W_OK):
+        raise PermissionError(errno.EACCES, "no right to write there", str(settings.data_dir))
+    return settings
+
+
+@contextmanager
+def opened_store(settings: Settings, *, alone: bool = False) -> Iterator[Store]:
+    """The store of a data folder. alone : whether no service may use it meanwhile (ConflictError)."""
+    from joulemap.service.storage.store import Store
+
+    store = Store(settings.data_dir, settings.resolved_database_url)
+    store.open(as_service=alone)
+    try:
+        yield store
+    finally:
+        store.close()

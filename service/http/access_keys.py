@@ -1,0 +1,184 @@
+"""ASGI middleware for keys: on whose behalf a request is; one without a valid key is refused if there are keys."""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import time
+from collections.abc import Callable
+
+import anyio
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from joulemap.model.errors import BusyError, ForbiddenError, JoulemapError, UnauthorizedError
+from joulemap.service.http.access_origin import HEALTH_PATHS
+from joulemap.service.http.access_rate import Buckets
+from joulemap.service.problems import problem_of, response
+from joulemap.service.settings import Settings
+from joulemap.service.storage.keys import all_keys, fits, prefix_of
+from joulemap.service.storage.owners import NOBODY, Caller
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import KeyRow
+
+KNOWN_S = 2.0
+"""So long a key that was revoked is still accepted [s]."""
+
+_AGAIN_S = 0.2  # between looks at the database because of keys that are not known
+_OPEN_PATHS = {"/", "/docs", "/openapi.json", *HEALTH_PATHS}  # the same for everybody
+_OPEN_FOLDER = "/docs/static/"
+_OPERATOR_PATHS = {"/metrics"}
+_LOG = logging.getLogger("joulemap.service")
+
+
+class Keys:
+    """The keys of a service, read from its database again and again.
+
+    Parameters
+    ----------
+    store : Store
+        Open when the first request comes.
+    settings : Settings
+        Limits of keys that have none of their own.
+    clock : callable, optional
+        Returns a time that only grows [s].
+    """
+
+    def __init__(self, store: Store, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
+        self._store, self._settings, self._clock = store, settings, clock
+        self._rows: dict[str, KeyRow] = {}
+        self._read_at = -float("inf")
+        self._thread = anyio.CapacityLimiter(1)  # of its own: a look waits for no upload and no plan
+        self._lock = anyio.Lock()
+
+    async def caller(self, headers: Headers) -> Caller:
+        """Return on whose behalf a request is.
+
+        Parameters
+        ----------
+        headers : Headers
+            Of the request: ``Authorization: Bearer KEY`` or ``X-API-Key: KEY``.
+
+        Returns
+        -------
+        Caller
+            NOBODY while the service has no keys.
+
+        Raises
+        ------
+        UnauthorizedError
+            If there are keys, and none of them was sent.
+        BusyError
+            If the keys cannot be read.
+        """
+        await self._read(KNOWN_S)
+        if not self._rows:
+            return NOBODY
+        key = _sent_key(headers)
+        if key is None:
+            raise UnauthorizedError(
+                "this service wants a key: send the header `Authorization: Bearer KEY` or `X-API-Key: KEY`"
+            )
+        prefix = prefix_of(key)
+        if prefix is not None and prefix not in self._rows:
+            await self._read(_AGAIN_S)  # it may be new
+        row = self._rows.get(prefix or "")
+        if row is None or not fits(row, key):
+            raise UnauthorizedError("this key is not valid: it is wrong, or it was revoked", prefix=prefix)
+        return self._caller_of(row)
+
+    async def _read(self, known_s: float) -> None:
+        if self._clock() - self._read_at < known_s:
+            return
+        async with self._lock:
+            if self._clock() - self._read_at < known_s:
+                return
+            try:
+                rows = await anyio.to_thread.run_sync(all_keys, self._store.sessions, limiter=self._thread)
+            except SQLAlchemyError as error:
+                raise BusyError("the database does not answer", retry_after_s=5) from error
+            self._rows = {row.prefix: row for row in rows}
+            self._read_at = self._clock()
+
+    def _caller_of(self, row: KeyRow) -> Caller:
+        settings = self._settings
+        gb = row.gb if row.gb is not None else settings.key_gb
+        return Caller(
+            name=row.name,
+            sees_all=row.operator,
+            jobs=row.jobs if row.jobs is not None else settings.key_jobs,
+            kept_bytes=int(gb * 1e9),
+            requests_per_s=row.requests_per_s if row.requests_per_s is not None else settings.key_requests_per_s,
+        )
+
+
+class KeyCheck:
+    """Puts the caller into the request's state; answers 401, 403 or 429 where it may not ask.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        Answers what is not refused.
+    keys : Keys
+        Those of the service.
+    """
+
+    def __init__(self, app: ASGIApp, *, keys: Keys) -> None:
+        self._app = app
+        self._keys = keys
+        self._buckets = Buckets()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        state = scope.setdefault("state", {})
+        state["caller"] = NOBODY
+        path = scope["path"]
+        if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDER):
+            try:
+                caller = await self._keys.caller(Headers(scope=scope))
+                if caller.name is not None and caller.requests_per_s is not None:
+                    self._buckets.take(caller.name, caller.requests_per_s)
+                if path in _OPERATOR_PATHS and not caller.sees_all:
+                    raise ForbiddenError(f"{path} is for keys of an operator: `joulemap keys add NAME --operator`")
+            except JoulemapError as error:
+                body = problem_of(error, state.get("request_id"))
+                headers = {"WWW-Authenticate": "Bearer"} if isinstance(error, UnauthorizedError) else {}
+                await response(body, headers)(scope, receive, send)
+                return
+            state["caller"] = caller
+        await self._app(scope, receive, send)
+
+
+def warn_if_open(store: Store, host: str) -> None:
+    """Write a warning where other machines can reach a service without keys.
+
+    Parameters
+    ----------
+    store : Store
+        Open.
+    host : str
+        Address that the service listens on.
+    """
+    if not _is_loopback(host) and not all_keys(store.sessions):
+        _LOG.warning(
+            "THIS SERVICE IS OPEN: it listens on %s and has no keys, so everybody who reaches it may read, change and "
+            "delete everything. Add a key with `joulemap keys add NAME`, or listen on 127.0.0.1",
+            host,
+        )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
+
+
+def _sent_key(headers: Headers) -> str | None:
+    scheme, _, value = headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        return value.strip()
+    return headers.get("x-api-key")

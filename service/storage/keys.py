@@ -1,0 +1,170 @@
+"""Keys of the HTTP service: random secrets of which only a hash is kept, each with a name that owns things."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import hmac
+import re
+import secrets
+from collections.abc import Sequence
+
+from sqlalchemy import or_, select, update
+from sqlalchemy.orm import Session, sessionmaker
+
+from joulemap.model.errors import InputError, NotFoundError
+from joulemap.service.storage.tables import JOBS, HeightmapRow, KeyRow, RunsRow
+
+_KEY = re.compile(r"(jm_[0-9a-f]{8})_[A-Za-z0-9_-]{43}")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
+
+
+def fits(row: KeyRow, key: str) -> bool:
+    """Return whether a key is that of a row and is still valid.
+
+    Parameters
+    ----------
+    row : KeyRow
+        Found by the key's prefix.
+    key : str
+        As it was sent.
+
+    Returns
+    -------
+    bool
+        Found in a time that does not depend on where two hashes differ.
+    """
+    return hmac.compare_digest(row.digest, _digest(key)) and row.revoked_at is None
+
+
+def prefix_of(key: str) -> str | None:
+    """Return the part of a key by which it is found.
+
+    Parameters
+    ----------
+    key : str
+        As it was sent.
+
+    Returns
+    -------
+    str or None
+        None where it does not look like a key.
+    """
+    match = _KEY.fullmatch(key)
+    return match[1] if match else None
+
+
+def add_key(
+    sessions: sessionmaker[Session],
+    name: str,
+    *,
+    operator: bool = False,
+    adopt: bool = False,
+    jobs: int | None = None,
+    gb: float | None = None,
+    requests_per_s: float | None = None,
+) -> str:
+    """Add a key.
+
+    Parameters
+    ----------
+    sessions : sessionmaker
+        Of the database.
+    name : str
+        Owner of what is sent and made with it.
+    operator : bool, optional
+        Whether it sees everything.
+    adopt : bool, optional
+        Whether what belongs to nobody is given to this name.
+    jobs : int, optional
+        Most jobs that wait or run; by default the service's setting.
+    gb : float, optional
+        Most that the name keeps [GB].
+    requests_per_s : float, optional
+        Most requests per second over a longer time.
+
+    Returns
+    -------
+    str
+        The key, which is kept nowhere.
+
+    Raises
+    ------
+    InputError
+        If this cannot be a name.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"{name[:80]!r} cannot be the name of a key: use up to 64 letters, digits and . _ @ -", name=name[:80]
+        )
+    prefix = f"jm_{secrets.token_hex(4)}"
+    key = f"{prefix}_{secrets.token_urlsafe(32)}"
+    row = KeyRow(
+        prefix=prefix,
+        digest=_digest(key),
+        name=name,
+        operator=operator,
+        created_at=_now(),
+        jobs=jobs,
+        gb=gb,
+        requests_per_s=requests_per_s,
+    )
+    with sessions.begin() as session:
+        session.add(row)
+        if adopt:
+            for table in (HeightmapRow, RunsRow, *JOBS.values()):
+                session.execute(update(table).where(table.owner.is_(None)).values(owner=name))
+    return key
+
+
+def all_keys(sessions: sessionmaker[Session]) -> Sequence[KeyRow]:
+    """Return all keys, also the revoked ones.
+
+    Parameters
+    ----------
+    sessions : sessionmaker
+        Of the database.
+
+    Returns
+    -------
+    sequence of KeyRow
+        Oldest first.
+    """
+    with sessions() as session:
+        return session.scalars(select(KeyRow).order_by(KeyRow.created_at, KeyRow.prefix)).all()
+
+
+def revoke_keys(sessions: sessionmaker[Session], which: str) -> int:
+    """Revoke the keys of a name, or the one key with a prefix.
+
+    Parameters
+    ----------
+    sessions : sessionmaker
+        Of the database.
+    which : str
+        Name, or prefix as `all_keys` has it.
+
+    Returns
+    -------
+    int
+        How many were revoked.
+
+    Raises
+    ------
+    NotFoundError
+        If no valid key is called so.
+    """
+    valid = KeyRow.revoked_at.is_(None) & or_(KeyRow.name == which, KeyRow.prefix == which)
+    with sessions.begin() as session:
+        count: int = session.execute(update(KeyRow).where(valid).values(revoked_at=_now())).rowcount  # type: ignore[attr-defined]
+    if count == 0:
+        raise NotFoundError(f"there is no valid key {which[:80]!r}: `joulemap keys list` has all", name=which[:80])
+    return count
+
+
+def _digest(key: str) -> str:
+    return hashlib.sha256(key.encode()).hexdigest()
+
+
+def _now() -> dt.datetime:
+    return dt.datetime.now(dt.UTC).replace(tzinfo=None)
