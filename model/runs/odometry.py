@@ -21,7 +21,8 @@ from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing,
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.segments import Segments
-from joulemap.model.runs.table import columns_there, read_table
+from joulemap.model.runs.table import LIMITS, TableLimits, columns_there
+from joulemap.model.runs.table_files import read_table
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -69,7 +70,14 @@ class Odometry:
             )
 
 
-def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = None, currents: Currents = "auto") -> Run:
+def read_odometry(
+    path: str | Path,
+    odometry: Odometry,
+    *,
+    name: str | None = None,
+    currents: Currents = "auto",
+    limits: TableLimits = LIMITS,
+) -> Run:
     """Read a log of wheel speeds (CSV or Parquet) as a run that starts at (0, 0) and heads north.
 
     Its columns are t [s], speed_left and speed_right [m/s], and current, several current_* [A] or power [W]; optionally
@@ -86,6 +94,8 @@ def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = No
         Of the run; without it, that of the file.
     currents : {"auto", "signed", "magnitude"}
         As in `read_run`.
+    limits : TableLimits, optional
+        How large the table may be.
 
     Returns
     -------
@@ -96,6 +106,8 @@ def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = No
     ------
     RunsError
         If the file cannot be read, or a column is missing.
+    TooLargeError
+        If it is larger than the limits.
     """
     path = Path(path)
     name = name or path.name
@@ -104,7 +116,7 @@ def read_odometry(path: str | Path, odometry: Odometry, *, name: str | None = No
     except OSError as error:
         raise RunsError(f"run {path}: {error}", path=str(path)) from error
     repairs: dict[str, int] = {}
-    numbers, texts = read_table(content, name, repairs)
+    numbers, texts = read_table(content, name, repairs, limits=limits)
     numbers = {_OTHER_NAMES.get(key, key): values for key, values in numbers.items()}
     for column in ("t", *_SIDES):
         if column not in numbers:

@@ -38,7 +38,8 @@ from joulemap.model.errors import RunsError
 from joulemap.model.runs.electric import Currents, electric
 from joulemap.model.runs.fixes import positions, usable_fixes
 from joulemap.model.runs.reckoning import fill_by_wheels
-from joulemap.model.runs.table import LEAST_ROWS, add_count, columns_there, read_table
+from joulemap.model.runs.table import LEAST_ROWS, LIMITS, TableLimits, add_count, columns_there
+from joulemap.model.runs.table_files import read_table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -131,7 +132,14 @@ class Run:
         return self.current_a * self.voltage_v
 
 
-def read_run(path: str | Path, *, name: str | None = None, crs: str | None = None, currents: Currents = "auto") -> Run:
+def read_run(
+    path: str | Path,
+    *,
+    name: str | None = None,
+    crs: str | None = None,
+    currents: Currents = "auto",
+    limits: TableLimits = LIMITS,
+) -> Run:
     """Read a run from a file in CSV or Parquet.
 
     It needs the columns `t` [s], `x` and `y` [m] (or `lat` and `lon` [deg] with the map's `crs`), and `current`,
@@ -147,6 +155,8 @@ def read_run(path: str | Path, *, name: str | None = None, crs: str | None = Non
         The heightmap's CRS, needed for `lat` and `lon`.
     currents : {"auto", "signed", "magnitude"}
         How the currents of several motors are summed (`joulemap.model.runs.electric`).
+    limits : TableLimits, optional
+        How large the table may be.
 
     Returns
     -------
@@ -157,16 +167,25 @@ def read_run(path: str | Path, *, name: str | None = None, crs: str | None = Non
     ------
     RunsError
         With file, column and row.
+    TooLargeError
+        If it is larger than the limits.
     """
     path = Path(path)
     try:
         content = path.read_bytes()
     except OSError as error:
         raise RunsError(f"run {path}: {error}", path=str(path)) from error
-    return parse_run(content, name=name or path.name, crs=crs, currents=currents)
+    return parse_run(content, name=name or path.name, crs=crs, currents=currents, limits=limits)
 
 
-def parse_run(content: str | bytes, *, name: str, crs: str | None = None, currents: Currents = "auto") -> Run:
+def parse_run(
+    content: str | bytes,
+    *,
+    name: str,
+    crs: str | None = None,
+    currents: Currents = "auto",
+    limits: TableLimits = LIMITS,
+) -> Run:
     """Read a run from a text in CSV, or from the bytes of a file.
 
     Parameters
@@ -179,6 +198,8 @@ def parse_run(content: str | bytes, *, name: str, crs: str | None = None, curren
         As in `read_run`.
     currents : {"auto", "signed", "magnitude"}
         As in `read_run`.
+    limits : TableLimits, optional
+        As in `read_run`.
 
     Returns
     -------
@@ -189,9 +210,11 @@ def parse_run(content: str | bytes, *, name: str, crs: str | None = None, curren
     ------
     RunsError
         As `read_run`.
+    TooLargeError
+        As `read_run`.
     """
     repairs: dict[str, int] = {}
-    numbers, texts = read_table(content, name, repairs)
+    numbers, texts = read_table(content, name, repairs, limits=limits)
     return run_of(numbers, texts, name=name, crs=crs, repairs=repairs, currents=currents)
 
 

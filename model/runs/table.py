@@ -1,20 +1,16 @@
-"""The cells of a log in CSV or Parquet by column, as numbers or texts; what is no table is refused with its place.
-
-A Parquet file is read as if it were CSV: nulls are blank, times are seconds, categories are texts.
-"""
+"""What the tables of logs share, whatever their format: which columns are numbers, and how large a table may be."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.errors import RunsError
+from joulemap.model.errors import RunsError, TooLargeError
 
 FloatArray = NDArray[np.float64]
 TextArray = NDArray[np.str_]
@@ -46,12 +42,97 @@ NUMERIC_COLUMNS = frozenset(
 LEAST_ROWS = 5
 """Fewer rows are no run."""
 
-_LARGEST = 1e30  # no quantity of a robot is larger, and its square is still a number
+LARGEST = 1e30
+"""No quantity of a robot is larger, and the square of this is still a number."""
 
-_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 
-PARQUET_MAGIC = b"PAR1"
-"""How the bytes of every Parquet file begin."""
+@dataclass(frozen=True)
+class TableLimits:
+    """How large a table may be. What a file declares is compared with them before it is read.
+
+    Attributes
+    ----------
+    rows, columns : int
+        Most rows, and most columns.
+    cells : int
+        Most rows times columns.
+    text_mb : float
+        Most memory of its columns of text once they are read [1e6 bytes].
+    """
+
+    rows: int = 50_000_000
+    columns: int = 10_000
+    cells: int = 200_000_000
+    text_mb: float = 4_000.0
+
+    def check(self, rows: int, columns: int, name: str) -> None:
+        """Refuse a declared size before memory is allocated for it.
+
+        Parameters
+        ----------
+        rows, columns : int
+            The declared size.
+        name : str
+            Of the run, for the message.
+
+        Raises
+        ------
+        TooLargeError
+            If it is larger than the limits.
+        """
+        if columns > self.columns:
+            raise TooLargeError(
+                f"run {name} has {columns:,} columns, the limit is {self.columns:,}: leave columns out",
+                run=name,
+                columns=columns,
+                limit=self.columns,
+            )
+        if rows > self.rows:
+            raise TooLargeError(
+                f"run {name} has {rows:,} rows, the limit is {self.rows:,}: split it",
+                run=name,
+                rows=rows,
+                limit=self.rows,
+            )
+        if rows * columns > self.cells:
+            raise TooLargeError(
+                f"run {name} has {rows * columns:,} cells, the limit is {self.cells:,}: split it, or leave columns out",
+                run=name,
+                cells=rows * columns,
+                limit=self.cells,
+            )
+
+    def check_texts(self, rows: int, letters: int, name: str, column: str) -> None:
+        """Refuse a column of text before memory is allocated for it.
+
+        Parameters
+        ----------
+        rows : int
+            Number of its cells.
+        letters : int
+            Length of the longest.
+        name, column : str
+            Of the run and the column, for the message.
+
+        Raises
+        ------
+        TooLargeError
+            If it would take more memory than the limit.
+        """
+        size_mb = rows * letters * 4 / 1e6  # NumPy keeps every cell as long as the longest, 4 bytes for a letter
+        if size_mb > self.text_mb:
+            raise TooLargeError(
+                f"run {name}, column {column[:80]!r}: {rows:,} texts of up to {letters:,} letters take {size_mb:,.0f} "
+                f"MB, the limit is {self.text_mb:,.0f} MB: shorten them, or leave the column out",
+                run=name,
+                column=column[:80],
+                text_mb=size_mb,
+                limit=self.text_mb,
+            )
+
+
+LIMITS = TableLimits()
+"""Of files that somebody reads on a machine of their own."""
 
 
 def add_count(counts: dict[str, int], key: str, count: int) -> None:
@@ -86,74 +167,116 @@ def columns_there(numbers: Iterable[str]) -> str:
     return f"; its other columns of numbers are {', '.join(sorted(numbers)) or 'none'}"
 
 
-def read_table(
-    content: str | bytes, name: str, repairs: dict[str, int]
-) -> tuple[dict[str, FloatArray], dict[str, TextArray]]:
-    """Read a table from a text in CSV, or from the bytes of a file in CSV or Parquet.
-
-    A last line of a CSV that breaks off is dropped and counted.
+def check_names(columns: Sequence[str], name: str) -> None:
+    """Refuse a table in which two columns have the same name.
 
     Parameters
     ----------
-    content : str or bytes
-        Of the whole file.
+    columns : sequence of str
+        Their names.
     name : str
-        Of the run, for messages.
-    repairs : dict
-        Counts by rule, which are added to.
-
-    Returns
-    -------
-    tuple of dict
-        Columns of numbers, (n,) of float, NaN for blank, nan, inf and what is too large; and columns of text.
+        Of the run, for the message.
 
     Raises
     ------
     RunsError
-        If it is no table, or a column that must hold numbers holds something else.
+        If a name is there twice.
     """
-    if isinstance(content, bytes) and content.startswith(PARQUET_MAGIC):
-        header, rows, columns = _parquet_columns(content, name)
-    else:
-        try:
-            header, rows, columns = _csv_columns(_decoded(content, name), name, repairs)
-        except csv.Error as error:
-            raise RunsError(f"run {name}: not a readable CSV file: {error}", run=name) from error
-    separator = next((mark for mark in _OTHER_SEPARATORS if len(header) == 1 and mark in header[0]), None)
-    if separator is not None:
-        raise RunsError(
-            f"run {name}: its columns are separated by {_OTHER_SEPARATORS[separator]}; write commas, and a point in "
-            "numbers",
-            run=name,
-        )
-    twice = sorted({c for c in header if header.count(c) > 1})
+    twice = sorted(column for column, count in Counter(columns).items() if count > 1)
     if twice:
-        raise RunsError(f"run {name}: column {twice[0]!r} appears twice", run=name, column=twice[0])
-    if rows < LEAST_ROWS:
-        raise RunsError(f"run {name}: {rows} rows are too few, at least {LEAST_ROWS} are needed", run=name)
-    numbers: dict[str, FloatArray] = {}
-    texts: dict[str, TextArray] = {}
-    for column, entries in zip(header, columns, strict=True):
-        try:
-            values = _numbers(entries)
-        except ValueError:
-            if _must_be_number(column):
-                row = next(k for k, entry in enumerate(entries) if not _is_number(entry))
-                raise _not_usable(name, column, row, entries[row], "is not a number") from None
-            texts[column] = np.array(entries)
-            continue
-        too_large = np.isfinite(values) & (np.abs(values) > _LARGEST)
-        if too_large.any() and _must_be_number(column):
-            row = int(np.argmax(too_large))
-            raise _not_usable(
-                name, column, row, float(values[row]), f"is larger than {_LARGEST:g}: leave unknown cells blank"
-            )
-        numbers[column] = np.where(np.isfinite(values) & ~too_large, values, np.nan)
-    return numbers, texts
+        raise RunsError(f"run {name}: column {twice[0][:80]!r} appears twice", run=name, column=twice[0][:80])
 
 
-def _must_be_number(column: str) -> bool:
+def must_be_number(column: str) -> bool:
+    """Decide whether a column must hold numbers.
+
+    Parameters
+    ----------
+    column : str
+        Its name.
+
+    Returns
+    -------
+    bool
+        Any other column is text as soon as one cell is no number.
+    """
     return column in NUMERIC_COLUMNS or column.startswith("current_")
+
+
+def numbers_of(entries: Sequence[str]) -> FloatArray:
+    """Return cells as numbers.
+
+    Parameters
+    ----------
+    entries : sequence of str
+        Texts of cells.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        NaN where blank.
+
+    Raises
+    ------
+    ValueError
+        If one is no number.
+    """
+    if "" in entries:
+        return np.array([float(entry) if entry else math.nan for entry in entries])
+    return np.array(list(map(float, entries)))
+
+
+def not_a_number(name: str, column: str, entries: Sequence[str], first_row: int) -> RunsError:
+    """Return the error of a column that must hold numbers and holds something else.
+
+    Parameters
+    ----------
+    name, column : str
+        Of the run and the column.
+    entries : sequence of str
+        Cells of which one is no number.
+    first_row : int
+        Number of the first of them among the rows, from 0.
+
+    Returns
+    -------
+    RunsError
+        With the place of the first such cell.
+    """
+    row = next(k for k, entry in enumerate(entries) if not _is_number(entry))
+    return _not_usable(name, column, first_row + row, entries[row][:80], "is not a number")
+
+
+def usable(numbers: dict[str, FloatArray], name: str) -> dict[str, FloatArray]:
+    """Return columns in which what is infinite or too large is unknown.
+
+    Parameters
+    ----------
+    numbers : dict of str to ndarray of float, (n,)
+        As they were read.
+    name : str
+        Of the run, for messages.
+
+    Returns
+    -------
+    dict of str to ndarray of float, (n,)
+        NaN for blank, nan, inf and what is too large.
+
+    Raises
+    ------
+    RunsError
+        If a column that must hold numbers holds one that is too large.
+    """
+    found = {}
+    for column, values in numbers.items():
+        known = np.isfinite(values)
+        too_large = known & (np.abs(values) > LARGEST)
+        if too_large.any() and must_be_number(column):
+            row = int(np.argmax(too_large))
+            value = float(values[row])
+            raise _not_usable(name, column, row, value, f"is larger than {LARGEST:g}: leave unknown cells blank")
+        found[column] = np.where(known & ~too_large, values, np.nan)
+    return found
 
 
 def _not_usable(name: str, column: str, row: int, value: object, what: str) -> RunsError:
@@ -165,87 +288,6 @@ def _not_usable(name: str, column: str, row: int, value: object, what: str) -> R
         row=line,
         value=str(value),
     )
-
-
-def _decoded(content: str | bytes, name: str) -> str:
-    if isinstance(content, str):
-        return content
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RunsError(f"run {name} is neither a text in CSV (UTF-8) nor a Parquet file: {error}", run=name) from error
-
-
-def _csv_columns(text: str, name: str, repairs: dict[str, int]) -> tuple[list[str], int, Iterator[list[str]]]:
-    """(header, number of rows, the cells of each column)."""
-    header, widths, cells = _cells(text)
-    if not header:
-        raise RunsError(f"run {name}: the file is empty", run=name)
-    if widths and widths[-1] < len(header):
-        del cells[len(cells) - widths.pop() :]
-        add_count(repairs, "truncated_rows", 1)
-    for k, width in enumerate(widths):
-        if width != len(header):
-            raise RunsError(
-                f"run {name}, row {k + 2}: {width} cells where the header has {len(header)} columns",
-                run=name,
-                row=k + 2,
-            )
-    return header, len(widths), (cells[k :: len(header)] for k in range(len(header)))
-
-
-def _parquet_columns(content: bytes, name: str) -> tuple[list[str], int, Iterator[Sequence[str] | FloatArray]]:
-    """(header, number of rows, each column as numbers with NaN for null, or as texts with "" for null)."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise RunsError(
-            f"run {name}: reading Parquet needs pyarrow (pip install 'joulemap[parquet]'); CSV needs nothing", run=name
-        ) from None
-    try:
-        table = pq.read_table(io.BytesIO(content))
-    except (pa.ArrowInvalid, OSError) as error:
-        raise RunsError(f"run {name}: not a readable Parquet file: {error}", run=name) from error
-
-    def entries(column: Any) -> Sequence[str] | FloatArray:
-        kind = column.type
-        if pa.types.is_dictionary(kind):
-            column = column.cast(kind.value_type)
-            kind = column.type
-        if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
-            wide = pa.timestamp("ns", kind.tz) if pa.types.is_timestamp(kind) else pa.duration("ns")
-            column = pa.compute.divide(column.cast(wide).cast(pa.int64()).cast(pa.float64(), safe=False), 1e9)
-            kind = column.type
-        if any(check(kind) for check in (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)):
-            return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=np.float64)
-        return ["" if value is None else str(value) for value in column.to_pylist()]
-
-    return list(table.column_names), table.num_rows, (entries(column) for column in table.columns)
-
-
-def _numbers(entries: Sequence[str] | FloatArray) -> FloatArray:
-    """Numbers as they are, or of texts; ValueError for a text that is none."""
-    if isinstance(entries, np.ndarray):
-        return entries
-    return np.array(list(map(float, entries)) if "" not in entries else _with_blanks(entries))
-
-
-def _cells(text: str) -> tuple[list[str], list[int], list[str]]:
-    """(header, cells per row, all cells of the body in one list); empty lines do not count."""
-    if '"' in text:
-        rows = [row for row in csv.reader(io.StringIO(text)) if row]
-        flat = [cell for row in rows[1:] for cell in row]
-        return [c.strip() for c in rows[0]], [len(row) for row in rows[1:]], flat
-    lines = [line for line in text.replace("\r", "\n").split("\n") if line]  # a table without quotes needs no parser
-    if not lines:
-        return [], [], []
-    body = lines[1:]
-    return [c.strip() for c in lines[0].split(",")], [line.count(",") + 1 for line in body], ",".join(body).split(",")
-
-
-def _with_blanks(entries: Sequence[str]) -> list[float]:
-    return [float(entry) if entry else math.nan for entry in entries]
 
 
 def _is_number(entry: str) -> bool:

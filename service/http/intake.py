@@ -14,7 +14,7 @@ from joulemap.model.errors import InputError, RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.odometry import Odometry, cut_travel, read_odometry
 from joulemap.model.runs.reader import parse_run
-from joulemap.model.runs.table import PARQUET_MAGIC
+from joulemap.model.runs.parquet_table import PARQUET_MAGIC
 from joulemap.service.storage.store import safe_name
 
 

@@ -1,0 +1,212 @@
+"""Logs in CSV: read block by block, so that memory is taken for numbers and not for their texts."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.table import (
+    FloatArray,
+    TableLimits,
+    TextArray,
+    check_names,
+    must_be_number,
+    not_a_number,
+    numbers_of,
+)
+
+_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+_BLOCK_BYTES = 1 << 22
+_BLOCK_CELLS = 500_000  # of a table with quotes
+_EMPTY_LINES = re.compile(rb"[\r\n]*")
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+
+Block = tuple[list[int], list[str]]
+"""Cells of each row, and all cells of these rows one after the other."""
+
+
+def read_csv(
+    content: bytes, name: str, repairs: dict[str, int], limits: TableLimits
+) -> tuple[dict[str, FloatArray], dict[str, TextArray], int]:
+    """Read a table from a text in CSV; empty lines do not count.
+
+    Parameters
+    ----------
+    content : bytes
+        Of the whole file, in UTF-8.
+    name : str
+        Of the run, for messages.
+    repairs : dict
+        Counts by rule, which are added to: a last line that breaks off is dropped and counted.
+    limits : TableLimits
+        How large it may be.
+
+    Returns
+    -------
+    tuple of (dict, dict, int)
+        Columns of numbers, (n,) of float, NaN for blank; columns of text; and the number of rows.
+
+    Raises
+    ------
+    RunsError
+        If it is no table, or a column that must hold numbers holds something else.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    start = len(_BYTE_ORDER_MARK) if content.startswith(_BYTE_ORDER_MARK) else 0
+    try:
+        return _read(content, start, name, repairs, limits)
+    except csv.Error as error:
+        raise RunsError(f"run {name}: not a readable CSV file: {error}", run=name) from error
+    except UnicodeDecodeError as error:
+        raise RunsError(f"run {name} is neither a text in CSV (UTF-8) nor a Parquet file: {error}", run=name) from error
+
+
+def _read(
+    content: bytes, start: int, name: str, repairs: dict[str, int], limits: TableLimits
+) -> tuple[dict[str, FloatArray], dict[str, TextArray], int]:
+    start = _EMPTY_LINES.match(content, start).end()  # type: ignore[union-attr]
+    end = _line_end(content, start)
+    columns = content.count(b",", start, end) + 1
+    last = content.endswith((b"\n", b"\r"))
+    lines = content.count(b"\n", end) + content.count(b"\r", end) - content.count(b"\r\n", end) - last
+    limits.check(0, columns, name)
+    quoted = b'"' in content
+    header = _header(content, start, end, quoted)
+    if not header:
+        raise RunsError(f"run {name}: the file is empty", run=name)
+    separator = next((mark for mark in _OTHER_SEPARATORS if len(header) == 1 and mark in header[0]), None)
+    if separator is not None:
+        raise RunsError(
+            f"run {name}: its columns are separated by {_OTHER_SEPARATORS[separator]}; write commas, and a point in "
+            "numbers",
+            run=name,
+        )
+    check_names(header, name)
+    limits.check(lines, len(header), name)
+
+    def _blocks() -> Iterator[Block]:
+        width = len(header)
+        blocks = _quoted_blocks(content, start, width, name) if quoted else _plain_blocks(content, end, width, name)
+        return _whole_rows(blocks, width, name, repairs)
+
+    parts: dict[str, list[FloatArray]] = {column: [] for column in header}
+    rows = 0
+    for widths, cells in _blocks():
+        for k, column in enumerate(header):
+            if column not in parts:
+                continue
+            entries = cells[k :: len(header)]
+            try:
+                parts[column].append(numbers_of(entries))
+            except ValueError:
+                if must_be_number(column):
+                    raise not_a_number(name, column, entries, rows) from None
+                del parts[column]  # a column of text, which is read again below
+        rows += len(widths)
+    numbers = {column: np.concatenate(found or [np.empty(0)]) for column, found in parts.items()}
+    words = {column: k for k, column in enumerate(header) if column not in parts}
+    texts = _texts(_blocks(), words, len(header), rows, name, limits) if words else {}
+    return numbers, texts, rows
+
+
+def _texts(
+    blocks: Iterator[Block], words: dict[str, int], width: int, rows: int, name: str, limits: TableLimits
+) -> dict[str, TextArray]:
+    longest = dict.fromkeys(words, 0)
+    parts: dict[str, list[TextArray]] = {column: [] for column in words}
+    for _, cells in blocks:
+        for column, k in words.items():
+            entries = cells[k::width]
+            longest[column] = max(longest[column], max(map(len, entries), default=0))
+            limits.check_texts(rows, sum(longest.values()), name, column)
+            parts[column].append(np.array(entries, dtype=np.str_))
+    return {column: np.concatenate(found) for column, found in parts.items()}
+
+
+def _line_end(content: bytes, start: int) -> int:
+    ends = [end for end in (content.find(b"\n", start), content.find(b"\r", start)) if end >= 0]
+    return min(ends, default=len(content))
+
+
+def _header(content: bytes, start: int, end: int, quoted: bool) -> list[str]:
+    line = content[start:end].decode("utf-8")
+    if quoted:
+        names = next((row for row in csv.reader(_text(content, start)) if row), [])
+    else:
+        names = line.split(",") if line else []
+    return [name.strip() for name in names]
+
+
+def _text(content: bytes, start: int) -> io.TextIOWrapper:
+    stream = io.BytesIO(content)  # shares the bytes
+    stream.seek(start)
+    return io.TextIOWrapper(stream, encoding="utf-8", newline="")
+
+
+def _plain_blocks(content: bytes, start: int, columns: int, name: str) -> Iterator[Block]:
+    """A table without quotes needs no parser."""
+    rows = 0
+    while start < len(content):
+        end = start + _BLOCK_BYTES
+        if end < len(content):
+            cut = max(content.rfind(b"\n", start, end), content.rfind(b"\r", start, end))
+            end = cut if cut > start else _line_end(content, end)
+        text = content[start : end + 1].decode("utf-8").replace("\r", "\n")
+        lines = [line for line in text.split("\n") if line]
+        start = end + 1
+        if not lines:
+            continue
+        widths = [line.count(",") + 1 for line in lines]
+        if max(widths) > columns:
+            raise _wrong_width(widths, columns, rows, name)
+        rows += len(widths)
+        yield widths, ",".join(lines).split(",")
+
+
+def _quoted_blocks(content: bytes, start: int, columns: int, name: str) -> Iterator[Block]:
+    rows = (row for row in csv.reader(_text(content, start)) if row)
+    next(rows, None)  # the header
+    widths: list[int] = []
+    cells: list[str] = []
+    before = 0
+    for row in rows:
+        widths.append(len(row))
+        if len(row) > columns:
+            raise _wrong_width(widths, columns, before, name)
+        cells += row
+        if len(cells) >= _BLOCK_CELLS:
+            yield widths, cells
+            before += len(widths)
+            widths, cells = [], []
+    if widths:
+        yield widths, cells
+
+
+def _whole_rows(blocks: Iterator[Block], columns: int, name: str, repairs: dict[str, int]) -> Iterator[Block]:
+    """The blocks without a last row that breaks off. Raises RunsError for any other row of another length."""
+    rows, block = 0, next(blocks, None)
+    while block is not None:
+        following = next(blocks, None)
+        widths, cells = block
+        if following is None and widths[-1] < columns:
+            del cells[len(cells) - widths.pop() :]
+            repairs["truncated_rows"] = 1
+        if any(width != columns for width in widths):
+            raise _wrong_width(widths, columns, rows, name)
+        rows += len(widths)
+        yield widths, cells
+        block = following
+
+
+def _wrong_width(widths: Sequence[int], columns: int, rows: int, name: str) -> RunsError:
+    k = next(k for k, width in enumerate(widths) if width != columns)
+    line = rows + k + 2  # counted from 1, after the header
+    return RunsError(
+        f"run {name}, row {line}: {widths[k]} cells where the header has {columns} columns", run=name, row=line
+    )
