@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import Any, TypeVar
 
 import numba
 
 Part = TypeVar("Part")
+First = TypeVar("First")
+Second = TypeVar("Second")
 
 
 def share_out(
@@ -40,9 +43,31 @@ def share_out(
         for part in parts:
             do(part)
         return
+    contexts = [copy_context() for _ in parts]  # context variables of the caller hold in the threads too
     with ThreadPoolExecutor(threads, initializer=initializer, initargs=tuple(initargs)) as pool:
-        for _ in pool.map(do, parts):
+        for _ in pool.map(lambda context, part: context.run(do, part), contexts, parts):
             pass
+
+
+def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
+    """Call two functions at the same time, or one after the other where numba may use one thread only.
+
+    Parameters
+    ----------
+    first, second : callable
+        What either raises is raised here.
+
+    Returns
+    -------
+    first, second : object
+        What they return.
+    """
+    if numba.get_num_threads() < 2:
+        return first(), second()
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(copy_context().run, first)
+        found = second()
+        return other.result(), found
 
 
 def pieces(count: int, size: int) -> list[slice]:

@@ -1,7 +1,7 @@
 """The best route that we find between two places: one function, which every question goes through.
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`),
-stage by stage; after each stage only those stay whose lead or lag the stages to come may change.
+stage by stage; after each stage only those stay whose lead or lag the stages to come may change, one of each valley.
 """
 
 from __future__ import annotations
@@ -11,22 +11,25 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.errors import NoRouteError
 from joulemap.model.threads import share_out
-from joulemap.planner.corridors import corridor_paths
+from joulemap.planner.corridors import corridor_paths, mark_around
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.refine import STAGES
+from joulemap.planner.refine import STAGES, subdivided
 from joulemap.planner.search import GridPath
 
-STAY = (0.004, 0.001, 0.0)
+STAY = (0.005, 0.003, 0.0005, 0.0)
 """By how much a path may cost more than the best one after each stage and stay, as a share: somewhat more than the
 gains of the stages to come differ between paths of one question."""
-KEEP = (4, 3, 1)
+KEEP = (4, 3, 2, 1)
 """Most paths that stay after each stage."""
+SAME_CELLS = 2
+"""Paths that are nowhere further apart than this [cells] lie in one valley, into which the next stages draw both."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,8 +124,27 @@ def best_of(lattice: CostLattice, paths: list[Points]) -> Points:
         prices[np.isnan(prices)] = math.inf
         least = float(prices.min())
         kept = np.flatnonzero(prices <= least + stay * abs(least))
-        ways = [ways[k] for k in kept[np.argsort(prices[kept], kind="stable")][:most]]
+        ways = _apart(lattice, [ways[k] for k in kept[np.argsort(prices[kept], kind="stable")]], most)
     return ways[0]
+
+
+def _apart(lattice: CostLattice, ways: list[Points], most: int) -> list[Points]:
+    """The first of some paths, and those after it that are somewhere apart from all before."""
+    cols = lattice.frame.cols
+    out: list[Points] = []
+    near: list[NDArray[np.bool_]] = []
+    for way in ways:
+        if len(out) == most:
+            break
+        row, col = np.rint(subdivided(way, 1.0)).astype(np.int64).T
+        cells = row * cols + col
+        if any(taken.ravel()[cells].all() for taken in near):
+            continue
+        out.append(way)
+        if len(out) < most:
+            near.append(np.zeros(lattice.frame.shape, dtype=np.bool_))
+            mark_around(near[-1], cells, cols, SAME_CELLS)
+    return out
 
 
 def _improved(lattice: CostLattice, ways: list[Points], stage: Callable[[CostLattice, Points], Points]) -> list[Points]:

@@ -25,9 +25,10 @@ from joulemap.planner.moves import MoveTable
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
-MARGIN = 0.02
-"""Most energy of another corridor's grid path beyond that of the best, as a share of it: 16 neighbours cost up to
-2.75 % more than any angle, of which every path loses some."""
+MARGINS = {8: 0.06, 16: 0.02, 32: 0.01}
+"""Most energy of another corridor's grid path beyond that of the best, as a share of it, by neighbours: 8, 16 and 32
+cost up to 8.24, 2.75 and 1.31 % more than any angle where the price is the same in all directions, of which every path
+loses some."""
 COUNT = 4
 """Most corridors."""
 PLATEAU = 0.03
@@ -43,7 +44,7 @@ def corridor_paths(
     start: Points,
     goal: Points,
     *,
-    margin: float = MARGIN,
+    margin: float | None = None,
     count: int = COUNT,
     landmarks: Landmarks | None = None,
 ) -> list[GridPath]:
@@ -57,8 +58,8 @@ def corridor_paths(
         Priced moves of the lattice.
     start, goal : ndarray of float, (2,)
         Fractional (row, col).
-    margin : float, default 0.02
-        Most energy beyond that of the best, as a share of it.
+    margin : float, optional
+        Most energy beyond that of the best, as a share of it; as in `MARGINS` where None.
     count : int, default 4
         Most paths.
     landmarks : Landmarks, optional
@@ -89,7 +90,7 @@ def corridor_paths(
         slack_j=slack_j,
     )
     ahead = new_search(table, layers, cells, cost, backward=False)
-    margin = margin if count > 1 else 0.0
+    margin = 0.0 if count == 1 else MARGINS[len(table.offsets)] if margin is None else margin
     last, total, expanded = run_search(ahead, table, np.unique(cells), guide, targets, rest, margin=margin)
     direct = direct_energy(lattice, start, goal)
     if direct < math.inf and direct <= total:
@@ -107,14 +108,14 @@ def corridor_paths(
     cols = lattice.frame.cols
     taken = np.zeros(lattice.frame.shape, dtype=np.bool_)
     apart = max(2, round(APART * float(np.hypot(*np.diff(found[0].points, axis=0).T).sum())))
-    _take(taken, first, cols, apart)
+    mark_around(taken, first, cols, apart)
     for state in good[np.argsort(via[good], kind="stable")]:
         if taken.ravel()[_middle(behind, table, int(state), float(length[state]))]:
             continue
         into = ahead.trace(table, int(state))[::-1] // layers
         way = np.append(into, behind.trace(table, int(state))[1:] // layers)
         way = way[np.append(True, np.diff(way) != 0)]  # turns on the spot
-        _take(taken, way, cols, apart)
+        mark_around(taken, way, cols, apart)
         if np.unique(way).size < way.size:
             continue
         found.append(GridPath(joined_points(lattice, start, way, goal), float(via[state]), 0))
@@ -142,8 +143,20 @@ def _middle(behind: Search, table: MoveTable, state: int, length_j: float) -> in
 
 
 @njit(cache=True, nogil=True)
-def _take(taken, way, cols, apart):
-    """Mark the squares around the cells of a path."""
+def mark_around(taken, way, cols, apart):
+    """Mark the squares around the cells of a path.
+
+    Parameters
+    ----------
+    taken : ndarray of bool, (rows, cols)
+        Is set there.
+    way : ndarray of int64, (n,)
+        Flat cell indices, row * cols + col.
+    cols : int
+        Columns of the map.
+    apart : int
+        Half the side of a square [cells].
+    """
     rows = taken.shape[0]
     for cell in way:
         i, j = cell // cols, cell % cols

@@ -21,7 +21,7 @@ TOLERANCE = 1e-5
 
 
 @njit(cache=True, nogil=True)
-def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, every, step, turned, sweeps):
+def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, movable, every, step, turned, sweeps):
     """Return a polyline after sweeps of the cheapest shifts, until no shift pays.
 
     Parameters
@@ -38,6 +38,8 @@ def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, every, step
         Energy of turning on the spot [J/rad].
     points : ndarray of float64, (n, 2)
         (row, col) polyline that may be driven.
+    movable : ndarray of bool, (n,)
+        Which of the vertices may be shifted.
     every : int
         Every how many vertices there is a control.
     step : float
@@ -64,12 +66,24 @@ def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, every, step
     stale = np.ones(stretches, dtype=np.bool_)
     weights = np.empty(traction.shape[2])
     chosen = np.zeros(stretches + 1, dtype=np.int64)
-    _sides(points, side, turned, 0, n)
+    turn_sides(points, side, turned, 0, n)
     for _ in range(sweeps):
         for k in range(stretches):
             if stale[k]:
                 _price_stretch(
-                    weights, traction, gradient, blocked, terms, turn_j_per_rad, points, side, controls, k, step, cost
+                    weights,
+                    traction,
+                    gradient,
+                    blocked,
+                    terms,
+                    turn_j_per_rad,
+                    points,
+                    movable,
+                    side,
+                    controls,
+                    k,
+                    step,
+                    cost,
                 )
                 stale[k] = False
         if turn_j_per_rad > 0.0:
@@ -89,13 +103,25 @@ def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, every, step
                 points[i, 0], points[i, 1] = _shifted(points, side, i, first, last, a, b, step)
         for k in range(stretches):
             if stale[k]:
-                _sides(points, side, turned, controls[k], controls[k + 1] + 1)
+                turn_sides(points, side, turned, controls[k], controls[k + 1] + 1)
     return points
 
 
 @njit(cache=True)
-def _sides(points, side, turned, first, end):
-    """Unit vectors of the shifts at vertices first..end - 1."""
+def turn_sides(points, side, turned, first, end):
+    """Fill the unit vectors of the shifts at some vertices.
+
+    Parameters
+    ----------
+    points : ndarray of float64, (n, 2)
+        (row, col) polyline.
+    side : ndarray of float64, (n, 2)
+        Is filled from `first` to `end` - 1.
+    turned : float
+        Angle from the path's sides [rad].
+    first, end : int
+        First vertex, and the one after the last.
+    """
     n = points.shape[0]
     cosine, sine = math.cos(turned), math.sin(turned)
     for i in range(first, end):
@@ -119,13 +145,17 @@ def _shifted(points, side, i, first, last, a, b, step):
 
 
 @njit(cache=True)
-def _price_stretch(weights, traction, gradient, blocked, terms, turn_j_per_rad, points, side, controls, k, step, cost):
+def _price_stretch(
+    weights, traction, gradient, blocked, terms, turn_j_per_rad, points, movable, side, controls, k, step, cost
+):
     """Fill cost[k]: energies of stretch k for all shifts of its two controls, turns between them included."""
     shifts = cost.shape[1]
     first, last = controls[k], controls[k + 1]
     for a in range(shifts):
         for b in range(shifts):
             if (k == 0 and a > 0) or (k == cost.shape[0] - 1 and b > 0):  # both ends stay
+                continue
+            if (a > 0 and not movable[first]) or (b > 0 and not movable[last]):
                 continue
             total = 0.0
             r0, c0 = _shifted(points, side, first, first, last, a, b, step)

@@ -6,17 +6,15 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from joulemap.model.errors import NoRouteError
+from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
-from joulemap.planner.corridors import COUNT, corridor_paths
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
@@ -34,9 +32,7 @@ SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_
 LEAST_NEIGHBOURS = 16
 """The any-angle step begins with the paths of as many neighbours at least, so that it misses no zigzag."""
 MORE_NEIGHBOURS = 32
-"""Where blocked ground or limits close some moves, it begins with the paths of as many neighbours too."""
-SHORT_CELLS = 400.0
-"""Straight distance [cells] below which these are of several corridors: on short ways headings differ most."""
+"""Where blocked ground or limits close some moves, it begins with the paths of as many: they find other passages."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,11 +192,16 @@ class RoutePlanner:
             Whether to make landmarks too. They cost eight energy fields and save every later A* most of its search.
         """
         self._table(neighbours, distance=True)
-        if self._limited():
-            self._table(MORE_NEIGHBOURS, distance=False)
-        if landmarks and neighbours not in self._landmarks:
+        most = self._most(neighbours)
+        self._table(most, distance=False)
+        if landmarks:
             with self._making:
-                self._landmarks[neighbours] = make_landmarks(self._table(neighbours, distance=False))
+                if most not in self._landmarks:
+                    self._landmarks[most] = make_landmarks(self._table(most, distance=False))
+
+    def _most(self, neighbours: int) -> int:
+        """Moves per cell of the search whose paths are improved at any angle."""
+        return max(neighbours, MORE_NEIGHBOURS if self._limited() else LEAST_NEIGHBOURS)
 
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
@@ -239,7 +240,8 @@ class RoutePlanner:
         planner : str, default "astar"
             One of `PLANNERS`, or the name of a planner that was registered.
         neighbours : {16, 8, 32}
-            Moves per cell of the grid planners.
+            Moves per cell of the grid planners; before the any-angle step at least 16, and 32 where blocked ground or
+            limits close some moves.
         refine : bool, default True
             Whether to improve the path at any angle, which never makes it dearer.
         time_limit_s : float, default 5.0
@@ -282,13 +284,15 @@ class RoutePlanner:
         notes: list[str] = []
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         began = time.perf_counter()
-        shortest = self._shortest(start, goal, neighbours, refine)
-        table, landmarks = self._table(neighbours, distance=False), self._landmarks.get(neighbours)
         if refine and not asked.uses_time_limit:
-            points, found = self._best(start, goal, neighbours)
+            shortest, (points, found) = both(
+                lambda: self._shortest(start, goal, neighbours, refine), lambda: self._best(start, goal, neighbours)
+            )
         else:
+            shortest = self._shortest(start, goal, neighbours, refine)
+            landmarks = self._landmarks.get(neighbours)
             options = Options(time_limit_s, seed, from_grid, landmarks, progress)
-            points, found = asked.search(lattice, table, start, goal, options)
+            points, found = asked.search(lattice, self._table(neighbours, distance=False), start, goal, options)
             points = refine_path(lattice, points) if refine else points
         if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
             notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
@@ -298,7 +302,12 @@ class RoutePlanner:
             points = best_of(lattice, [shortest, points]) if refine else shortest
         ways = [points]
         if alternatives > 0:
-            others = [w.points for w in alternative_paths(lattice, table, start, goal, count=alternatives + 1)[1:]]
+            others = [
+                w.points
+                for w in alternative_paths(
+                    lattice, self._table(neighbours, distance=False), start, goal, count=alternatives + 1
+                )[1:]
+            ]
             ways += improved_ways(lattice, points, others) if refine else others
             ways.sort(key=lambda way: path_price(lattice, way))  # once improved, another one may be the cheapest
         details["seconds"] = time.perf_counter() - began
@@ -382,21 +391,18 @@ class RoutePlanner:
 
     def _best(self, start: Points, goal: Points, neighbours: int) -> tuple[Points, dict[str, Any]]:
         """The best path of any angles that we find, for every kind of question."""
-        table, landmarks = self._table(neighbours, distance=False), self._landmarks.get(neighbours)
         seeds = []
         if neighbours < LEAST_NEIGHBOURS:
-            seeds = [grid_search(self.lattice, table, start, goal).points]
-            table, landmarks = self._table(LEAST_NEIGHBOURS, distance=False), self._landmarks.get(LEAST_NEIGHBOURS)
-        if neighbours < MORE_NEIGHBOURS and self._limited():
-            more = self._table(MORE_NEIGHBOURS, distance=False)
-            with suppress(NoRouteError):
-                count = COUNT if math.dist(start, goal) < SHORT_CELLS else 1
-                seeds += [path.points for path in corridor_paths(self.lattice, more, start, goal, count=count)]
+            seeds = [grid_search(self.lattice, self._table(neighbours, distance=False), start, goal).points]
+        most = self._most(neighbours)
+        table, landmarks = self._table(most, distance=False), self._landmarks.get(most)
         best = best_path(self.lattice, table, start, goal, landmarks=landmarks, seeds=seeds)
-        record = {"expanded": best.expanded, "grid_energy_j": best.grid_energy_j, "corridors": best.corridors}
-        if neighbours < LEAST_NEIGHBOURS:
-            record["grid_energy_j"] = path_price(self.lattice, seeds[0])
-        return best.points, record
+        return best.points, {
+            "neighbours": most,
+            "expanded": best.expanded,
+            "grid_energy_j": best.grid_energy_j,
+            "corridors": best.corridors,
+        }
 
     def _limited(self) -> bool:
         """Whether blocked ground or limits close some moves: then more headings find passages that others miss."""

@@ -1,8 +1,9 @@
 """Any-angle improvement of a path: never dearer, never over blocked ground, priced by the one integrator.
 
-Two steps alternate from coarse to fine. *Shortcuts* keep, out of all vertices, the chain of straight legs that costs
-least (dynamic programming, so zigzags stay where they pay). *Bending* shifts all vertices at once by the combination of
-steps that costs least (`deform`), first long stretches by many cells, then single vertices by small shares of one.
+Three steps from coarse to fine. *Shortcuts* keep, out of all vertices, the chain of straight legs that costs least
+(dynamic programming, so zigzags stay where they pay). *Bending* shifts long stretches by many cells, all at once by the
+combination of shifts that costs least (`deform`). *Settling* moves every vertex to the least energy nearby by Newton's
+method (`settle`); where turning costs or limits are near, vertices are bent there too, by small shares of a cell.
 """
 
 from __future__ import annotations
@@ -11,33 +12,35 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from joulemap.planner.deform import bent
 from joulemap.planner.edges import Points, path_price, price_arrays
 from joulemap.planner.kernels import leg_energy_with, turn_angle
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.settle import settled
 from joulemap.planner.stopping import check_stop
 
 SPAN = 4
 """Vertices that a shortcut may leave out in one pass; passes are repeated while the path becomes cheaper."""
 SWEEPS = 24
 """Largest number of sweeps with one shift."""
-COARSE_STEPS = ((8.0, 64), (4.0, 32), (2.0, 16), (4.0, 8), (2.0, 8), (1.0, 8), (0.5, 4))
-"""Shifts of stretches and the lengths of these [cells]: long ones first, and some large shifts of short ones, which
-find a zigzag where only one of large angles pays."""
+COARSE_STEPS = ((4.0, 8), (1.0, 8))
+"""Shifts of stretches and the lengths of these [cells]: large shifts of short ones find a zigzag where only one of
+large angles pays."""
+FINE_PROBES = ((4.0, (1.0, 0.5, 0.5, 0.25, 0.125, 0.0625)), (2.0, (0.25, 0.125, 0.0625)))
+"""Distances of the vertices that settle, and the probes of each step of Newton's method [cells]."""
+LAST_PROBES = (0.25, 0.125, 0.0625)
+"""Probes of vertices a cell apart [cells]."""
 FINE_STEPS = (0.5, 0.25, 0.125, 0.0625, 0.03125)
-"""Shifts of single vertices [cells]."""
+"""Shifts of single vertices where they are bent [cells]."""
 LAST_STEPS = (0.5, 0.125, 0.03125)
 """Shifts of vertices a cell apart, to the sides and along the path [cells]."""
 CORNER_STEPS = (8.0, 4.0, 2.0, 1.0, *FINE_STEPS)
 """Shifts of the corners of a path of long legs, to the sides and along it [cells]: so a zigzag changes its angle."""
-LONG_LEG_CELLS = 10.0
-"""Mean leg [cells] above which a path is one of corners."""
-LAST_ROUNDS_CELLS = 500.0
-"""Length of path that the last shifts are tried on, all rounds together [cells]: so a longer one gets fewer rounds, or
-none. They gain a few hundredths of a percent and take most of the time."""
-MOST_ROUNDS = 3
-"""Most rounds of the last shifts."""
+BENT_CELLS = 500.0
+"""Longest path whose vertices are shifted a last time, to the sides and along it [cells]: that gains a few hundredths
+of a percent and takes most of the time."""
 _SIDES, _BOTH = (0.0,), (0.0, 0.5 * math.pi)
 
 
@@ -106,7 +109,7 @@ def refine_corners(lattice: CostLattice, points: Points) -> Points:
 
 
 def refine_finely(lattice: CostLattice, points: Points) -> Points:
-    """Return what small shifts of vertices four and two cells apart make of a path.
+    """Return what settling of vertices four and then two cells apart makes of a path.
 
     Parameters
     ----------
@@ -122,15 +125,15 @@ def refine_finely(lattice: CostLattice, points: Points) -> Points:
     """
     if _fixed(lattice, points):
         return points
-    if _length(points) > LONG_LEG_CELLS * (len(points) - 1):
+    if lattice.robot.turn_j_per_rad > 0.0:
         points = refine_corners(lattice, points)
-    for spacing in (4.0, 2.0):
-        points = _bent(lattice, subdivided(points, spacing), FINE_STEPS)
+    for spacing, probes in FINE_PROBES:
+        points = _settled(lattice, subdivided(points, spacing), probes)
     return points
 
 
 def refine_last(lattice: CostLattice, points: Points) -> Points:
-    """Return what the last shifts of vertices a cell apart make of a path, and take needless vertices away.
+    """Return what settling of vertices a cell apart makes of a path, and take needless vertices away.
 
     Parameters
     ----------
@@ -146,15 +149,10 @@ def refine_last(lattice: CostLattice, points: Points) -> Points:
     """
     if _fixed(lattice, points):
         return points
-    rounds = min(int(LAST_ROUNDS_CELLS / max(_length(points), 1.0)), MOST_ROUNDS)
-    points = shortcuts(lattice, points)
-    for _ in range(rounds):
+    points = shortcuts(lattice, _settled(lattice, subdivided(shortcuts(lattice, points), 1.0), LAST_PROBES))
+    if _length(points) <= BENT_CELLS:
         points = shortcuts(lattice, _bent(lattice, subdivided(points, 1.0), LAST_STEPS, _BOTH))
     return points
-
-
-STAGES = (refine_coarsely, refine_finely, refine_last)
-"""The stages of `refine_path`: each costs more time than the one before, and gains less."""
 
 
 def _fixed(lattice: CostLattice, points: Points) -> bool:
@@ -166,6 +164,17 @@ def _length(points: Points) -> float:
     return float(np.hypot(*np.diff(points, axis=0).T).sum())
 
 
+def _settled(lattice: CostLattice, points: Points, probes: tuple[float, ...]) -> Points:
+    """The path after steps of Newton's method, bent where a limit is near or turning costs."""
+    check_stop()
+    bend = np.ones(len(points), dtype=np.bool_)
+    if lattice.robot.turn_j_per_rad == 0.0:
+        points = settled(*price_arrays(lattice), points, np.array(probes), bend)
+        bend[1:] |= bend[:-1]
+        bend[:-1] |= bend[1:]
+    return _bent(lattice, points, FINE_STEPS, movable=bend) if bend.any() else points
+
+
 def _bent(
     lattice: CostLattice,
     points: Points,
@@ -173,13 +182,15 @@ def _bent(
     turned: tuple[float, ...] = _SIDES,
     *,
     every: int = 1,
+    movable: NDArray[np.bool_] | None = None,
 ) -> Points:
     """The path after bending with each of some shifts, in each of some directions."""
     arrays, turn = price_arrays(lattice), lattice.robot.turn_j_per_rad
+    movable = np.ones(len(points), dtype=np.bool_) if movable is None else movable
     for step in steps:
         check_stop()
         for angle in turned if len(points) > 2 else ():
-            points = bent(*arrays, turn, points, every, step, angle, SWEEPS)
+            points = bent(*arrays, turn, points, movable, every, step, angle, SWEEPS)
     return points
 
 
@@ -240,6 +251,10 @@ def shortcuts(lattice: CostLattice, points: Points) -> Points:
             break
         points, energy = fewer, price
     return points
+
+
+STAGES = (shortcuts, refine_coarsely, refine_finely, refine_last)
+"""The stages of `refine_path`: each costs more time than the one before, and gains less."""
 
 
 @njit(cache=True, nogil=True)
