@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import secrets
 import shutil
 import warnings
 from collections.abc import Iterator
@@ -46,8 +47,13 @@ class LatticeFolder:
         self.path = Path(path)
         self.partial = self.path.with_name(self.path.name + ".partial")
 
-    def lay_out(self, tiling: Tiling, robot: Robot, *, with_std: bool) -> None:
-        """Make the empty arrays with their coordinates, and remove what an earlier try left.
+    @property
+    def is_whole(self) -> bool:
+        """Whether the lattice is in its place; one that is being removed is not."""
+        return (self.path / "zarr.json").is_file()
+
+    def lay_out(self, tiling: Tiling, robot: Robot, *, with_std: bool, again: bool = True) -> None:
+        """Make the empty arrays with their coordinates, whole or not at all.
 
         Parameters
         ----------
@@ -57,6 +63,8 @@ class LatticeFolder:
             Whose prices these are.
         with_std : bool
             Whether `std_j` will be written.
+        again : bool, optional
+            Remove what an earlier try left; else it is kept, and the tiles that are there with it.
 
         Raises
         ------
@@ -65,34 +73,15 @@ class LatticeFolder:
         """
         self.check_place()
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(self.partial, ignore_errors=True)
-        frame = tiling.frame
-        group = zarr.open_group(self.partial, mode="w")
-        by_heading, side = (tiling.headings,), tiling.side
-        arrays: dict[str, tuple[tuple[int, ...], str, float]] = {
-            "traction_per_m": (by_heading, "float32", np.nan),
-            "elevation_m": ((), "float32", np.nan),
-            "gradient": ((2,), "float32", np.nan),
-            "blocked": ((), "uint8", int(Blocked.UNKNOWN)),
-        }
-        if with_std:
-            arrays["std_j"] = (by_heading, "float32", np.nan)
-        for name, (more, dtype, unknown) in arrays.items():
-            group.create_array(
-                name,
-                shape=(*frame.shape, *more),
-                chunks=(*(min(side, n) for n in frame.shape), *more),
-                dtype=dtype,
-                fill_value=unknown,
-                compressors=_COMPRESSOR,
-                dimension_names=DIMENSIONS[name],
-                attributes=attributes_of(name, frame.crs),
-            )
-        for name, (dimensions, values, attributes) in coordinates_of(frame, tiling.headings).items():
-            group.create_array(name, data=values, dimension_names=dimensions, attributes=attributes)
-        group.attrs.update({"Conventions": "CF-1.11", **_metadata(frame, robot)})
-        if frame.crs is not None:
-            group.attrs["coordinates"] = CRS_VARIABLE  # else xarray takes it for data
+        begun = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}.partial")
+        try:
+            _lay_out(begun, tiling, robot, with_std=with_std)
+            if again:
+                shutil.rmtree(self.partial, ignore_errors=True)
+            if not self.partial.exists():
+                begun.rename(self.partial)
+        finally:
+            shutil.rmtree(begun, ignore_errors=True)
 
     def check_place(self) -> None:
         """Refuse a place where something else is.
@@ -146,26 +135,35 @@ class LatticeFolder:
             if data is not None:
                 group[name][rows, cols] = data  # type: ignore[index]
 
-    def finish(self, provenance: dict[str, Any]) -> None:
+    def finish(self, provenance: dict[str, Any], *, replace: bool = True) -> None:
         """Write how the lattice was made, and move it into place where it is not there yet.
 
         Parameters
         ----------
         provenance : dict
             JSON-able record of model, heightmap, settings and warnings.
+        replace : bool, optional
+            Remove a lattice that is in its place.
+
+        Raises
+        ------
+        OSError
+            If a lattice is in its place that is not to be replaced.
         """
         if self.partial.exists():
             for torn in self.partial.rglob("*.partial"):  # a chunk whose writer was killed; it was written again
                 torn.unlink()
             _describe(self.partial, provenance)
-            shutil.rmtree(self.path, ignore_errors=True)
+            if replace:
+                shutil.rmtree(self.path, ignore_errors=True)
             self.partial.rename(self.path)
         else:
             _describe(self.path, provenance)
 
     def discard(self) -> None:
-        """Remove the folder, finished or not."""
+        """Remove the folder, finished or not: first what makes it whole, so that nobody reads a part of it."""
         for place in (self.partial, self.path):
+            (place / "zarr.json").unlink(missing_ok=True)
             shutil.rmtree(place, ignore_errors=True)
 
 
@@ -195,6 +193,36 @@ def save_lattice(lattice: CostLattice, path: str | Path) -> None:
         folder.lay_out(tiling, lattice.robot, with_std=lattice.std_j is not None)
         folder.write(lattice, slice(0, lattice.frame.rows), slice(0, lattice.frame.cols))
         folder.finish(lattice.provenance)
+
+
+def _lay_out(place: Path, tiling: Tiling, robot: Robot, *, with_std: bool) -> None:
+    frame = tiling.frame
+    group = zarr.open_group(place, mode="w")
+    by_heading, side = (tiling.headings,), tiling.side
+    arrays: dict[str, tuple[tuple[int, ...], str, float]] = {
+        "traction_per_m": (by_heading, "float32", np.nan),
+        "elevation_m": ((), "float32", np.nan),
+        "gradient": ((2,), "float32", np.nan),
+        "blocked": ((), "uint8", int(Blocked.UNKNOWN)),
+    }
+    if with_std:
+        arrays["std_j"] = (by_heading, "float32", np.nan)
+    for name, (more, dtype, unknown) in arrays.items():
+        group.create_array(
+            name,
+            shape=(*frame.shape, *more),
+            chunks=(*(min(side, n) for n in frame.shape), *more),
+            dtype=dtype,
+            fill_value=unknown,
+            compressors=_COMPRESSOR,
+            dimension_names=DIMENSIONS[name],
+            attributes=attributes_of(name, frame.crs),
+        )
+    for name, (dimensions, values, attributes) in coordinates_of(frame, tiling.headings).items():
+        group.create_array(name, data=values, dimension_names=dimensions, attributes=attributes)
+    group.attrs.update({"Conventions": "CF-1.11", **_metadata(frame, robot)})
+    if frame.crs is not None:
+        group.attrs["coordinates"] = CRS_VARIABLE  # else xarray takes it for data
 
 
 def _describe(folder: Path, provenance: dict[str, Any]) -> None:

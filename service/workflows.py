@@ -475,10 +475,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     from joulemap.planner.plan import PLANNERS, RoutePlanner
 
     began = time.perf_counter()
-    rows = np.arange(12.0)
-    heights = 0.2 * np.sin(rows)[:, None] + 0.1 * rows[None, :]
-    heights[0, 11] = np.nan
-    heightmap = Heightmap(heights.astype(np.float32), GridFrame(0.0, 12.0, 1.0, 12, 12))
+    heightmap = _small_map()
     heightmap.sample([5.0], [5.0])
     for robot in (Robot(), Robot(regeneration=0.3, turn_j_per_rad=1.0)):
         lattice = make_cost_lattice(heightmap, robot, model="physics")
@@ -492,7 +489,33 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     seconds = np.arange(0.0, 20.0, 0.1)
     columns = {"t": seconds, "x": 0.5 * seconds, "y": np.sin(seconds), "current": np.ones(seconds.size)}
     cut_segments(run_of(columns, {}, name="warm-up"), charge=True)
+    warm_up_models(models, models_dir=models_dir)
+    return time.perf_counter() - began
+
+
+def warm_up_models(models: Sequence[str], *, models_dir: Path | None = None) -> None:
+    """Load the named models, and the kernels with which cost maps are made.
+
+    Parameters
+    ----------
+    models : sequence of str
+        Names of models to load.
+    models_dir : Path, optional
+        Folder of trained models, see `find_predictor`.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or its files do not fit together.
+    """
     for model in models:
         for spacing_m in (1.0, 3.0):  # a network answers these by dense passes and by single squares
-            make_cost_lattice(heightmap, Robot(), model=model, spacing_m=spacing_m, models_dir=models_dir)
-    return time.perf_counter() - began
+            lattice = make_cost_lattice(_small_map(), Robot(), model=model, spacing_m=spacing_m, models_dir=models_dir)
+            summarise(lattice)
+
+
+def _small_map() -> Heightmap:
+    rows = np.arange(12.0)
+    heights = 0.2 * np.sin(rows)[:, None] + 0.1 * rows[None, :]
+    heights[0, 11] = np.nan
+    return Heightmap(heights.astype(np.float32), GridFrame(0.0, 12.0, 1.0, 12, 12))

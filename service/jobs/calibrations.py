@@ -1,217 +1,235 @@
-"""What a calibration job does: it runs `calibrate_on_runs` in another process, which can be stopped at any moment."""
+"""What a calibration job does: it runs `calibrate_on_runs` in a process of its own on a worker."""
 
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
 import secrets
 import shutil
-import signal
-import threading
-from collections.abc import Callable, Sequence
-from contextlib import closing
-from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+import sys
+from collections.abc import AsyncGenerator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.calibration_runs import read_calibration_runs, read_odometry_runs
+from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs, read_odometry_runs
 from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.readers import read_heightmap
-from joulemap.service.jobs.steps import Step, Steps
+from joulemap.service.jobs.processes import end_with_parent, run
 from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
 from joulemap.service.loop.report_page import report_page
-from joulemap.service.loop.rerouting import Task
 from joulemap.service.loop.summary import NextStep
 from joulemap.service.models import CALIBRATED_FOLDER
+from joulemap.service.problems import problem_of
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import CalibrationRow, named_test_runs
+from joulemap.service.storage.tables import named_test_runs
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 REPORT, PAGE = "report.json", "report.html"
-_LOOK_S = 0.5  # between looks whether the job is still wanted
+_ORDER, _PROBLEM = "order.json", "problem.json"
 
 
-@dataclass(frozen=True)
-class _Work:
-    """What the process gets. ground : the heightmap's file and name, or how runs without positions are read. request :
-    for a cost map with the calibrated model, in words.
+class Refused(Exception):
+    """The runs cannot be calibrated.
+
+    Parameters
+    ----------
+    problem : dict
+        Its problem body.
     """
 
-    model: str | Path
-    ground: tuple[Path, str] | Odometry
-    robot: Robot
-    files: list[Path]
-    base_files: list[Path]
-    test_files: list[Path]
-    task: Task | None
-    campaigns: bool
-    quick: bool
-    seed: int
-    out: Path
-    request: str
+    def __init__(self, problem: dict[str, Any]) -> None:
+        super().__init__(problem)
+        self.problem = problem
 
 
-class Calibrator:
-    """Does calibrations.
+def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, Any]:
+    """Return what a worker is told of a calibration.
 
     Parameters
     ----------
     store : Store
         Open.
+    calibration_id : str
+        Id of what was asked for.
     models_dir : Path
-        Folder of trained models; a calibrated model is put there under the id of its calibration.
+        Folder of trained models; the calibrated model is put there under the id of its calibration.
+
+    Returns
+    -------
+    dict
+        JSON-able: files, names and settings.
     """
 
-    def __init__(self, store: Store, *, models_dir: Path) -> None:
-        self._store = store
-        self._models_dir = models_dir
+    def _files(sent: list[str]) -> list[str]:
+        return [str(file.resolve()) for runs in sent for file in store.run_files(runs)]
 
-    def do(self, step: Step, steps: Steps, report: Callable[[float], None]) -> None:
-        """Do the one step of a calibration and mark it as done; a step that is begun again has the same result.
-
-        Parameters
-        ----------
-        step : Step
-            The step, taken by this worker.
-        steps : Steps
-            The steps of this worker.
-        report : callable
-            Is given the share that is done, 0..1, again and again; raises Interrupted where the job is to stop.
-
-        Raises
-        ------
-        JoulemapError
-            As the calibration raised it.
-        """
-        row = self._store.calibration(step.job_id)
-        self.discard(row.id)  # what an earlier try left
-        folder = self._store.calibration_folder(row.id)
-        out = folder.with_name(f"{row.id}.{secrets.token_hex(4)}.partial")
-        asked, model = row.request, row.request["model"]
-        work = _Work(
-            model=model if model in MODEL_NAMES else self._models_dir / model,
-            ground=self._ground(row),
-            robot=Robot.from_mapping(asked["robot"]),
-            files=self._files(asked["runs"]),
-            base_files=self._files(asked["base_runs"]),
-            test_files=self._files(named_test_runs(asked)),
-            task=None if asked["start"] is None else (tuple(asked["start"][:2]), tuple(asked["goal"][:2])),
-            campaigns=asked.get("campaigns", False),  # not in requests of older versions
-            quick=asked.get("quick", False),
-            seed=asked["seed"],
-            out=out,
-            request=_costmap_request(row),
-        )
-        try:
-            _in_a_process(work, report)
-            self._models_dir.mkdir(parents=True, exist_ok=True)
-            shutil.move(out / CALIBRATED_FOLDER, self._models_dir / row.id)
-            out.rename(folder)
-        finally:
-            shutil.rmtree(out, ignore_errors=True)
-        document = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        self._store.finish(row.id, {"report": document, "model": row.id})
-        if self._store.status(row.id) is None:  # deleted meanwhile
-            self.discard(row.id)
-
-    def _ground(self, row: CalibrationRow) -> tuple[Path, str] | Odometry:
-        if row.heightmap_id is None:
-            return Odometry(**row.request["odometry"])
-        return self._store.heightmap_path(row.heightmap_id), self._store.heightmap(row.heightmap_id).name
-
-    def _files(self, sent: Sequence[str]) -> list[Path]:
-        return [file for runs in sent for file in self._store.run_files(runs)]
-
-    def rest(self) -> None:
-        """Do nothing: nothing is kept between jobs."""
-
-    def discard(self, calibration_id: str) -> None:
-        """Delete what was made of a calibration: its report and its model, finished or not.
-
-        Parameters
-        ----------
-        calibration_id : str
-            Its id.
-        """
-        folder = self._store.calibration_folder(calibration_id)
-        for place in (folder, *folder.parent.glob(f"{calibration_id}.*.partial"), self._models_dir / calibration_id):
-            shutil.rmtree(place, ignore_errors=True)
+    row = store.calibration(calibration_id)
+    asked, ground, usual = row.request, row.heightmap_id, Robot().as_dict()
+    robot = {key: value for key, value in asked["robot"].items() if value != usual.get(key)}
+    body = {"heightmap_id": ground or "HEIGHTMAP", "model": row.id} | ({"robot": robot} if robot else {})
+    model = asked["model"]
+    return {
+        "id": row.id,
+        "folder": str(store.calibration_folder(row.id).resolve()),
+        "calibrated": str((models_dir / row.id).resolve()),
+        "model": model if model in MODEL_NAMES else str((models_dir / model).resolve()),
+        "heightmap": str(store.heightmap_path(ground).resolve()) if ground else None,
+        "heightmap_name": store.heightmap(ground).name if ground else None,
+        "odometry": asked.get("odometry"),
+        "robot": asked["robot"],
+        "runs": _files(asked["runs"]),
+        "base_runs": _files(asked["base_runs"]),
+        "test_runs": _files(named_test_runs(asked)),
+        "task": None if asked["start"] is None else [asked["start"][:2], asked["goal"][:2]],
+        "campaigns": asked.get("campaigns", False),  # not in requests of older versions
+        "quick": asked.get("quick", False),
+        "seed": asked["seed"],
+        "next": f"POST /v1/costmaps {json.dumps(body)}",
+    }
 
 
-def _costmap_request(row: CalibrationRow) -> str:
-    """What to send for a cost map with the calibrated model."""
-    usual = Robot().as_dict()
-    robot = {key: value for key, value in row.request["robot"].items() if value != usual.get(key)}
-    body = {"heightmap_id": row.heightmap_id or "HEIGHTMAP", "model": row.id} | ({"robot": robot} if robot else {})
-    return f"POST /v1/costmaps {json.dumps(body)}"
+async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> AsyncGenerator[float | dict[str, Any]]:
+    """Calibrate on a cluster.
 
+    Parameters
+    ----------
+    client : Client
+        Of the cluster, in the loop that runs.
+    order : mapping
+        As of `order_of`.
+    priority : float
+        Tasks with a higher one come first.
 
-def _in_a_process(work: _Work, report: Callable[[float], None]) -> None:
-    """Return when the work is done. Raises what the process raised, and what `report` does; then it is killed."""
-    context = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(work, there), daemon=True)
-    process.start()
-    there.close()
-    message: Any = 0.0
-    with closing(here):
-        try:
-            while message is not None:
-                report(message)
-                if here.poll(_LOOK_S):
-                    message = here.recv()
-                    if isinstance(message, JoulemapError):
-                        raise message
-        except EOFError:
-            process.join()
-            raise RuntimeError(f"the calibration's process ended with {process.exitcode}; see its output") from None
-        finally:
-            process.kill()
-            process.join()
+    Yields
+    ------
+    float or dict
+        The share that is done, again and again; at last the report and the id of the model.
 
+    Raises
+    ------
+    Refused
+        If the runs cannot be calibrated.
+    """
+    from distributed import wait
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
+    topic, share = f"{order['id']}-progress", -1.0
 
+    def _take(event: tuple[float, float]) -> None:
+        nonlocal share
+        share = event[1]
 
-def _work(work: _Work, there: Connection) -> None:
-    """In the process: sends shares of the work that is done, then None, or an error of the tree."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # they are meant for the service, which ends this process itself
-        signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    client.subscribe_topic(topic, _take)
+    task = client.submit(calibrate, dict(order), topic, key=order["id"], priority=priority)
     try:
-        if isinstance(work.ground, Odometry):
-            runs = read_odometry_runs(
-                work.files, work.ground, work.robot, baseline_files=work.base_files, test_files=work.test_files
-            )
-        else:
-            file, name = work.ground
-            files = (tuple(some) for some in (work.base_files, work.test_files))
-            site = Site(read_heightmap(file, filename=name), tuple(work.files), work.robot, *files)
-            runs = read_calibration_runs([site])
+        while not task.done():
+            try:
+                await wait(task, timeout="1s")
+            except TimeoutError:
+                if share >= 0.0:
+                    yield share
+        document = await task
+        if "problem" in document:
+            raise Refused(document["problem"])
+        yield document
+    finally:
+        task.release()
+        client.unsubscribe_topic(topic)
+
+
+def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
+    """Calibrate, on a worker; what is there already is not made again.
+
+    Parameters
+    ----------
+    order : mapping
+        As of `order_of`.
+    topic : str
+        Under which the share of the work that is done is told.
+
+    Returns
+    -------
+    dict
+        The report and the id of the model, or the problem body of a refusal.
+    """
+    from distributed import get_worker
+
+    folder, calibrated, worker = Path(order["folder"]), Path(order["calibrated"]), get_worker()
+    out = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}.partial")
+
+    def _tell(line: str) -> None:
+        kind, _, share = line.partition(" ")
+        if kind == topic:
+            worker.log_event(topic, float(share))
+
+    try:
+        if not folder.exists():
+            out.mkdir(parents=True)
+            (out / _ORDER).write_text(json.dumps(order), encoding="utf-8")
+            ended = run(__name__, [str(out), topic], tell=_tell)
+            if (out / _PROBLEM).exists():
+                return {"problem": json.loads((out / _PROBLEM).read_text(encoding="utf-8"))}
+            if ended != 0:
+                raise RuntimeError(f"the calibration's process ended with {ended}; see the worker's output")
+            (out / _ORDER).unlink()
+            shutil.rmtree(calibrated, ignore_errors=True)  # what an earlier try left
+            begun = calibrated.with_name(f"{out.name}")
+            shutil.move(out / CALIBRATED_FOLDER, begun)  # perhaps to another file system
+            begun.rename(calibrated)
+            out.rename(folder)
+        return {"report": json.loads((folder / REPORT).read_text(encoding="utf-8")), "model": calibrated.name}
+    finally:
+        shutil.rmtree(out, ignore_errors=True)
+
+
+def main(out: Path, topic: str) -> None:
+    """Calibrate in this process as `order.json` says, and leave the report, the page and the model beside it.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the order.
+    topic : str
+        Begins the lines that tell the share of the work that is done.
+
+    Raises
+    ------
+    SystemExit
+        If the runs cannot be calibrated; `problem.json` says why.
+    """
+    order = json.loads((out / _ORDER).read_text(encoding="utf-8"))
+    try:
+        runs = _read(order, Robot.from_mapping(order["robot"]))
         made = calibrate_on_runs(
-            work.model,
+            order["model"],
             runs,
-            out=work.out,
-            task=work.task,
-            groups=campaigns_of(runs.segments.runs) if work.campaigns else None,
-            cross_validate=not work.quick,
-            seed=work.seed,
-            progress=there.send,
+            out=out,
+            task=None if order["task"] is None else (tuple(order["task"][0]), tuple(order["task"][1])),
+            groups=campaigns_of(runs.segments.runs) if order["campaigns"] else None,
+            cross_validate=not order["quick"],
+            seed=order["seed"],
+            progress=lambda share: print(topic, share, flush=True),
         )
-        work.out.mkdir(parents=True, exist_ok=True)
-        (work.out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
-        steps = [NextStep("Make a cost map with the calibrated model", work.request)]
-        (work.out / PAGE).write_text(report_page(made, steps=steps), encoding="utf-8")
     except JoulemapError as error:
-        there.send(error)
-    else:
-        there.send(None)
+        (out / _PROBLEM).write_text(json.dumps(problem_of(error, order["id"])), encoding="utf-8")
+        sys.exit(1)
+    (out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
+    steps = [NextStep("Make a cost map with the calibrated model", order["next"])]
+    (out / PAGE).write_text(report_page(made, steps=steps), encoding="utf-8")
+
+
+def _read(order: Mapping[str, Any], robot: Robot) -> CalibrationRuns:
+    files, base, test = ([Path(file) for file in order[key]] for key in ("runs", "base_runs", "test_runs"))
+    if order["heightmap"] is None:
+        return read_odometry_runs(files, Odometry(**order["odometry"]), robot, baseline_files=base, test_files=test)
+    ground = read_heightmap(Path(order["heightmap"]), filename=order["heightmap_name"])
+    return read_calibration_runs([Site(ground, tuple(files), robot, tuple(base), tuple(test))])
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    main(Path(sys.argv[1]), sys.argv[2])

@@ -1,153 +1,310 @@
-"""What a step of a cost map does: it lays the lattice out, builds one tile, or finishes the lattice."""
+"""A cost map on a cluster: it is laid out, built tile by tile wherever a worker is free, and finished.
+
+The store says how far it is: a tile is there when its figures are, which are written after it. Every function may be
+called again, by another process, after one that was killed; what is there already is not made again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import secrets
+import threading
+from collections.abc import AsyncGenerator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import zarr
 
 from joulemap.model.errors import NegativeCycleError
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.windows import Ground
-from joulemap.model.traction import TractionSource
+from joulemap.model.terrain.readers import open_ground
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice_build import build_tile, knows_spread, provenance_of
-from joulemap.planner.lattice_io import LatticeFolder
-from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.tiles import Tiling
-from joulemap.service.jobs.steps import Step, Steps
+from joulemap.planner.lattice_io import LatticeFolder, load_lattice
 from joulemap.service.jobs.stored_base import with_stored_base
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import LAY_OUT
 from joulemap.service.workflows import prepare_build
+
+if TYPE_CHECKING:  # which takes half a second to load
+    from distributed import Client
+
+_LAYOUT, _SUMMARY = "layout.json", "summary.json"
+_KEPT = threading.local()  # of the latest order, for each thread: an open file is read by one thread at a time
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What all steps of a cost map share."""
+class MapOrder:
+    """What a worker is told of a cost map.
 
-    ground: Ground
-    robot: Robot
-    source: TractionSource
-    tiling: Tiling
-    folder: LatticeFolder
+    Attributes
+    ----------
+    place : Path
+        Folder of the lattice, on a file system that service and workers share.
+    heightmap : Path
+        Its file, there too.
+    reading : mapping
+        How it is read: arguments of `open_ground`.
+    robot : mapping
+        As `Robot.as_dict`.
+    model : str or Path
+        See `find_predictor`, as is `models_dir`.
+    models_dir : Path or None
+        Folder of trained models.
+    spacing_m : float
+        Side of a cell [m].
+    headings : int
+        Number of heading bins.
+    finished : tuple of Path
+        Folders of finished cost maps that differ in nothing but the model.
+    replace : bool
+        Whether a lattice that is at `place` is replaced.
+    """
+
+    place: Path
+    heightmap: Path
+    reading: Mapping[str, Any]
+    robot: Mapping[str, Any]
+    model: str | Path
+    spacing_m: float
+    headings: int
+    models_dir: Path | None = None
+    finished: tuple[Path, ...] = ()
+    replace: bool = False
+
+    @property
+    def notes(self) -> Path:
+        """Folder of what is known of the tiles that are there; it goes when the cost map is done."""
+        return self.place.with_name(self.place.name + ".tiles")
+
+    @property
+    def folder(self) -> LatticeFolder:
+        """The lattice."""
+        return LatticeFolder(self.place)
 
 
-class Builder:
-    """Does the steps of cost maps; keeps what the steps of the latest one share.
+def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder:
+    """Return what a worker is told of a cost map.
 
     Parameters
     ----------
     store : Store
         Open.
+    costmap_id : str
+        Id of what was asked for.
     models_dir : Path
         Folder of trained models.
-    max_values : int
-        Most values (rows * cols * headings) of a cost map.
-    on_done : callable, optional
-        Is given the id and the planner of every cost map that is done.
+
+    Returns
+    -------
+    MapOrder
+        With places that do not depend on where a worker runs.
+    """
+    row = store.costmap(costmap_id)
+    asked = row.request
+    return MapOrder(
+        place=store.lattice_path(row.id).resolve(),
+        heightmap=store.heightmap_path(row.heightmap_id).resolve(),
+        reading={"filename": store.heightmap(row.heightmap_id).name},
+        robot=asked["robot"],
+        model=asked["model"],
+        spacing_m=asked["spacing_m"],
+        headings=asked["headings"],
+        models_dir=models_dir,
+        finished=tuple(store.lattice_path(found).resolve() for found in store.alike(row)),
+    )
+
+
+class Tiles:
+    """The ground, the model and the tiles of an order, which are read once and not for every tile.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made.
     """
 
-    def __init__(
-        self,
-        store: Store,
-        *,
-        models_dir: Path,
-        max_values: int,
-        on_done: Callable[[str, RoutePlanner], None] | None = None,
-    ) -> None:
-        self._store = store
-        self._models_dir = models_dir
-        self._max_values = max_values
-        self._on_done = on_done
-        self._open: tuple[str, _Job] | None = None
+    def __init__(self, order: MapOrder) -> None:
+        self.order = order
+        self.ground = open_ground(order.heightmap, **order.reading)
+        self.robot, source, self.tiling = prepare_build(
+            self.ground,
+            Robot.from_mapping(order.robot),
+            model=order.model,
+            spacing_m=order.spacing_m,
+            headings=order.headings,
+            models_dir=order.models_dir,
+        )
+        self.source = with_stored_base(source, self.tiling, order.finished)
 
-    def do(self, step: Step, steps: Steps, report: Callable[[float], None] | None = None) -> None:
-        """Do one step and mark it as done; a step that is done twice has the same result.
-
-        Parameters
-        ----------
-        step : Step
-            The step, taken by this worker.
-        steps : Steps
-            Where it is marked as done.
-        report : callable, optional
-            Not called: a tile takes too little time.
-        """
-        job = self._job(step.job_id)
-        if step.number == LAY_OUT:
-            job.folder.lay_out(job.tiling, job.robot, with_std=knows_spread(job.source, job.robot))
-            provenance = provenance_of(job.ground, job.robot, job.source, job.tiling)
-            wanted = steps.complete(step, provenance, tiles=len(job.tiling))
-        elif step.last:
-            wanted = self._finish(step, job, steps)
-        else:
-            place = job.tiling[step.number - 1]
-            part = build_tile(job.ground, job.robot, job.source, job.tiling, *place)
-            job.folder.write(part, *place)
-            wanted = steps.complete(step, figures_of(part))
-        if not wanted:  # the cost map was deleted meanwhile
-            self.discard(step.job_id)
-
-    def rest(self) -> None:
-        """Let go of what was kept, because there is nothing to do."""
-        self._open = None
-
-    def discard(self, costmap_id: str) -> None:
-        """Delete what was made of a cost map.
+    @classmethod
+    def of(cls, order: MapOrder) -> Tiles:
+        """Return what was opened for the order before by this thread, or open it.
 
         Parameters
         ----------
-        costmap_id : str
-            Its id.
+        order : MapOrder
+            What is to be made.
+
+        Returns
+        -------
+        Tiles
+            Kept until this thread is given another order.
         """
-        self._open = None
-        LatticeFolder(self._store.lattice_path(costmap_id)).discard()
+        kept: Tiles | None = getattr(_KEPT, "tiles", None)
+        if kept is None or kept.order != order:
+            _KEPT.tiles = None  # before the next is opened, so that never two are held
+            _KEPT.tiles = kept = cls(order)
+        return kept
 
-    def _job(self, costmap_id: str) -> _Job:
-        if self._open is None or self._open[0] != costmap_id:
-            self._open = None  # before the next is opened, so that never two are held
-            row = self._store.costmap(costmap_id)
-            ground = self._store.open_heightmap(row.heightmap_id)
-            robot, source, tiling = prepare_build(
-                ground,
-                Robot.from_mapping(row.request["robot"]),
-                model=row.request["model"],
-                spacing_m=row.request["spacing_m"],
-                headings=row.request["headings"],
-                models_dir=self._models_dir,
-                max_values=self._max_values,
-            )
-            source = with_stored_base(self._store, row, source, tiling)
-            folder = LatticeFolder(self._store.lattice_path(costmap_id))
-            self._open = costmap_id, _Job(ground, robot, source, tiling, folder)
-        return self._open[1]
 
-    def _finish(self, step: Step, job: _Job, steps: Steps) -> bool:
-        provenance, *tiles = steps.results(step.job_id)
-        frame = job.tiling.frame
-        job.folder.finish(provenance)
-        planner = RoutePlanner(self._store.load_lattice(step.job_id))
+def lay_out(order: MapOrder) -> tuple[int, list[int]]:
+    """Lay a cost map out where that is not done yet.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made.
+
+    Returns
+    -------
+    count : int
+        Number of its tiles.
+    missing : list of int
+        Those that are not there.
+    """
+    tiles = Tiles.of(order)
+    if (order.notes / _SUMMARY).exists():
+        return len(tiles.tiling), []
+    if not (order.notes / _LAYOUT).exists():
+        if not order.replace:
+            order.folder.discard()  # what an older version of joulemap left
+        order.folder.lay_out(tiles.tiling, tiles.robot, with_std=knows_spread(tiles.source, tiles.robot), again=False)
+        order.notes.mkdir(exist_ok=True)
+        _write(order.notes / _LAYOUT, provenance_of(tiles.ground, tiles.robot, tiles.source, tiles.tiling))
+    count = len(tiles.tiling)
+    return count, [number for number in range(count) if not _note(order, number).exists()]
+
+
+def build(order: MapOrder, number: int) -> None:
+    """Build one tile, unless it is there.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made; it is laid out.
+    number : int
+        Of the tile.
+    """
+    if _note(order, number).exists():
+        return
+    tiles = Tiles.of(order)
+    place = tiles.tiling[number]
+    part = build_tile(tiles.ground, tiles.robot, tiles.source, tiles.tiling, *place)
+    order.folder.write(part, *place)
+    _write(_note(order, number), figures_of(part))
+
+
+def finish(order: MapOrder) -> dict[str, Any]:
+    """Put a cost map whose tiles are all there into its place.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made.
+
+    Returns
+    -------
+    dict
+        JSON-able: robot, frame, provenance, prices and what is blocked.
+    """
+    noted = order.notes / _SUMMARY
+    if not noted.exists():
+        _write(noted, _summary(Tiles.of(order)))
+    summary: dict[str, Any] = json.loads(noted.read_text(encoding="utf-8"))
+    if order.replace or not order.folder.is_whole:
+        order.folder.finish(summary["provenance"], replace=order.replace)
+    return summary
+
+
+def _summary(tiles: Tiles) -> dict[str, Any]:
+    order, frame = tiles.order, tiles.tiling.frame
+    provenance = json.loads((order.notes / _LAYOUT).read_text(encoding="utf-8"))
+    notes = [_note(order, number).read_text(encoding="utf-8") for number in range(len(tiles.tiling))]
+    figures = joined_figures([json.loads(note) for note in notes])
+    if figures["energy_per_m"] is not None and figures["energy_per_m"]["min"] < 0.0:
+        from joulemap.planner.plan import RoutePlanner  # loads slowly
+
+        zarr.open_group(order.folder.partial, mode="r+").attrs["provenance"] = provenance  # else it cannot be read
         try:
-            planner.prepare()
+            RoutePlanner(load_lattice(order.folder.partial)).prepare()
         except NegativeCycleError as error:  # the map is good to look at, every question will say the same
             provenance["warnings"].append(error.message)
-            planner.lattice.provenance["warnings"].append(error.message)
-            job.folder.finish(provenance)
-        summary: dict[str, Any] = {
-            "robot": job.robot.as_dict(),
-            "frame": {
-                "rows": frame.rows,
-                "cols": frame.cols,
-                "spacing_m": frame.resolution_m,
-                "bounds": list(frame.bounds),
-                "crs": frame.crs,
-            },
-            "provenance": provenance,
-            **joined_figures(tiles),
-        }
-        wanted = self._store.finish(step.job_id, summary)
-        if wanted and self._on_done is not None:
-            self._on_done(step.job_id, planner)
-        return wanted
+    return {
+        "robot": tiles.robot.as_dict(),
+        "frame": {
+            "rows": frame.rows,
+            "cols": frame.cols,
+            "spacing_m": frame.resolution_m,
+            "bounds": list(frame.bounds),
+            "crs": frame.crs,
+        },
+        "provenance": provenance,
+        **figures,
+    }
+
+
+def _note(order: MapOrder, number: int) -> Path:
+    return order.notes / f"{number}.json"
+
+
+def _write(path: Path, document: dict[str, Any]) -> None:
+    """Whole or not at all. The folder is not made: that of a job which was deleted stays away."""
+    begun = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    try:
+        begun.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+        begun.replace(path)
+    finally:
+        begun.unlink(missing_ok=True)
+
+
+async def make(
+    client: Client, order: MapOrder, *, key: str, priority: float = 0.0
+) -> AsyncGenerator[float | dict[str, Any]]:
+    """Make a cost map on a cluster.
+
+    Parameters
+    ----------
+    client : Client
+        Of the cluster, in the loop that runs.
+    order : MapOrder
+        What is to be made.
+    key : str
+        Beginning of the keys of its tasks. A task that two clients ask for is done once.
+    priority : float, optional
+        Tasks with a higher one come first.
+
+    Yields
+    ------
+    float or dict
+        The share that is done, again and again; at last what `finish` returns.
+    """
+    from distributed import as_completed
+
+    def _submit(function: Any, *arguments: Any, name: str | tuple[str, int]) -> Any:
+        return client.submit(function, order, *arguments, key=name, priority=priority)
+
+    count, missing = await _submit(lay_out, name=f"{key}-layout")
+    yield (count - len(missing)) / (count + 1)
+    building = [_submit(build, number, name=(f"{key}-tile", number)) for number in missing]
+    try:
+        left = len(missing)
+        async for tile in as_completed(building, loop=client.loop):
+            await tile
+            tile.release()
+            left -= 1
+            yield (count - left) / (count + 1)
+        yield await _submit(finish, name=f"{key}-finish")
+    finally:
+        for tile in building:
+            tile.release()

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from sqlalchemy import select
 
 from joulemap.model.energy.predictor import Predictor
+from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner.lattice_io import LatticeFolder, open_group
 from joulemap.planner.tiles import Tiling
-from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import DONE, CostmapRow
 
 
 class StoredBase:
@@ -29,16 +30,14 @@ class StoredBase:
     ----------
     base : Predictor
         The base model.
-    store : Store
-        Where the cost map is kept.
-    costmap_id : str
-        Id of a cost map that was made with the base model.
+    place : Path
+        Folder of a cost map that was made with the base model.
     tiling : Tiling
         Its cells.
     """
 
-    def __init__(self, base: Predictor, store: Store, costmap_id: str, tiling: Tiling) -> None:
-        self._base, self._store, self._costmap_id, self._tiling = base, store, costmap_id, tiling
+    def __init__(self, base: Predictor, place: Path, tiling: Tiling) -> None:
+        self._base, self._place, self._tiling = base, place, tiling
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._base, name)
@@ -71,29 +70,29 @@ class StoredBase:
         place = _place_in(self._tiling.frame, frame)
         if place is not None:
             try:
-                group = zarr.open_group(self._store.lattice_path(self._costmap_id), mode="r")
+                group = zarr.open_group(self._place, mode="r")
                 traction = np.asarray(group["traction_per_m"][place])  # type: ignore[index]
                 std = np.asarray(group["std_j"][place]) if "std_j" in group else None  # type: ignore[index]
-                if self._store.status(self._costmap_id) == DONE:  # a map that is deleted loses its row before its files
+                if LatticeFolder(
+                    self._place
+                ).is_whole:  # a map that is deleted stops being whole before it loses a tile
                     return traction, std
             except (OSError, KeyError):
                 pass
         return self._base.traction_and_std(heightmap, robot, frame, headings_rad)
 
 
-def with_stored_base(store: Store, row: CostmapRow, source: Predictor, tiling: Tiling) -> Predictor:
+def with_stored_base(source: Predictor, tiling: Tiling, finished: Iterable[Path]) -> Predictor:
     """Return the model of a cost map that is to be made, reading its base's answers where they are stored.
 
     Parameters
     ----------
-    store : Store
-        Open.
-    row : CostmapRow
-        The cost map that is to be made.
     source : Predictor
         Its model.
     tiling : Tiling
         Its cells.
+    finished : iterable of Path
+        Folders of finished cost maps that differ in nothing but the model.
 
     Returns
     -------
@@ -103,12 +102,14 @@ def with_stored_base(store: Store, row: CostmapRow, source: Predictor, tiling: T
     if not isinstance(source, CalibratedPredictor):
         return source
     base = json.loads(json.dumps(source.base.provenance()))
-    with store.sessions() as session:
-        query = select(CostmapRow).where(CostmapRow.heightmap_id == row.heightmap_id, CostmapRow.status == DONE)
-        for made in session.scalars(query):
-            if _but_model(made) == _but_model(row) and (made.summary or {})["provenance"]["model"] == base:
-                stored: Any = StoredBase(source.base, store, made.id, tiling)
-                return CalibratedPredictor(stored, source.correction, name=source.name, version=source.version)
+    for place in finished:
+        try:
+            made: Any = open_group(place).attrs["provenance"]
+        except (InputError, KeyError):  # it was deleted meanwhile
+            continue
+        if made["model"] == base:
+            stored: Any = StoredBase(source.base, place, tiling)
+            return CalibratedPredictor(stored, source.correction, name=source.name, version=source.version)
     return source
 
 
@@ -119,7 +120,3 @@ def _place_in(whole: GridFrame, part: GridFrame) -> tuple[slice, slice] | None:
     if not inside or whole.window(row, row + part.rows, col, col + part.cols) != part:
         return None
     return slice(row, row + part.rows), slice(col, col + part.cols)
-
-
-def _but_model(row: CostmapRow) -> dict[str, Any]:
-    return {key: value for key, value in row.request.items() if key != "model"}

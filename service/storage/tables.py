@@ -1,4 +1,4 @@
-"""The tables of the service's database: what was sent, what was asked for, and the steps of making it."""
+"""The tables of the service's database: what was sent, and what was asked for."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from sqlalchemy import JSON, BigInteger, ForeignKey, Text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 QUEUED, RUNNING, DONE, FAILED = "queued", "running", "done", "failed"
-LAY_OUT = 0
-"""Number of the first step of a job."""
 
 
 class Base(DeclarativeBase):
@@ -164,58 +162,3 @@ def named_test_runs(request: Mapping[str, Any]) -> list[str]:
     """
     named: list[str] = request.get("test_runs", request.get("aside_runs", []))
     return named
-
-
-class StepRow(Base):
-    """One step of a job, see `jobs.steps`.
-
-    Attributes
-    ----------
-    job_id : str
-        Id of the job.
-    number : int
-        LAY_OUT, a tile's number + 1, or that of the last step.
-    kind : str
-        Of the job, see `kind_of`.
-    created_at : datetime
-        When the job was added, UTC.
-    last : bool
-        Whether it waits for all other steps.
-    done : bool
-        A step that is done is never done again.
-    worker : str
-        Name of the worker that does it.
-    lease_until : float
-        Until when this worker has it [s since 1970, by the clock that all workers share].
-    result : object
-        What it found, JSON-able, once it is done.
-    """
-
-    __tablename__ = "job_steps"
-
-    job_id: Mapped[str] = mapped_column(primary_key=True)
-    number: Mapped[int] = mapped_column(primary_key=True)
-    kind: Mapped[str]
-    created_at: Mapped[dt.datetime]
-    last: Mapped[bool] = mapped_column(default=False)
-    done: Mapped[bool] = mapped_column(default=False)
-    worker: Mapped[str] = mapped_column(default="")
-    lease_until: Mapped[float] = mapped_column(default=0.0)
-    result: Mapped[Any | None] = mapped_column(JSON)
-
-    @classmethod
-    def first(cls, job: JobRow) -> StepRow:
-        """Return the step that a job begins with; a calibration has no other.
-
-        Parameters
-        ----------
-        job : JobRow
-            The job.
-
-        Returns
-        -------
-        StepRow
-            Not yet added to the database.
-        """
-        kind = kind_of(job.id)
-        return cls(job_id=job.id, number=LAY_OUT, kind=kind, created_at=job.created_at, last=kind == CALIBRATION)

@@ -10,11 +10,9 @@ from joulemap.model.loop.calibrated import Correction, save_calibrated
 from joulemap.model.loop.forms.structure import Curve
 from joulemap.model.loop.terms import Term
 from joulemap.model.robot import Robot
-from joulemap.service.jobs.makers import make_makers
-from joulemap.service.jobs.worker import Worker
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
-from tests.service.workers import fingerprint, rolling, until
+from tests.service.workers import fingerprint, made_here, rolling
 
 FURROWS = Term(Curve("heading", (0.0, 1.57, 3.14, 4.71)), (7.0, 3.0, 7.0))
 
@@ -41,20 +39,15 @@ def service(tmp_path: Path, monkeypatch):
     store = Store(tmp_path, settings.resolved_database_url)
     store.open()
     heightmap_id = store.add_heightmap(rolling(80), name="rolling", stats={}).id
-    worker = Worker(store, make_makers(store, settings), name="here:", ready=lambda: None)
-    worker.start()
 
     def make(model: str, **robot: float) -> str:
         asked.clear()
         request = {"robot": Robot(**robot).as_dict(), "model": model, "spacing_m": 1.0, "headings": 8}
         costmap_id = store.add_costmap(heightmap_id, request).id
-        worker.wake()
-        until(lambda: store.status(costmap_id) in ("done", "failed"))
-        assert store.costmap(costmap_id).problem is None
+        made_here(store, costmap_id, settings.resolved_models_dir)
         return costmap_id
 
     yield store, make, asked
-    worker.stop()
     store.close()
 
 

@@ -1,18 +1,17 @@
-"""Worker processes and a PostgreSQL of one's own, for tests of jobs that several processes do."""
+"""Cost maps made without a cluster, and a PostgreSQL of one's own, for tests of jobs that several processes do."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import shutil
-import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
@@ -20,32 +19,10 @@ import zarr
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.jobs.costmaps import build, finish, lay_out, order_of
 from joulemap.service.storage.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
-
-WORK = """
-import sys, time
-from joulemap.planner import tiles
-tiles.TILE_CELLS = 32  # many tiles on a small map
-import joulemap.service.jobs.costmaps as building
-from joulemap.service.jobs.worker import Worker
-from joulemap.service.storage.store import Store
-from joulemap.service.jobs.makers import make_makers
-from joulemap.service.settings import Settings
-build, pause = building.build_tile, float(sys.argv[3])
-def slowly(*args):
-    time.sleep(pause)
-    return build(*args)
-building.build_tile = slowly
-settings = Settings(data_dir=sys.argv[1], database_url=sys.argv[2])
-store = Store(settings.data_dir, settings.resolved_database_url)
-store.open(as_service=False)
-worker = Worker(store, make_makers(store, settings), name=sys.argv[4], ready=lambda: None)
-print("ready", flush=True)
-worker.work()
-"""
-
 
 def rolling(metres: int = 190) -> Heightmap:
     """Half-metre cells, a lake of unknown heights in it."""
@@ -61,19 +38,15 @@ def asked(store: Store, heightmap_id: str) -> str:
     return store.add_costmap(heightmap_id, request).id
 
 
-@contextmanager
-def worker(folder: Path | str, url: str, *, name: str, pause_s: float = 0.0) -> Iterator[subprocess.Popen[str]]:
-    """A process that makes cost maps, killed in the end. folder : its path or URL; pause_s : before every tile."""
-    command = [sys.executable, "-c", WORK, str(folder), url, str(pause_s), name]
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        yield process
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+def made_here(store: Store, costmap_id: str, models_dir: Path) -> dict[str, Any]:
+    """Make a cost map in this process, without a cluster; what came out."""
+    order = order_of(store, costmap_id, models_dir)
+    for number in lay_out(order)[1]:
+        build(order, number)
+    summary = finish(order)
+    store.finish(costmap_id, summary)
+    store.tidy(costmap_id)
+    return summary
 
 
 def until(condition, timeout_s: float = 240.0) -> None:  # type: ignore[no-untyped-def]

@@ -1,0 +1,130 @@
+"""The Dask cluster that does the work: one that this process starts, or the one at a scheduler's address.
+
+Dask takes half a second to load: import this module where it is needed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster, Security, WorkerPlugin
+
+from joulemap.service.workflows import warm_up_models
+
+CONNECT_S = 10.0
+"""Longest time until a scheduler answers [s]."""
+NICE = 10
+"""Of the workers that a service starts, so that questions are answered while cost maps are made."""
+_CONFIG = {
+    "distributed.scheduler.allowed-failures": 10,  # a task may lose its worker so often, through no fault of its own
+    "distributed.scheduler.http.routes": [],  # no page, and nothing that tells about the work
+    "distributed.worker.http.routes": [],
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.limit": "1h",  # no warnings where Python is busy elsewhere
+    "distributed.diagnostics.nvml": False,
+    "distributed.nanny.pre-spawn-environ": {
+        **dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+        "DASK_LOGGING__DISTRIBUTED": "warning",
+    },
+    "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",
+}
+
+
+class Warm(WorkerPlugin):
+    """Loads kernels and models in every worker, those that come later among them.
+
+    Parameters
+    ----------
+    models : sequence of str
+        Names of models.
+    models_dir : Path
+        Folder of trained models.
+    nice : int
+        By how much the workers give way to other processes, such as the service that answers questions.
+    """
+
+    name = "joulemap"
+
+    def __init__(self, models: Sequence[str], models_dir: Path, *, nice: int) -> None:
+        self._models, self._models_dir, self._nice = tuple(models), models_dir, nice
+
+    async def setup(self, worker: Any) -> None:  # type: ignore[override]
+        """Begin to load; the worker takes tasks meanwhile.
+
+        Parameters
+        ----------
+        worker : distributed.Worker
+            The worker at hand.
+        """
+        os.nice(self._nice)
+        worker.joulemap_warm = asyncio.create_task(asyncio.to_thread(self._load))
+
+    def _load(self) -> None:
+        warm_up_models(self._models, models_dir=self._models_dir)
+
+
+def _kill(cluster: LocalCluster) -> None:
+    """End the workers at once: what they are at is made again, and a tile is written whole or not at all."""
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        if nanny.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
+
+
+@asynccontextmanager
+async def connected(scheduler: str | None, *, workers: int) -> AsyncIterator[Client]:
+    """Connect to a cluster in the loop that runs.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Its address; None for a cluster of this process's own, which ends with it.
+    workers : int
+        Processes of the own cluster, of one thread each.
+
+    Yields
+    ------
+    Client
+        For this loop.
+
+    Raises
+    ------
+    OSError
+        If no scheduler answers.
+    """
+    for name in ("", ".scheduler", ".nanny", ".core", ".client"):
+        logging.getLogger(f"distributed{name}").setLevel(logging.WARNING)
+    with dask.config.set(_CONFIG):
+        if scheduler is not None:
+            async with Client(scheduler, asynchronous=True, timeout=CONNECT_S, set_as_default=False) as client:
+                yield client
+            return
+        security = Security.temporary()  # the ports are this process's alone: other users of the machine have no key
+        async with (
+            LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                protocol="tls",
+                security=security,
+                dashboard_address="127.0.0.1:0",
+                worker_dashboard_address=None,
+                memory_limit=0,
+                asynchronous=True,
+            ) as cluster,
+            Client(cluster, asynchronous=True, set_as_default=False) as client,
+        ):
+            try:
+                yield client
+            finally:
+                _kill(cluster)

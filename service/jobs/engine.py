@@ -1,0 +1,210 @@
+"""The jobs of a service: what the database wants and nobody makes is sent to a Dask cluster, and its end is noted.
+
+Nothing is asked of the cluster but to do what it is sent. The database says which jobs are wanted, and the store which
+parts are there. A service that starts, or that gets its cluster or its database back, sends off what is missing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import threading
+import time
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import CancelledError
+from contextlib import aclosing, nullcontext, suppress
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy.exc import OperationalError
+
+from joulemap.model.errors import BusyError
+from joulemap.service.jobs import calibrations, costmaps
+from joulemap.service.jobs.calibrations import Refused
+from joulemap.service.problems import problem_of
+from joulemap.service.settings import Settings
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import CALIBRATION, COSTMAP, WORDS, kind_of
+
+if TYPE_CHECKING:  # which takes half a second to load
+    from distributed import Client
+
+_LOG = logging.getLogger("joulemap.jobs")
+_LOOK_S = 2.0  # between looks for what another service added, deleted or left behind
+_REPORT_S = 0.5  # between reports of the progress of a job
+_STOP_S = 6.0  # until the cluster has stopped; its processes end with this one in any case
+_TRIES = 3  # of a job that ends with an error of ours
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class Jobs:
+    """The jobs of one service: how many wait, when one has ended, and the cluster that makes them.
+
+    Parameters
+    ----------
+    store : Store
+        Open once `start` is called.
+    settings : Settings
+        Where the cluster is, and limits.
+    on_done : callable, optional
+        Is given the id of every job of this service that is done, on another thread.
+    """
+
+    def __init__(self, store: Store, settings: Settings, *, on_done: Callable[[str], object] | None = None) -> None:
+        self._store, self._settings, self._on_done = store, settings, on_done
+        self._at_work = settings.scheduler is not None or settings.workers > 0
+        self._failures: dict[str, int] = {}
+        self._wake, self._stop = asyncio.Event(), asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+        self.trouble: str | None = "the workers are starting" if self._at_work else None
+
+    def start(self) -> None:
+        """Start the cluster, or connect to it, on a thread; go on with what an earlier process left unfinished."""
+        if self._at_work:
+            self._thread = threading.Thread(target=lambda: asyncio.run(self._live()), name="jobs", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Stop the cluster of this process; what is not finished waits for the next start, or for another service."""
+        if self._thread is not None:
+            self._call(self._stop)
+            self._thread.join(_STOP_S)
+
+    def submit(self) -> None:
+        """Look for a new job now, not at the next regular time."""
+        self._call(self._wake)
+
+    def _call(self, event: asyncio.Event) -> None:
+        event.set()  # where the loop is not there yet
+        if self._loop is not None:
+            with suppress(RuntimeError):  # it has ended
+                self._loop.call_soon_threadsafe(event.set)
+
+    def check_room(self, kind: str = COSTMAP) -> None:
+        """Check that one more job may be added.
+
+        Parameters
+        ----------
+        kind : str, optional
+            COSTMAP or CALIBRATION.
+
+        Raises
+        ------
+        BusyError
+            If the queue of this kind is full.
+        """
+        waiting, limit = len(self._store.unfinished(kind)), self._settings.queue_size
+        if waiting >= limit:
+            raise BusyError(
+                f"the queue is full: {WORDS[kind]}s that wait or run: {waiting}, limit: {limit}",
+                waiting=waiting,
+                limit=limit,
+                retry_after_s=10,
+            )
+
+    async def _live(self) -> None:
+        """Keep a cluster until the service stops; one that is lost is asked again."""
+        from joulemap.service.jobs.cluster import NICE, Warm, connected  # which takes half a second to load
+
+        self._loop, settings = asyncio.get_running_loop(), self._settings
+        while not self._stop.is_set():
+            try:
+                async with connected(settings.scheduler, workers=settings.workers) as client:
+                    nice = 0 if settings.scheduler else NICE
+                    warm = Warm(settings.warm_models, settings.resolved_models_dir.resolve(), nice=nice)
+                    await client.register_plugin(warm)
+                    self.trouble = None
+                    await self._serve(client)
+            except OSError as error:  # a scheduler that restarts comes back
+                self.trouble = f"no Dask scheduler answers at {settings.scheduler}: {error}"
+                _LOG.warning("%s", self.trouble)
+                await self._pause()
+            except Exception:
+                self.trouble = "the workers do not start: see the log"
+                _LOG.exception("%s", self.trouble)
+                await self._pause()
+
+    async def _serve(self, client: Client) -> None:
+        """Send off what is wanted until the service stops. Raises OSError where the scheduler is lost."""
+        making: dict[str, asyncio.Task[None]] = {}
+        claims = self._store.claims()
+        slots = asyncio.Semaphore(self._settings.calibrations_at_once)
+        try:
+            while not self._stop.is_set():
+                self._wake.clear()
+                if client.status != "running":
+                    raise ConnectionError("the connection is lost")
+                try:
+                    wanted = await asyncio.to_thread(self._store.wanted)
+                    ours = await asyncio.to_thread(claims.keep, wanted)
+                except OperationalError as error:
+                    _LOG.warning("the database does not answer: %s", error.orig)
+                else:
+                    for job_id in [job_id for job_id, task in making.items() if task.done() or job_id not in ours]:
+                        making[job_id].cancel()
+                        await asyncio.wait([making.pop(job_id)])
+                    for job_id in ours - making.keys():
+                        making[job_id] = asyncio.create_task(self._make(client, job_id, -wanted[job_id], slots))
+                await self._pause()
+        finally:
+            for task in making.values():
+                task.cancel()
+            await asyncio.gather(*making.values(), return_exceptions=True)
+            claims.close()
+
+    async def _pause(self) -> None:
+        """Until there may be something to do."""
+        for event in (self._wake, self._stop):
+            if event.is_set():
+                return
+        waiting = [asyncio.create_task(event.wait()) for event in (self._wake, self._stop)]
+        await asyncio.wait(waiting, timeout=_LOOK_S, return_when=asyncio.FIRST_COMPLETED)
+        for task in waiting:
+            task.cancel()
+
+    async def _make(self, client: Client, job_id: str, priority: float, slots: asyncio.Semaphore) -> None:
+        """Make one job, and note how it ended; what may end otherwise later is left for the next look."""
+        try:
+            async with slots if kind_of(job_id) == CALIBRATION else nullcontext():
+                summary = await self._result(await self._begin(client, job_id, priority), job_id)
+            done = await asyncio.to_thread(self._store.finish, job_id, summary)
+        except Exception as error:
+            await asyncio.to_thread(self._failed, job_id, error)
+            return
+        await asyncio.to_thread(self._store.tidy, job_id)
+        if done and self._on_done is not None:
+            await asyncio.to_thread(self._on_done, job_id)
+
+    async def _begin(self, client: Client, job_id: str, priority: float) -> AsyncGenerator[float | dict[str, Any]]:
+        models_dir = self._settings.resolved_models_dir.resolve()
+        if kind_of(job_id) == CALIBRATION:
+            told = await asyncio.to_thread(calibrations.order_of, self._store, job_id, models_dir)
+            return calibrations.make(client, told, priority=priority)
+        order = await asyncio.to_thread(costmaps.order_of, self._store, job_id, models_dir)
+        return costmaps.make(client, order, key=job_id, priority=priority)
+
+    async def _result(self, steps: AsyncGenerator[float | dict[str, Any]], job_id: str) -> dict[str, Any]:
+        """Report the progress of a job until it is made."""
+        reported = 0.0
+        async with aclosing(steps):
+            async for found in steps:
+                if isinstance(found, dict):
+                    return found
+                if time.monotonic() - reported > _REPORT_S:
+                    await asyncio.to_thread(self._store.report, job_id, found)
+                    reported = time.monotonic()
+        raise RuntimeError(f"job {job_id} has no result")
+
+    def _failed(self, job_id: str, error: Exception) -> None:
+        if isinstance(error, (OperationalError, CancelledError)) or getattr(error, "errno", None) in _FULL:
+            _LOG.warning("job %s waits and is tried again: %s", job_id, error)
+            return
+        problem = error.problem if isinstance(error, Refused) else problem_of(error, job_id)
+        if problem["status"] >= 500:
+            _LOG.error("job %s failed", job_id, exc_info=error)
+            self._failures[job_id] = self._failures.get(job_id, 0) + 1
+            if self._failures[job_id] < _TRIES:
+                return
+        if self._store.fail(job_id, problem):
+            self._store.discard(job_id, self._settings.resolved_models_dir)
