@@ -128,7 +128,11 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
         If a leg may not be driven; the context has its number and its ends.
     """
     points = world_points(lattice, xy)
-    for k, (x, y) in enumerate(np.asarray(xy, dtype=np.float64)[:, :2]):
+    west, south, east, north = lattice.frame.bounds
+    given = np.asarray(xy, dtype=np.float64)[:, :2]
+    inside = ((given >= (west, south)) & (given <= (east, north))).all(axis=1)
+    for k in np.flatnonzero(~inside)[:1]:
+        x, y = given[k]
         lattice.frame.cell_of(float(x), float(y), name=f"point {k} of the path")
     energy = path_price(lattice, points)
     if np.isnan(energy):
@@ -242,11 +246,9 @@ def _profile(lattice: CostLattice, points: NDArray[np.float64]) -> Profile:
     spacing = lattice.frame.resolution_m
     length = np.hypot(*np.diff(points, axis=0).T) * spacing
     pieces = np.maximum(1, np.ceil(length / PROFILE_STEP_M - 1e-9)).astype(int)
-    cuts = [points[:1]]
-    for k, count in enumerate(pieces):
-        share = np.arange(1, count + 1)[:, None] / count
-        cuts.append(points[k] + share * (points[k + 1] - points[k]))
-    fine = np.vstack(cuts)
+    leg = np.repeat(np.arange(pieces.size), pieces)
+    share = (np.arange(leg.size) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 1.0) / pieces[leg]
+    fine = np.vstack([points[:1], points[leg] + share[:, None] * (points[leg + 1] - points[leg])])
     energy = leg_prices(lattice, fine)
     heading = path_headings(fine)
     driven = np.hypot(*np.diff(fine, axis=0).T) * spacing
