@@ -26,6 +26,7 @@ PARQUET_MAGIC = b"PAR1"
 """How the bytes of every Parquet file begin."""
 
 _BATCH_CELLS = 1_000_000
+_BATCH_TEXTS = 1_000  # where texts come in full, however long they are
 
 
 def read_parquet(
@@ -78,12 +79,13 @@ def _read(content: bytes, name: str, limits: TableLimits) -> tuple[dict[str, Flo
     for field in schema:
         _check_kind(field, name)
     _check_size(about, name, limits)
-    words = [field.name for field in schema if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)]
-    file = pq.ParquetFile(io.BytesIO(content), read_dictionary=words, memory_map=False, pre_buffer=False)
+    words = {field.name for field in schema if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)}
+    in_full = _without_dictionary(about) & words
+    file = pq.ParquetFile(io.BytesIO(content), read_dictionary=sorted(words - in_full), pre_buffer=False)
     parts: dict[str, list[Any]] = {column: [] for column in columns}
     letters = dict.fromkeys(columns, 0)
     rows = 0
-    size = max(1, _BATCH_CELLS // max(1, len(columns)))
+    size = max(1, (_BATCH_TEXTS if in_full else _BATCH_CELLS) // max(1, len(columns)))
     for batch in file.iter_batches(batch_size=size, use_threads=False):
         for column, values in zip(columns, batch.columns, strict=True):
             longest = _longest(values)
@@ -112,6 +114,14 @@ def _check_kind(field: Any, name: str) -> None:
             run=name,
             column=field.name[:80],
         )
+
+
+def _without_dictionary(about: Any) -> set[str]:
+    """The columns whose texts are written as changes of the text before, which Arrow reads in full only."""
+    chunks = (
+        about.row_group(k).column(j) for k in range(min(about.num_row_groups, 1)) for j in range(about.num_columns)
+    )
+    return {chunk.path_in_schema for chunk in chunks if "DELTA_BYTE_ARRAY" in chunk.encodings}
 
 
 def _check_size(about: Any, name: str, limits: TableLimits) -> None:

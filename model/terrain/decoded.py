@@ -18,6 +18,7 @@ MAX_SIDE = 1_000_000
 """Most rows, and most columns, of a map: 1,000 km at 1 m."""
 
 _PART_CELLS = 4_000_000
+_MOST = 2**63  # numbers beyond this are no sizes, and Python does not write the longest of them
 
 SAME_LENGTH = 1e-3
 """Relative difference of two lengths that still count as the same."""
@@ -190,8 +191,13 @@ def check_cells(rows: int, cols: int, max_cells: int, *, what: str = "the file")
     HeightmapError
         If there is none, or the map is a single row or column.
     """
-    if rows < 1 or cols < 1:
-        raise HeightmapError(f"{what} declares {rows} x {cols} cells: there is nothing in it", rows=rows, cols=cols)
+    if not (1 <= rows <= _MOST and 1 <= cols <= _MOST):
+        size = f"{ranges.short(rows)} x {ranges.short(cols)}"
+        if min(rows, cols) < 1:
+            raise HeightmapError(f"{what} declares {size} cells: there is nothing in it", declared=size, limit=2)
+        raise TooLargeError(
+            f"{what} declares {size} cells, more than the limit of {max_cells}", declared=size, limit=max_cells
+        )
     if rows * cols > max_cells:
         raise TooLargeError(
             f"{what} declares {rows} x {cols} = {rows * cols} cells, more than the limit of {max_cells}",
@@ -199,7 +205,9 @@ def check_cells(rows: int, cols: int, max_cells: int, *, what: str = "the file")
             limit=max_cells,
         )
     if min(rows, cols) < 2:
-        raise HeightmapError(f"a heightmap needs at least 2 x 2 cells, {what} declares {rows} x {cols}")
+        raise HeightmapError(
+            f"a heightmap needs at least 2 x 2 cells, {what} declares {rows} x {cols}", rows=rows, cols=cols, limit=2
+        )
     if max(rows, cols) > MAX_SIDE:
         raise TooLargeError(
             f"{what} declares {rows} x {cols} cells, and the limit of a side is {MAX_SIDE}",

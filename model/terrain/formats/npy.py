@@ -15,6 +15,7 @@ from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
 from joulemap.model.terrain.formats.contract import SourceFile
 
 _MAX_NPY_HEADER = 10_000  # bytes; numpy writes 128 for a plain array
+_PART_BYTES = 1 << 24  # read at a time
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -62,8 +63,8 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
         If the header declares more than `max_cells` cells.
     """
     with source.open() as stream:
-        values = read_array(stream, "the .npy file", max_cells, expected_length=source.size_bytes)
-    return Decoded(scaling.to_metres(values))
+        heights = read_heights(stream, "the .npy file", scaling, max_cells, expected_length=source.size_bytes)
+    return Decoded(heights)
 
 
 def read_header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np.dtype, int]:
@@ -105,8 +106,10 @@ def read_header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np
     return shape, fortran, dtype, 8 + width + size
 
 
-def read_array(stream: IO[bytes], what: str, max_cells: int, *, expected_length: int) -> NDArray:
-    """Read a 2-D real array; nothing is allocated for one that is too large or not there.
+def read_heights(
+    stream: IO[bytes], what: str, scaling: Scaling, max_cells: int, *, expected_length: int
+) -> NDArray[np.float32]:
+    """Read a 2-D real array part by part; nothing is allocated for one that is too large or not there.
 
     Parameters
     ----------
@@ -114,6 +117,8 @@ def read_array(stream: IO[bytes], what: str, max_cells: int, *, expected_length:
         At the start of the .npy data.
     what : str
         What messages call it.
+    scaling : Scaling
+        How values become metres.
     max_cells : int
         Largest number of cells.
     expected_length : int
@@ -121,8 +126,8 @@ def read_array(stream: IO[bytes], what: str, max_cells: int, *, expected_length:
 
     Returns
     -------
-    ndarray, (rows, cols)
-        The values as they are stored.
+    ndarray of float32, (rows, cols)
+        Heights [m], NaN where unknown.
 
     Raises
     ------
@@ -143,7 +148,15 @@ def read_array(stream: IO[bytes], what: str, max_cells: int, *, expected_length:
             f"{what} is truncated: {shape[0]} x {shape[1]} cells need {size} bytes, "
             f"{max(expected_length - read, 0)} are there"
         )
-    data = stream.read(size)
-    if len(data) < size:
-        raise HeightmapError(f"{what} is truncated: {size} bytes declared, {len(data)} there")
-    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C")
+    heights = np.empty(shape, dtype=np.float32)
+    lines = heights.T if fortran else heights  # in the order of the file
+    count, length = lines.shape
+    step = max(1, _PART_BYTES // (length * dtype.itemsize))
+    for start in range(0, count, step):
+        wanted = min(step, count - start) * length * dtype.itemsize
+        data = stream.read(wanted)
+        if len(data) < wanted:
+            found = start * length * dtype.itemsize + len(data)
+            raise HeightmapError(f"{what} is truncated: {size} bytes declared, {found} there")
+        lines[start : start + step] = scaling.to_metres(np.frombuffer(data, dtype=dtype).reshape(-1, length))
+    return heights

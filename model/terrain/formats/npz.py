@@ -14,7 +14,7 @@ import numpy as np
 from joulemap.model.errors import HeightmapError
 from joulemap.model.terrain.decoded import Decoded, Scaling
 from joulemap.model.terrain.formats.contract import SourceFile
-from joulemap.model.terrain.formats.npy import read_array, read_header
+from joulemap.model.terrain.formats.npy import read_header, read_heights
 
 _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000
 _SCALARS = ("resolution_m", "west_m", "north_m", "crs")
@@ -73,13 +73,12 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
             members = {i.filename.removesuffix(".npy"): i for i in archive.infolist() if i.filename.endswith(".npy")}
             if "heights" not in members:
                 raise HeightmapError(
-                    f"the .npz file has no array `heights`; it has {', '.join(sorted(members)) or 'none'}",
+                    f"the .npz file has no array `heights`; it has {', '.join(sorted(members)[:20])[:500] or 'none'}",
                     found=sorted(members)[:20],
                 )
             with archive.open(members["heights"]) as member:
-                values = read_array(
-                    member, "`heights` of the .npz file", max_cells, expected_length=members["heights"].file_size
-                )
+                length = members["heights"].file_size
+                heights = read_heights(member, "`heights` of the .npz file", scaling, max_cells, expected_length=length)
             scalars = {}
             for key in _SCALARS:
                 if key in members:
@@ -99,7 +98,7 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
     ) as error:
         raise HeightmapError(f"the .npz file is truncated or corrupt: {error}") from error
     return Decoded(
-        scaling.to_metres(values),
+        heights,
         west_m=_number(scalars, "west_m"),
         north_m=_number(scalars, "north_m"),
         resolution_m=_number(scalars, "resolution_m"),
