@@ -9,6 +9,7 @@ import typer
 
 from joulemap.service.commands import (
     calibration,
+    data_directory,
     distillation,
     fields,
     heightmaps,
@@ -62,7 +63,8 @@ def joulemap(
 
 for _panel, _commands in (
     ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour, fields.field)),
-    ("Serve", (services.demo, services.serve, services.worker, services.warmup, services.openapi)),
+    ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
+    ("Keep", (data_directory.check, data_directory.backup, data_directory.restore)),
     (
         "Learn",
         (

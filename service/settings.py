@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 from urllib.parse import unquote
 
 from pydantic import Field, field_validator
@@ -15,7 +15,7 @@ Names = Annotated[tuple[str, ...], NoDecode]
 
 
 class Settings(BaseSettings):
-    """Settings of a service and its workers; a field that is not given is read from ``JOULEMAP_<FIELD>``."""
+    """Settings of a service; a field that is not given is read from ``JOULEMAP_<FIELD>``."""
 
     model_config = SettingsConfigDict(env_prefix="JOULEMAP_", extra="ignore")
 
@@ -27,21 +27,50 @@ class Settings(BaseSettings):
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="port to listen on")
     max_upload_mb: float = Field(default=512.0, gt=0, description="largest heightmap file [MB = 1e6 bytes]")
-    max_json_mb: float = Field(default=16.0, gt=0, description="largest other request body [MB]")
+    max_json_mb: float = Field(default=8.0, gt=0, description="largest other request body [MB]")
     max_cells: int = Field(default=100_000_000, gt=0, description="most cells a heightmap may have")
     max_lattice_values: int = Field(default=100_000_000, gt=0, description="most rows * cols * headings of a cost map")
     max_cells_in_memory: int = Field(
         default=4_000_000, gt=0, description="most rows * cols of a cost map whose routes are planned in memory"
     )
     route_memory_gb: float = Field(default=1.5, gt=0, description="most memory of a route on a larger cost map [GB]")
+    read_processes: int = Field(default=2, gt=0, description="processes that read the files that are sent")
+    read_queue_size: int = Field(default=32, gt=0, description="most sent files that wait for one of these processes")
+    read_seconds: float = Field(
+        default=5.0,
+        gt=0,
+        description="processor time for reading one sent file, and 1 s more for each 5 MB; twice as much real time [s]",
+    )
+    read_memory_mb: float = Field(default=1000.0, gt=0, description="memory for reading one sent file [MB]")
     queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or run at a time")
     max_run_mb: float = Field(default=64.0, gt=0, description="largest file of one measured run [MB]")
+    max_run_rows: int = Field(default=1_000_000, gt=0, description="most rows of one measured run")
+    max_run_columns: int = Field(default=2_000, gt=0, description="most columns of one measured run")
     max_run_cells: int = Field(default=20_000_000, gt=0, description="most rows * columns of one measured run")
+    max_run_text_mb: float = Field(
+        default=200.0, gt=0, description="most memory of the columns of text of one measured run [MB]"
+    )
     max_run_km: float = Field(default=200.0, gt=0, description="longest measured run [km]")
     max_runs: int = Field(default=100, gt=0, description="most runs in one upload")
     max_calibration_rows: int = Field(default=1_000_000, gt=0, description="most rows of all runs of a calibration")
     max_calibration_segments: int = Field(default=200_000, gt=0, description="most 1 m segments of all its runs")
-    build_here: bool = Field(default=True, description="do jobs in the service too; else only in `joulemap worker`")
+    scheduler: str | None = Field(
+        default=None,
+        description="address of a Dask scheduler, `tcp://HOST:PORT` or `tls://HOST:PORT`, whose workers do the jobs; "
+        "default: worker processes of the service's own",
+    )
+    workers: int = Field(
+        default=2, ge=0, description="worker processes of the service's own; 0: jobs are left to other services"
+    )
+    calibrations_at_once: int = Field(default=1, gt=0, description="calibrations of this service that run at a time")
+    plan_threads: int | None = Field(
+        default=None, gt=0, description="questions that search or go over a whole cost map at a time; default: one a core"
+    )
+    plan_queue_size: int = Field(
+        default=128, gt=0, description="most questions of one cost map that wait; of all cost maps four times as many"
+    )
+    min_free_mb: float = Field(default=200.0, ge=0, description="free disk space below which /readyz fails [MB]")
+    log_format: Literal["text", "json"] = Field(default="text", description="form of a line of the log")
     open_costmaps: int = Field(default=3, gt=0, description="cost maps kept in memory for questions")
     allowed_hosts: Names = Field(
         default=(),
@@ -57,6 +86,17 @@ class Settings(BaseSettings):
     )
     key_jobs: int = Field(default=8, gt=0, description="most jobs of one owner that wait or run at a time")
     key_gb: float = Field(default=100.0, gt=0, description="most that one owner keeps [GB = 1e9 bytes]")
+    retention_days: float | None = Field(
+        default=None, gt=0, description="what was not used for so long is removed [days]; default: never"
+    )
+    retention_gb: float | None = Field(
+        default=None,
+        gt=0,
+        description="where more is kept, the cost maps are removed that were not used longest [GB]; default: no limit",
+    )
+    shutdown_s: int = Field(
+        default=3, ge=1, description="after SIGTERM, longest time until requests in flight are cut off [s]"
+    )
     warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
 
     @field_validator("allowed_hosts", "cors_origins", mode="before")

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from joulemap.model.errors import InputError
+
 if TYPE_CHECKING:
     from joulemap.service.settings import Settings
     from joulemap.service.storage.store import Store
@@ -49,12 +51,16 @@ def writable(settings: Settings) -> Settings:
 
 @contextmanager
 def opened_store(settings: Settings, *, alone: bool = False) -> Iterator[Store]:
-    """The store of a data folder. alone : whether no service may use it meanwhile (ConflictError)."""
+    """The store of a data folder. alone : no service may use it meanwhile. Raises ConflictError, InputError."""
+    from sqlalchemy.exc import DatabaseError
+
     from joulemap.service.storage.store import Store
 
     store = Store(settings.data_dir, settings.resolved_database_url)
-    store.open(as_service=alone)
     try:
+        store.open(as_service=alone, alone=alone)
         yield store
+    except DatabaseError as error:
+        raise InputError(f"the database cannot be used: {' '.join(str(error.orig).split())}") from error
     finally:
         store.close()

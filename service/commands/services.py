@@ -1,4 +1,4 @@
-"""`joulemap serve`, `worker`, `demo`, `warmup` and `openapi`: the HTTP service and what goes with it."""
+"""`joulemap serve`, `demo`, `warmup` and `openapi`: the HTTP service and what goes with it."""
 
 from __future__ import annotations
 
@@ -37,39 +37,13 @@ def serve(
     from joulemap.service.http.app import create_app
 
     settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
-    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
-
-
-def worker(
-    data_dir: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The service's data folder, shared with it. [default: data]")
-    ] = None,
-) -> None:
-    """**Work on a service's jobs**, cost maps (tile by tile) and calibrations, beside other workers (Ctrl-C stops it).
-
-    It shares the service's data folder and database: `JOULEMAP_DATABASE_URL` names a PostgreSQL that all machines
-    reach. If a worker is killed, another one repeats its current tile after a few seconds.
-
-    Example: `JOULEMAP_DATABASE_URL=postgresql+psycopg://joulemap@db/joulemap joulemap worker --data-dir /srv/joulemap`
-    """
-    import signal
-
-    from joulemap.service.jobs.makers import make_makers
-    from joulemap.service.jobs.worker import Worker
-    from joulemap.service.storage.store import Store
-    from joulemap.service.workflows import warm_up
-
-    settings = writable(settings_of(data_dir=data_dir))
-    store = Store(settings.data_dir, settings.resolved_database_url)
-    store.open(as_service=False)
-    makers = make_makers(store, settings)
-    warm_up(models=settings.warm_models, models_dir=settings.resolved_models_dir)
-    at_work = Worker(store, makers, name="worker:", ready=lambda: None)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: at_work.stop())
-    typer.echo(f"doing jobs of {settings.data_dir.resolve()}")
-    at_work.work()
-    store.close()
+    uvicorn.run(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        log_level="info",
+        timeout_graceful_shutdown=settings.shutdown_s,
+    )
 
 
 @reads_heightmap

@@ -96,8 +96,8 @@ class JobRow(Kept, Base):
     status: Mapped[str] = mapped_column(default=QUEUED)
     progress: Mapped[float] = mapped_column(default=0.0)
     finished_at: Mapped[dt.datetime | None]
-    summary: Mapped[dict[str, Any] | None] = mapped_column(JSON)
-    problem: Mapped[dict[str, Any] | None] = mapped_column(JSON)
+    summary: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
 
 
 class CostmapRow(JobRow):

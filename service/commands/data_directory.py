@@ -1,0 +1,132 @@
+"""`joulemap check`, `backup` and `restore`: the data directory of a service."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from joulemap.service.commands.console import JsonFile, Output, progress_bar
+from joulemap.service.commands.data_folder import DataDir, opened_store, settings_of, writable
+from joulemap.service.commands.options import there
+
+if TYPE_CHECKING:
+    from joulemap.service.storage.check import Finding
+
+_LEFT = 1  # exit code of a check that leaves something wrong
+
+
+def check(
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Put right what can be put right; no service may run meanwhile.")
+    ] = False,
+    data_dir: DataDir = None,
+    json_file: JsonFile = None,
+) -> None:
+    """**Verify a data directory**: the database, and that rows and files belong together and can be read.
+
+    `--repair` deletes what killed processes left, has damaged cost maps and calibrations made again at the next start,
+    reads heightmaps again whose rows are damaged, and moves what belongs to nothing into the folder `removed`. The exit
+    code is 1 where something stays wrong.
+
+    Example: `joulemap check --repair --data-dir /var/lib/joulemap`
+    """
+    from joulemap.service.schemas.answers import calibration_out, costmap_out, heightmap_out, runs_out
+    from joulemap.service.storage.check import LEFT_BY_KILLED, Check, Finding
+    from joulemap.service.storage.tables import CalibrationRow, CostmapRow, HeightmapRow, RunsRow
+
+    output, settings = Output(json_file), settings_of(data_dir=data_dir)
+    there(settings.data_dir)
+    found: list[dict[str, Any]] = []
+    answers: dict[Any, Any] = {
+        HeightmapRow: heightmap_out,
+        RunsRow: runs_out,
+        CostmapRow: costmap_out,
+        CalibrationRow: calibration_out,
+    }
+    if repair:  # a service that starts alone deletes them
+        with opened_store(writable(settings)) as store:
+            left = [str(path.relative_to(settings.data_dir)) for path in store.leftovers()]
+        found = [_document(Finding("partial", what, LEFT_BY_KILLED, "delete it"), repaired=True) for what in left]
+    with opened_store(writable(settings), alone=repair) as store, progress_bar("Check") as report:
+        looking = Check(store, settings.data_dir, settings.resolved_models_dir, answers=answers)
+        for finding in looking.findings(report):
+            if repair and finding.repair is not None:
+                finding.repair()
+            found.append(_document(finding, repaired=repair and finding.repair is not None))
+    for one in found:
+        output.say(f"[bold]{one['kind']}[/] {one['what']}: {one['words']}{_after(one, repair)}")
+    counts = Counter(one["kind"] for one in found)
+    wrong = sum(not one["repaired"] for one in found)
+    output.say(", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())) or "nothing is wrong")
+    output.document({"findings": found, "left": wrong})
+    if wrong:
+        raise typer.Exit(_LEFT)
+
+
+def _document(finding: Finding, *, repaired: bool) -> dict[str, Any]:
+    return {
+        "kind": finding.kind,
+        "what": finding.what,
+        "words": finding.words,
+        "remedy": finding.remedy,
+        "repaired": repaired,
+    }
+
+
+def _after(one: dict[str, Any], repair: bool) -> str:
+    if one["repaired"]:
+        return f" [green]-> {one['remedy']}: done[/]"
+    if one["remedy"] is None:
+        return " -> restore it from a backup, or delete it"
+    return "" if repair else f" -> --repair will: {one['remedy']}"
+
+
+def backup(
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="Folder of the copy, which is not there yet.")],
+    data_dir: DataDir = None,
+    json_file: JsonFile = None,
+) -> None:
+    """**Copy everything that is kept** while the service runs: database, files and models, with their checksums.
+
+    The database is copied as it is at one moment, also a PostgreSQL. What is being made is asked for again after a
+    `restore`.
+
+    Example: `joulemap backup /backups/joulemap-monday`
+    """
+    from joulemap.service.storage.backup import back_up
+
+    output, settings = Output(json_file), settings_of(data_dir=data_dir)
+    there(settings.data_dir)
+    with opened_store(settings) as store, progress_bar("Backup") as report:
+        manifest = back_up(store, target, models_dir=settings.resolved_models_dir, progress=report)
+    _say(output, manifest, f"written: {target}")
+
+
+def restore(
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", callback=there, help="A folder made by `joulemap backup`.")
+    ],
+    data_dir: DataDir = None,
+    json_file: JsonFile = None,
+) -> None:
+    """**Put a copy into an empty data directory** and its database, after every file was compared with its checksum.
+
+    Example: `joulemap restore /backups/joulemap-monday --data-dir /var/lib/joulemap`
+    """
+    from joulemap.service.storage.backup import restore as put_back
+
+    output, settings = Output(json_file), writable(settings_of(data_dir=data_dir))
+    with opened_store(settings, alone=True) as store, progress_bar("Restore") as report:
+        manifest = put_back(source, store, settings.data_dir, models_dir=settings.resolved_models_dir, progress=report)
+    _say(output, manifest, f"restored into {settings.data_dir}")
+
+
+def _say(output: Output, manifest: dict[str, Any], words: str) -> None:
+    rows, files = manifest["rows"], manifest["files"].values()
+    kept = ", ".join(f"{count} {name}" for name, count in rows.items() if count)
+    output.say(f"{kept or 'nothing was kept'}; {len(files)} files, {sum(size for size, _ in files) / 1e6:.1f} MB")
+    output.say(words)
+    output.document({key: manifest[key] for key in ("format", "joulemap", "created_at", "rows")} | {"words": words})

@@ -1,0 +1,132 @@
+"""Notes what is used, and removes now and then what was not used for a long time or has no room."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime as dt
+import logging
+import threading
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import anyio
+from sqlalchemy.exc import SQLAlchemyError
+
+from joulemap.service.settings import Settings
+from joulemap.service.storage.retention import measure, note_uses, remove_unused
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import HeightmapRow, RunsRow
+
+NOTE_S, SWEEP_S = 60.0, 600.0
+"""Between notes of what was used, and between sweeps [s]."""
+
+_LOG = logging.getLogger("joulemap.service")
+
+
+class Retention:
+    """What a service does about what it keeps.
+
+    Parameters
+    ----------
+    settings : Settings
+        How long and how much is kept.
+    store : Store
+        Open while it runs.
+    delete : mapping
+        By table of jobs: deletes the job that has this id.
+    """
+
+    def __init__(self, settings: Settings, store: Store, delete: Mapping[Any, Callable[[str], object]]) -> None:
+        self._settings, self._store = settings, store
+        delete = {**delete, RunsRow: store.delete_runs, HeightmapRow: store.delete_heightmap}
+        self._delete = {table: self._while_running(one) for table, one in delete.items()}
+        self._uses: dict[str, dt.datetime] = {}
+        self._lock, self._ended = threading.Lock(), False
+        self._thread = anyio.CapacityLimiter(1)
+
+    def saw(self, job_id: str) -> None:
+        """Note that a cost map or a calibration is used now.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        """
+        with self._lock:
+            self._uses[job_id] = _now()
+
+    def note(self) -> None:
+        """Write down what was used."""
+        with self._lock:
+            uses, self._uses = self._uses, {}
+        if uses:
+            note_uses(self._store, uses)
+
+    def sweep(self) -> list[str]:
+        """Remove what was not used for a long time or has no room.
+
+        Returns
+        -------
+        list of str
+            Ids of what was removed.
+        """
+        self.note()
+        gb = self._settings.retention_gb
+        return remove_unused(
+            self._store,
+            self._delete,
+            now=_now(),
+            days=self._settings.retention_days,
+            most_bytes=None if gb is None else int(gb * 1e9),
+        )
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Do this now and then, on a thread of its own.
+
+        Yields
+        ------
+        None
+            Nothing.
+        """
+        task = asyncio.create_task(self._run())
+        try:
+            yield
+        finally:
+            self._ended = True
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
+            await self._do(self.note)
+
+    def _while_running(self, delete: Callable[[str], object]) -> Callable[[str], None]:
+        def _delete(row_id: str) -> None:
+            if self._ended:
+                raise InterruptedError("the service stops")
+            delete(row_id)
+
+        return _delete
+
+    async def _run(self) -> None:
+        limited = self._settings.retention_days is not None or self._settings.retention_gb is not None
+        await self._do(lambda: measure(self._store))
+        swept = -float("inf")
+        clock = asyncio.get_running_loop().time
+        while True:
+            if limited and clock() - swept >= SWEEP_S:
+                swept = clock()
+                await self._do(self.sweep)
+            else:
+                await self._do(self.note)
+            await asyncio.sleep(NOTE_S)
+
+    async def _do(self, work: Callable[[], object]) -> None:
+        try:
+            await anyio.to_thread.run_sync(work, limiter=self._thread)
+        except (SQLAlchemyError, OSError, ValueError) as error:  # a database that is away, a row that nobody can read
+            _LOG.warning("what was not used cannot be removed now: %s", error)
+
+
+def _now() -> dt.datetime:
+    return dt.datetime.now(dt.UTC).replace(tzinfo=None)

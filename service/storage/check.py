@@ -1,0 +1,316 @@
+"""Verifies a data directory: database, rows and files belong together, can be read, and nothing else lies there."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import delete, select, text, update
+from sqlalchemy.exc import SQLAlchemyError
+
+from joulemap.model.errors import JoulemapError
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.planner.lattice_io import open_group
+from joulemap.service.storage.sizes import bytes_of
+from joulemap.service.storage.stats import heightmap_stats
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import (
+    CALIBRATION,
+    DONE,
+    QUEUED,
+    CalibrationRow,
+    CostmapRow,
+    HeightmapRow,
+    RunsRow,
+)
+
+REMOVED = "removed"
+"""Folder of the data directory into which a repair moves what belongs to nothing; nothing reads it."""
+
+LEFT_BY_KILLED = "left by a process that was killed"
+_TABLES: tuple[Any, ...] = (HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
+_FOLDERS = {HeightmapRow: "heightmaps", RunsRow: "runs", CostmapRow: "costmaps", CalibrationRow: "calibrations"}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is wrong in a data directory.
+
+    Attributes
+    ----------
+    kind : str
+        unreadable (a row), missing, damaged, orphan (files without a row), partial (left by a process that was
+        killed), or database.
+    what : str
+        Id of the row, or the file within the data directory.
+    words : str
+        What is wrong with it.
+    remedy : str or None
+        What a repair does; None where only a person can help.
+    repair : callable or None
+        Does it.
+    """
+
+    kind: str
+    what: str
+    words: str
+    remedy: str | None = None
+    repair: Callable[[], object] | None = field(default=None, compare=False, repr=False)
+
+
+class Check:
+    """Looks through a data directory; nothing is changed but by the repairs of its findings.
+
+    Parameters
+    ----------
+    store : Store
+        Open; alone where something is to be repaired.
+    data_dir : Path
+        Its folder.
+    models_dir : Path
+        Folder of trained models.
+    answers : mapping
+        By table: what makes the service's answer of a row, and raises where the row cannot be answered.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        data_dir: Path,
+        models_dir: Path,
+        *,
+        answers: Mapping[Any, Callable[[Any], Any]],
+    ) -> None:
+        self._store, self._dir, self._models, self._answers = store, data_dir, models_dir, answers
+
+    def findings(self, progress: Callable[[float], object] = lambda _: None) -> Iterator[Finding]:
+        """Look at everything.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the share that is done, 0..1.
+
+        Yields
+        ------
+        Finding
+            One after another. A repair may be done before the next is asked for.
+        """
+        yield from self._database()
+        ids = {table: self._ids(table) for table in _TABLES}
+        done, count = 0, max(1, sum(map(len, ids.values())))
+        for table in _TABLES:
+            for row_id in ids[table]:
+                yield from self._row(table, row_id)
+                done += 1
+                progress(done / count)
+        yield from self._strangers({row_id for found in ids.values() for row_id in found})
+
+    def _database(self) -> Iterator[Finding]:
+        with self._store.sessions() as session:
+            if session.get_bind().dialect.name != "sqlite":
+                return
+            for (found,) in session.execute(text("pragma integrity_check")):
+                if found != "ok":
+                    yield Finding("database", "joulemap.db", str(found))
+
+    def _ids(self, table: Any) -> list[str]:
+        with self._store.sessions() as session:
+            return list(session.scalars(select(table.id).order_by(table.id)))
+
+    def _row(self, table: Any, row_id: str) -> Iterator[Finding]:
+        why = self._unreadable(table, row_id)
+        if why is not None:
+            yield self._poisoned(table, row_id, why)
+            return
+        with self._store.sessions() as session:
+            row = session.get(table, row_id)
+        if row is not None and (table in (HeightmapRow, RunsRow) or row.status == DONE):
+            yield from self._files(table, row)
+
+    def _unreadable(self, table: Any, row_id: str, instead: Mapping[str, Any] | None = None) -> str | None:
+        """Why a row cannot be answered; None where it can, or was deleted meanwhile. instead : of what is stored."""
+        others = instead or {}
+        columns = [column for column in table.__table__.columns if column.name not in others]
+        try:
+            with self._store.sessions() as session:
+                found = session.execute(select(*columns).where(table.id == row_id)).mappings().one_or_none()
+            return None if found is None else self._unanswerable(table, table(**found, **others))
+        except (ValueError, TypeError, SQLAlchemyError) as error:  # text that is no JSON, no time, no number
+            return _short(error)
+
+    def _unanswerable(self, table: Any, row: Any) -> str | None:
+        try:
+            json.dumps(self._answers[table](row).model_dump(mode="json"), allow_nan=False)
+        except (ValueError, TypeError, LookupError, AttributeError, JoulemapError) as error:
+            return _short(error)
+        return None
+
+    def _poisoned(self, table: Any, row_id: str, why: str) -> Finding:
+        if table is HeightmapRow:
+            try:
+                stats = _read_stats(self._store.heightmap_path(row_id), f"{row_id}.tif")
+            except (JoulemapError, OSError):
+                return Finding("unreadable", row_id, f"its row cannot be read ({why}), and its file neither")
+
+            def _again() -> None:
+                self._change(table, row_id, stats=stats, created_at=_now(), bytes=None, used_at=None)
+
+            return Finding("unreadable", row_id, f"its row cannot be read: {why}", "read its file again", _again)
+        if table in (CostmapRow, CalibrationRow) and self._unreadable(table, row_id, _ASKED_AGAIN) is None:
+            return Finding(
+                "unreadable",
+                row_id,
+                f"what came out cannot be read: {why}",
+                "make it again",
+                lambda: self._ask_again(table, row_id),
+            )
+        return Finding(
+            "unreadable",
+            row_id,
+            f"its row cannot be read: {why}",
+            f"remove the row; its files go to {REMOVED}/",
+            lambda: self._remove(table, row_id),
+        )
+
+    def _files(self, table: Any, row: Any) -> Iterator[Finding]:
+        place = self._place(table, row.id)
+        wrong, remedy, repair = None, None, None
+        try:
+            size = self._verify(table, row, place)
+        except (JoulemapError, OSError, ValueError) as error:
+            wrong = f"{place.relative_to(self._dir)}: {_short(error)}"
+        else:
+            if row.bytes is not None and size < row.bytes:
+                wrong = f"{place.relative_to(self._dir)} has {size} bytes, {row.bytes} were kept"
+        if wrong is not None:
+            if table in (CostmapRow, CalibrationRow):
+                remedy, repair = "make it again", lambda: self._ask_again(table, row.id)
+            yield Finding("damaged" if place.exists() else "missing", row.id, wrong, remedy, repair)
+
+    def _verify(self, table: Any, row: Any, place: Path) -> int:
+        """Read the files of a row. Returns their size; raises what reading them raises."""
+        if table is HeightmapRow:
+            stats = _read_stats(place, row.name)
+            if stats["hash"] != row.stats["hash"]:
+                raise ValueError("its heights are not those that were sent")
+        elif table is RunsRow:
+            there = {path.name for path in place.iterdir()}
+            lost = sorted({run["name"] for run in row.stats} - there)
+            if lost:
+                raise FileNotFoundError(f"there is no {lost[0]}")
+        elif table is CostmapRow:
+            _read_all(place)
+        else:
+            json.loads((place / "report.json").read_text(encoding="utf-8"))
+            model = self._models / row.id
+            if not model.is_dir() or not any(model.iterdir()):
+                raise FileNotFoundError(f"its model is not in {self._models}")
+        return bytes_of(place)
+
+    def _strangers(self, known: set[str]) -> Iterator[Finding]:
+        """Files that belong to no row, and what killed processes left."""
+        for path in self._store.leftovers():
+            what = str(path.relative_to(self._dir))
+            yield Finding("partial", what, LEFT_BY_KILLED, "delete it", lambda p=path: _delete(p))
+        for folder in _FOLDERS.values():
+            for path in sorted((self._dir / folder).iterdir()):
+                if path.name.partition(".")[0] not in known and not path.name.endswith((".partial", ".tiles")):
+                    yield self._orphan(path, f"{folder}/{path.name}")
+        if self._models.is_dir():
+            for path in sorted(self._models.glob(f"{CALIBRATION}-*")):
+                if path.name not in known:
+                    yield self._orphan(path, f"models/{path.name}")
+
+    def _orphan(self, path: Path, what: str) -> Finding:
+        return Finding(
+            "orphan", what, "it belongs to no row", f"move it to {REMOVED}/", lambda: self._put_away(path, what)
+        )
+
+    # repairs
+
+    def _change(self, table: Any, row_id: str, **values: Any) -> None:
+        with self._store.sessions.begin() as session:
+            session.execute(update(table).where(table.id == row_id).values(**values))
+
+    def _ask_again(self, table: Any, row_id: str) -> None:
+        """Let a job wait as when it was asked for; the next service makes it."""
+        self._store.discard(row_id, self._models)
+        self._change(table, row_id, **_ASKED_AGAIN)
+
+    def _remove(self, table: Any, row_id: str) -> None:
+        """Remove a row that nobody can read, and keep its text and its files."""
+        with self._store.sessions.begin() as session:
+            query = text(f"select * from {table.__tablename__} where id = :id")
+            raw = dict(session.execute(query, {"id": row_id}).mappings().one())
+            folder = self._dir / REMOVED
+            folder.mkdir(exist_ok=True)
+            (folder / f"{row_id}.json").write_text(json.dumps(raw, default=str), encoding="utf-8")
+            session.execute(delete(table).where(table.id == row_id))
+        place = self._place(table, row_id)
+        if place.exists():
+            self._put_away(place, str(place.relative_to(self._dir)))
+        if (self._models / row_id).is_dir():
+            self._put_away(self._models / row_id, f"models/{row_id}")
+
+    def _put_away(self, path: Path, what: str) -> None:
+        place = self._dir / REMOVED / what
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if place.exists():
+            place = place.with_name(f"{place.name}.{_now():%Y%m%dT%H%M%S%f}")
+        shutil.move(path, place)
+
+    def _place(self, table: Any, row_id: str) -> Path:
+        if table is HeightmapRow:
+            return self._store.heightmap_path(row_id)
+        if table is RunsRow:
+            return self._store.runs_folder(row_id)
+        if table is CostmapRow:
+            return self._store.lattice_path(row_id)
+        return self._store.calibration_folder(row_id)
+
+
+_ASKED_AGAIN: dict[str, Any] = {
+    "status": QUEUED,
+    "progress": 0.0,
+    "finished_at": None,
+    "summary": None,
+    "problem": None,
+    "bytes": None,
+}
+
+
+def _read_stats(path: Path, name: str) -> dict[str, Any]:
+    return heightmap_stats(read_heightmap(path, filename=name))
+
+
+def _read_all(folder: Path) -> None:
+    """Read every chunk of a lattice. Raises InputError, OSError or ValueError where one is damaged."""
+    group = open_group(folder)
+    for name, array in group.arrays():
+        rows = array.chunks[0] if array.chunks else 1
+        try:
+            for row in range(0, array.shape[0] if array.shape else 1, rows):
+                array[row : row + rows] if array.shape else array[...]
+        except RuntimeError as error:  # as the compressor says it
+            raise ValueError(f"{name} cannot be read: {error}") from error
+
+
+def _delete(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def _now() -> dt.datetime:
+    return dt.datetime.now(dt.UTC).replace(tzinfo=None)

@@ -1,0 +1,156 @@
+"""Removes what was not used for a long time, and the cost maps that were not used longest where there is no room."""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from sqlalchemy import func, select, update
+
+from joulemap.model.errors import ConflictError, NotFoundError
+from joulemap.service.storage.sizes import bytes_of
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import (
+    DONE,
+    FAILED,
+    JOBS,
+    CalibrationRow,
+    CostmapRow,
+    HeightmapRow,
+    RunsRow,
+    kind_of,
+)
+
+_LOG = logging.getLogger("joulemap.service")
+_JUST_USED = dt.timedelta(minutes=15)  # longer than a question, and than uses are noted after they happen
+
+
+def note_uses(store: Store, uses: Mapping[str, dt.datetime]) -> None:
+    """Write down when jobs' results were last used.
+
+    Parameters
+    ----------
+    store : Store
+        Open.
+    uses : mapping of str to datetime
+        Time [UTC] by the id of a cost map or a calibration.
+    """
+    with store.sessions.begin() as session:
+        for job_id, at in uses.items():
+            table = JOBS[kind_of(job_id)]
+            session.execute(update(table).where(table.id == job_id).values(used_at=at))
+
+
+def remove_unused(
+    store: Store,
+    delete: Mapping[Any, Callable[[str], object]],
+    *,
+    now: dt.datetime,
+    days: float | None,
+    most_bytes: int | None,
+) -> list[str]:
+    """Remove what is older or larger than the limits; never a job that waits or runs, and nothing that is needed.
+
+    By age go cost maps, then calibrations that no cost map uses, then runs that no calibration uses, then heightmaps
+    from which nothing is left. By size go cost maps only, which can be made again.
+
+    Parameters
+    ----------
+    store : Store
+        Open.
+    delete : mapping
+        By table: deletes what has this id; raises ConflictError where it is needed.
+    now : datetime
+        The time [UTC].
+    days : float or None
+        What was not used for so long is removed [days].
+    most_bytes : int or None
+        Most bytes of everything that is kept.
+
+    Returns
+    -------
+    list of str
+        Ids of what was removed.
+    """
+    removed = []
+    if days is not None:
+        oldest = now - dt.timedelta(days=days)
+        for table in (CostmapRow, CalibrationRow, RunsRow, HeightmapRow):
+            for row_id, _, used in _by_use(store, table):
+                if used >= oldest:
+                    break
+                if _gone(delete[table], row_id):
+                    removed.append(row_id)
+                    _LOG.info("%s was removed: last used %s, more than %g days ago", row_id, used, days)
+    if most_bytes is not None:
+        kept = _kept(store)
+        for row_id, size, used in _by_use(store, CostmapRow):
+            if kept <= most_bytes or used > now - _JUST_USED:
+                break
+            if size and _gone(delete[CostmapRow], row_id):
+                kept -= size
+                removed.append(row_id)
+                _LOG.info("%s was removed: last used %s, and more than %g GB are kept", row_id, used, most_bytes / 1e9)
+        if kept > most_bytes:
+            _LOG.warning(
+                "%.3g GB are kept, the limit is %.3g GB, and no cost map is left that could be removed",
+                kept / 1e9,
+                most_bytes / 1e9,
+            )
+    return removed
+
+
+def _gone(delete: Callable[[str], object], row_id: str) -> bool:
+    with suppress(ConflictError):  # it is needed
+        with suppress(NotFoundError):  # somebody else deleted it
+            delete(row_id)
+        return True
+    return False
+
+
+def _by_use(store: Store, table: Any) -> list[tuple[str, int | None, dt.datetime]]:
+    """Id, size and time of the last use of all rows whose job has ended, least recently used first."""
+    ends = [table.finished_at] if hasattr(table, "finished_at") else []
+    query = select(table.id, table.bytes, table.created_at, table.used_at, *ends)
+    if ends:
+        query = query.where(table.status.in_([DONE, FAILED]))
+    with store.sessions() as session:
+        rows = session.execute(query).all()
+    found = [(row_id, size, max(at for at in times if at is not None)) for row_id, size, *times in rows]
+    return sorted(found, key=lambda row: row[2])
+
+
+def measure(store: Store) -> None:
+    """Measure what an older version kept.
+
+    Parameters
+    ----------
+    store : Store
+        Open.
+    """
+    places = {
+        HeightmapRow: store.heightmap_path,
+        RunsRow: store.runs_folder,
+        CostmapRow: store.lattice_path,
+        CalibrationRow: store.calibration_folder,
+    }
+    for table, place in places.items():
+        query = select(table.id).where(table.bytes.is_(None))
+        if hasattr(table, "finished_at"):
+            query = query.where(table.status == DONE)
+        with store.sessions() as session:
+            unmeasured = list(session.scalars(query))
+        for row_id in unmeasured:
+            with store.sessions.begin() as session:
+                session.execute(update(table).where(table.id == row_id).values(bytes=bytes_of(place(row_id))))
+
+
+def _kept(store: Store) -> int:
+    with store.sessions() as session:
+        return sum(
+            int(session.scalar(select(func.sum(table.bytes))) or 0)
+            for table in (HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
+        )

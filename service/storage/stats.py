@@ -1,0 +1,39 @@
+"""What a listing says about a heightmap."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from joulemap.model.terrain.heightmap import Heightmap
+
+
+def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[str, Any]:
+    """Return what a listing says about a heightmap.
+
+    Parameters
+    ----------
+    heightmap : Heightmap
+        The heights; at least one is known.
+    band : int, optional
+        Band of the file that they were read from.
+
+    Returns
+    -------
+    dict
+        JSON-able: frame, share of known cells, lowest and highest height [m], and a hash of the heights.
+    """
+    frame = heightmap.frame
+    return {
+        "rows": frame.rows,
+        "cols": frame.cols,
+        "resolution_m": frame.resolution_m,
+        "crs": frame.crs,
+        "bounds": list(frame.bounds),
+        "known_share": heightmap.known_share,
+        "height_min_m": float(np.nanmin(heightmap.heights)),
+        "height_max_m": float(np.nanmax(heightmap.heights)),
+        "hash": heightmap.data_hash,
+        "band": band,
+    }
