@@ -7,6 +7,7 @@ nothing. The constructors of the model, the schemas of the service and the refer
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Range:
     low: float
     high: float
 
-    def __contains__(self, value: float) -> bool:
+    def __contains__(self, value: Any) -> bool:
         return self.low <= value <= self.high  # false for NaN
 
     def __str__(self) -> str:

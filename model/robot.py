@@ -259,7 +259,7 @@ class Battery:
                 )
             allowed = ranges.BATTERY[field.name]
             if value not in allowed:
-                percent = allowed.high == 1.0 and 1.0 < value <= 100.0
+                percent = allowed.high == 1.0 and value in ranges.Range(1.0, 100.0)
                 hint = f": for {value:g} % write {value / 100:g}" if percent else ""
                 words = "lies between 0 and 1" if allowed.high == 1.0 else f"must be {allowed}"
                 raise InputError(

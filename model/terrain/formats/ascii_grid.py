@@ -118,10 +118,9 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
             declared=rows * cols,
             found=found,
         )
-    heights = heights.reshape(rows, cols)
     west, south = _edge(header, "x", dx), _edge(header, "y", dy)
     north = south + rows * dy if south is not None and dy is not None else None
-    return Decoded(heights, west_m=west, north_m=north, resolution_m=dx)
+    return Decoded(heights.reshape(rows, cols), west_m=west, north_m=north, resolution_m=dx)
 
 
 def _numbers(stream: BinaryIO) -> Iterator[NDArray[np.float64]]:
