@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from joulemap.model.errors import (
     BusyError,
@@ -33,6 +34,7 @@ from joulemap.model.errors import (
 MEDIA_TYPE = "application/problem+json"
 INTERNAL_EXIT_CODE = 1
 _LOG = logging.getLogger("joulemap.service")
+_CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it
 _MAX_TEXT = 500
 _MAX_ERRORS = 20
 _MAX_ITEMS = 200
@@ -269,6 +271,10 @@ def install(app: FastAPI) -> None:
         code = re.sub(r"[^a-z]+", "_", title.lower())
         detail = f"{request.method} {request.url.path[:200]}: {error.detail}"
         return response(problem(error.status_code, code, title, detail, request_id(request)), error.headers)
+
+    @app.exception_handler(ClientDisconnect)
+    async def _gone(request: Request, error: ClientDisconnect) -> Response:
+        return Response(status_code=_CLOSED)
 
     @app.exception_handler(Exception)
     async def _bug(request: Request, error: Exception) -> JSONResponse:

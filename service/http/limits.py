@@ -11,6 +11,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from joulemap.model.errors import TooLargeError
 from joulemap.service.problems import MEDIA_TYPE, problem_of
 
+_MOST = {  # the largest question is a path of 100,000 points of up to three numbers
+    b":": (2_000, "names of fields"),
+    b"[": (110_000, "lists"),
+    b"{": (1_000, "objects"),
+    b",": (500_000, "values"),
+}
+"""Most of each mark in a body of JSON, and what it stands for. They are counted before the body is parsed, because
+parsing holds the event loop up.
+"""
 _ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
@@ -18,7 +27,7 @@ class RequestLimits:
     """Request ids and limits for bodies.
 
     A declared Content-Length above the limit is refused before a byte of the body is read. A body of undeclared length
-    is counted while it streams.
+    is counted while it streams, and so are the lists, objects, names and values of a body of JSON.
 
     Parameters
     ----------
@@ -44,8 +53,8 @@ class RequestLimits:
             return
         headers = dict(scope["headers"])
         given = headers.get(b"x-request-id", b"").decode("latin-1")
-        request_id = given if _ID.fullmatch(given) else secrets.token_hex(8)
-        scope.setdefault("state", {})["request_id"] = request_id
+        new = given if _ID.fullmatch(given) else secrets.token_hex(8)
+        request_id = scope.setdefault("state", {}).setdefault("request_id", new)
         limit = self._limit(scope, headers)
         declared = headers.get(b"content-length", b"")
         reply = _Reply(send, request_id)
@@ -53,15 +62,24 @@ class RequestLimits:
             await reply.refuse(TooLargeError(_words(limit), declared_bytes=int(declared[:20]), limit_bytes=limit))
             return
         received = 0
+        marks = dict.fromkeys(_MOST, 0) if b"json" in headers.get(b"content-type", b"").lower() else {}
 
         async def counted() -> Message:
             nonlocal received
             message = await receive()
             if message["type"] == "http.request":
-                received += len(message.get("body", b""))
+                body = message.get("body", b"")
+                received += len(body)
                 if received > limit:
                     reply.overrun = TooLargeError(_words(limit), received_bytes=received, limit_bytes=limit)
                     raise reply.overrun
+                for mark in marks:
+                    marks[mark] += body.count(mark)
+                    if marks[mark] > _MOST[mark][0]:
+                        most, what = _MOST[mark]
+                        words = f"the request's body has more than {most:,} {what}"
+                        reply.overrun = TooLargeError(words, found=marks[mark], limit=most)
+                        raise reply.overrun
             return message
 
         await self._app(scope, counted, reply.send)

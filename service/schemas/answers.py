@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import datetime as dt
+import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
+from joulemap.model.errors import ConflictError, JoulemapError
 from joulemap.model.robot import Battery, Robot
 from joulemap.planner.budget import Verdict
 from joulemap.planner.plan import Plan
 from joulemap.planner.route import Route, geojson
-from joulemap.service.problems import jsonable
-from joulemap.service.schemas.base import RobotOut
+from joulemap.service.problems import jsonable, problem_of
+from joulemap.service.schemas.base import Problem, RobotOut, UnreadableOut
 from joulemap.service.schemas.loop import CalibrationOut, RunOut, RunsOut
 from joulemap.service.schemas.maps import CostmapOut, HeightmapOut
 from joulemap.service.schemas.planning import (
     BatteryIn,
     FeasibilityOut,
     PathOut,
-    PieceOut,
     RouteOut,
     ShortestOut,
     VerdictOut,
@@ -38,6 +40,69 @@ from joulemap.service.storage.tables import (
 )
 from joulemap.service.words import verdict_words
 from joulemap.service.workflows import Assessment
+
+_LOG = logging.getLogger("joulemap.service")
+Row = TypeVar("Row", HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
+Answer = TypeVar("Answer", bound=BaseModel)
+
+
+def shown(row: Row, answer: Callable[[Row], Answer]) -> Answer:
+    """Return the answer about a row.
+
+    Parameters
+    ----------
+    row : HeightmapRow, RunsRow or JobRow
+        As it is in the database.
+    answer : callable
+        Makes the answer.
+
+    Returns
+    -------
+    BaseModel
+        The answer.
+
+    Raises
+    ------
+    ConflictError
+        If an older version stored values in it that are not valid.
+    """
+    try:
+        return answer(row)
+    except (ValidationError, JoulemapError, KeyError, TypeError, ValueError) as error:
+        _LOG.warning("%s cannot be shown", row.id, exc_info=error)
+        raise ConflictError(f"{row.id} is kept, but cannot be shown: {_reason(error)}. Delete it", id=row.id) from error
+
+
+def listed(rows: Iterable[Row], answer: Callable[[Row], Answer]) -> list[Answer | UnreadableOut]:
+    """Return the answers about the rows of a list; one that cannot be shown has a problem in its place.
+
+    Parameters
+    ----------
+    rows : iterable of HeightmapRow, RunsRow or JobRow
+        As they are in the database.
+    answer : callable
+        Makes the answer about one.
+
+    Returns
+    -------
+    list of BaseModel
+        In the same order.
+    """
+    found: list[Answer | UnreadableOut] = []
+    for row in rows:
+        try:
+            found.append(shown(row, answer))
+        except ConflictError as error:
+            problem = Problem(**problem_of(error))
+            found.append(UnreadableOut(id=row.id, created_at=_utc(row.created_at), problem=problem))
+    return found
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False, include_input=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return f"{type(error).__name__}: {str(error)[:200]}"
 
 
 def heightmap_out(row: HeightmapRow) -> HeightmapOut:
@@ -291,8 +356,8 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
     route, shortest = plan.route, plan.shortest
     p = route.profile
     columns = (p.distance_m, p.x, p.y, p.z, np.rad2deg(p.heading_rad), p.energy_j, p.cumulative_j)
-    pieces = [
-        PieceOut(distance_m=d, x=x, y=y, z=number(z), heading_deg=h, energy_j=e, cumulative_j=c)
+    pieces: list[Any] = [  # checked all at once below, which takes a third of the time
+        {"distance_m": d, "x": x, "y": y, "z": number(z), "heading_deg": h, "energy_j": e, "cumulative_j": c}
         for d, x, y, z, h, e, c in zip(*(column.tolist() for column in columns), strict=True)
     ]
     return PathOut(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated, Any, Literal, Self
 
+from annotated_types import Interval
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -77,8 +78,8 @@ class ResponseModel(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-def within(allowed: Range) -> dict[str, float]:
-    """Return the bounds of a range as pydantic's `Field` takes them.
+def within(allowed: Range) -> Interval:
+    """Return the bounds of a range as a type's annotation.
 
     Parameters
     ----------
@@ -87,13 +88,13 @@ def within(allowed: Range) -> dict[str, float]:
 
     Returns
     -------
-    dict
-        The keywords `ge` and `le`.
+    Interval
+        For `Annotated`.
     """
-    return {"ge": allowed.low, "le": allowed.high}
+    return Interval(ge=allowed.low, le=allowed.high)
 
 
-Coordinate = Annotated[float, Field(**within(COORDINATE_M))]  # type: ignore[arg-type]
+Coordinate = Annotated[float, within(COORDINATE_M)]
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=NAME_PATTERN)]
 Point = Annotated[
     list[Coordinate],
@@ -126,8 +127,7 @@ _ROBOT_WORDS = {
     "turn_j_per_rad": "energy of turning, per radian [J/rad]",
 }
 _KIND: dict[str, Any] = {f.name: str if f.name == "name" else float for f in fields(Robot)}
-_BOUNDS: dict[str, Any] = {key: within(allowed) for key, allowed in ROBOT.items()}
-_BOUNDS["name"] = {"min_length": 1, "max_length": LONGEST_NAME, "pattern": NAME_PATTERN}
+_KIND_IN: dict[str, Any] = {key: Annotated[float, within(allowed)] for key, allowed in ROBOT.items()} | {"name": Name}
 
 RobotIn = create_model(  # type: ignore[call-overload]
     "RobotIn",
@@ -135,10 +135,10 @@ RobotIn = create_model(  # type: ignore[call-overload]
     __doc__="A robot. A field that is left out has the default robot's value, or in a question the cost map's.",
     **{
         key: (
-            kind | None,
-            Field(default=None, description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)], **_BOUNDS[key]),
+            _KIND_IN[key] | None,
+            Field(default=None, description=_ROBOT_WORDS[key], examples=[getattr(Robot(), key)]),
         )
-        for key, kind in _KIND.items()
+        for key in _KIND
     },
 )
 RobotOut = create_model(  # type: ignore[call-overload]
@@ -180,6 +180,14 @@ class Problem(BaseModel):
     context: dict[str, Any] = Field(
         description="the value that was refused, and the limit", examples=[{"reason": "step"}]
     )
+
+
+class UnreadableOut(ResponseModel):
+    """Something that is kept, but cannot be shown: an older version stored values that are not valid."""
+
+    id: str
+    created_at: dt.datetime = Field(description="UTC")
+    problem: Problem = Field(description="what is not valid")
 
 
 class JobOut(ResponseModel):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -27,17 +27,15 @@ class UploadOptions(ClosedModel):
     """What a heightmap file may not say itself; as query parameters or form fields."""
 
     name: Name | None = Field(default=None, description="name of the heightmap; default: the file's name")
-    resolution_m: float | None = Field(
+    resolution_m: Annotated[float, within(RESOLUTION_M)] | None = Field(
         default=None,
-        **within(RESOLUTION_M),
         description="side of a cell [m]; needed where the file does not say it, refused where the file says another",
     )
-    west_m: float = Field(
-        default=0.0, **within(COORDINATE_M), description="x of the map's west edge [m], where the file does not say"
+    west_m: Annotated[float, within(COORDINATE_M)] = Field(
+        default=0.0, description="x of the map's west edge [m], where the file does not say"
     )
-    north_m: float | None = Field(
+    north_m: Annotated[float, within(COORDINATE_M)] | None = Field(
         default=None,
-        **within(COORDINATE_M),
         description="y of the map's north edge [m], where the file does not say; default: the south edge is y = 0",
     )
     crs: str | None = Field(
@@ -46,11 +44,12 @@ class UploadOptions(ClosedModel):
         max_length=4000,
         description="CRS in metres, e.g. EPSG:32630, where the file does not say",
     )
-    scale_m: float | None = Field(default=None, **within(SCALE_M), description="metres per stored unit; a PNG needs it")
-    offset_m: float = Field(default=0.0, **within(HEIGHT_M), description="height of the stored value 0 [m]")
-    nodata: float | None = Field(
+    scale_m: Annotated[float, within(SCALE_M)] | None = Field(
+        default=None, description="metres per stored unit; a PNG needs it"
+    )
+    offset_m: Annotated[float, within(HEIGHT_M)] = Field(default=0.0, description="height of the stored value 0 [m]")
+    nodata: Annotated[float, within(STORED)] | None = Field(
         default=None,
-        **within(STORED),
         description="stored value that means unknown, where the file does not declare it",
     )
     band: int | None = Field(
@@ -96,7 +95,9 @@ class CostmapOptions(Request):
         description="`physics`, `default`, or the id of a trained model",
         examples=["physics"],
     )
-    spacing_m: float = Field(default=1.0, **within(SPACING_M), description="side of a cell [m]", examples=[1.0])
+    spacing_m: Annotated[float, within(SPACING_M)] = Field(
+        default=1.0, description="side of a cell [m]", examples=[1.0]
+    )
     headings: int = Field(
         default=DEFAULT_HEADINGS,
         ge=int(HEADINGS.low),

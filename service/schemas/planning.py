@@ -14,18 +14,16 @@ from joulemap.service.schemas.base import PathPoint, Point, Point3, Request, Res
 class BatteryIn(Request):
     """A battery. What is left out is as in the robot's own battery, full and without a reserve."""
 
-    capacity_wh: float | None = Field(
-        default=None, **within(BATTERY["capacity_wh"]), description="energy when full [Wh]", examples=[280.0]
+    capacity_wh: Annotated[float, within(BATTERY["capacity_wh"])] | None = Field(
+        default=None, description="energy when full [Wh]", examples=[280.0]
     )
-    charge: float = Field(
+    charge: Annotated[float, within(BATTERY["charge"])] = Field(
         default=1.0,
-        **within(BATTERY["charge"]),
         description="state of charge at the start, 0..1 (0.6 is 60 %)",
         examples=[0.8],
     )
-    reserve: float = Field(
+    reserve: Annotated[float, within(BATTERY["reserve"])] = Field(
         default=0.0,
-        **within(BATTERY["reserve"]),
         description="share of the capacity that must remain at the end, 0..1",
         examples=[0.2],
     )
@@ -48,8 +46,8 @@ class PathRequest(Request):
     planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
     neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the grid planners")
     refine: bool = Field(default=True, description="shorten the grid path where it need not follow the grid")
-    time_limit_s: float = Field(
-        default=5.0, **within(SEARCH_S), description="how long the sampling planners search [s]"
+    time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
+        default=5.0, description="how long the sampling planners search [s]"
     )
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="seed of the sampling planners")
     alternatives: int = Field(default=0, ge=0, le=10, description="most other good paths to look for")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -30,8 +30,8 @@ class TourRequest(Request):
     snap: bool = Field(
         default=False, description="move stops on blocked ground to the nearest free place; warnings say where that is"
     )
-    time_limit_s: float = Field(
-        default=10.0, **within(SEARCH_S), description="longest time for proving that the order is the best one [s]"
+    time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
+        default=10.0, description="longest time for proving that the order is the best one [s]"
     )
     battery: BatteryIn | None = Field(
         default=None, description="given: the answer says whether this battery lasts for the whole tour"

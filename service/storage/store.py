@@ -5,17 +5,15 @@ from __future__ import annotations
 import contextlib
 import copy
 import datetime as dt
-import fcntl
 import re
 import secrets
 import shutil
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
-from sqlalchemy import create_engine, delete, event, func, select, text, update
+from sqlalchemy import create_engine, event, func, select, text, update
 from sqlalchemy.engine import Engine
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
@@ -27,7 +25,10 @@ from joulemap.model.terrain.windows import Ground
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.columns import add_missing_columns
+from joulemap.service.storage.data_folder import DataFolder
+from joulemap.service.storage.finite import dumps
 from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.tables import (
@@ -45,7 +46,6 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     JobRow,
     RunsRow,
-    StepRow,
     kind_of,
     named_test_runs,
 )
@@ -53,14 +53,13 @@ from joulemap.service.storage.tables import (
 Row = TypeVar("Row", bound=Base)
 
 _TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
-_STALE_UPLOAD_S = 86_400.0
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
 class Store:
     """Heightmaps, cost maps, runs and calibrations that survive a restart; `open` it first, `close` it at the end.
 
-    A data directory has one service and any number of workers, which share its database.
+    Several services may share a data directory and its database.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ class Store:
         self._dir = data_dir
         self._url = database_url
         self._engine: Engine | None = None
-        self._lock: IO[str] | None = None
+        self._folder = DataFolder(data_dir)
         self._caller = NOBODY
         self._adding = threading.Lock()  # so that requests at the same moment do not pass a limit together
 
@@ -95,24 +94,25 @@ class Store:
         seen._caller = caller
         return seen
 
-    def open(self, *, as_service: bool = True) -> None:
-        """Create the folders and tables that are missing.
+    def open(self, *, as_service: bool = True, alone: bool = False) -> None:
+        """Create the folders and tables that are missing, and remove what killed processes left.
 
         Parameters
         ----------
         as_service : bool, optional
-            Whether this is the one service of the data directory, and not a worker.
+            Whether this is a service, and not a command that looks at the data directory beside it.
+        alone : bool, optional
+            Whether no other service may use the data directory meanwhile.
 
         Raises
         ------
         ConflictError
-            If another service uses the data directory.
+            If another service uses the data directory that is to be this one's alone.
         """
-        for name in ("heightmaps", "costmaps", "runs", "calibrations", "uploads"):
-            (self._dir / name).mkdir(parents=True, exist_ok=True)
+        self._folder.make()
         if as_service:
-            self._lock_directory()
-        self._engine = create_engine(self._url, pool_pre_ping=True)
+            self._folder.use(alone=alone)
+        self._engine = create_engine(self._url, pool_pre_ping=True, json_serializer=dumps)
         if self._engine.dialect.name == "sqlite":
             event.listen(self._engine, "connect", _set_up_sqlite)
         with self._engine.begin() as connection:
@@ -121,33 +121,36 @@ class Store:
             Base.metadata.create_all(connection)
             add_missing_columns(connection)
         self._sessions = sessionmaker(self._engine, expire_on_commit=False)
+        if as_service:
+            self._folder.sweep(self._sessions)
+            if not alone:
+                self._folder.share()
+
+    @property
+    def engine(self) -> Engine:
+        """The database of an open store."""
+        assert self._engine is not None
+        return self._engine
 
     @property
     def sessions(self) -> sessionmaker[Session]:
         """Sessions of the database of an open store."""
         return self._sessions
 
-    def _lock_directory(self) -> None:
-        lock = (self._dir / "lock").open("w")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            lock.close()
-            raise ConflictError(
-                f"another joulemap service uses the data directory {self._dir}: stop it, or set JOULEMAP_DATA_DIR",
-                data_dir=str(self._dir),
-            ) from error
-        self._lock = lock
-        for left in (self._dir / "uploads").iterdir():
-            if time.time() - left.stat().st_mtime > _STALE_UPLOAD_S:
-                left.unlink()
+    def leftovers(self) -> list[Path]:
+        """Return what processes left unfinished that were killed."""
+        return self._folder.leftovers(self._sessions)
+
+    def claims(self) -> Claims:
+        """Return what this service takes its jobs with."""
+        assert self._engine is not None
+        return Claims(self._engine, self._dir / "claims")
 
     def close(self) -> None:
         """Let go of the database and the data directory."""
         if self._engine is not None:
             self._engine.dispose()
-        if self._lock is not None:
-            self._lock.close()
+        self._folder.leave()
 
     @contextlib.contextmanager
     def upload_file(self) -> Iterator[Path]:
@@ -158,15 +161,15 @@ class Store:
         Path
             Of no file yet.
         """
-        path = self._dir / "uploads" / secrets.token_hex(8)
+        path = self._folder.uploads / secrets.token_hex(8)
         try:
             yield path
         finally:
             path.unlink(missing_ok=True)
 
-    def _keep(self, row: Any, size: int) -> None:
-        """Add a row with its owner. Raises StorageFullError if the owner would keep too much, RateError if a job is one
-        too many.
+    def _keep(self, row: Any, size: int, files: tuple[Path, Path] | None = None) -> None:
+        """Add a row with its owner, and move its files into place with it. files : where they are, and their place.
+        Raises StorageFullError if the owner would keep too much, RateError if a job is one too many.
         """
         caller = self._caller
         row.owner, row.bytes = caller.name, size
@@ -175,19 +178,21 @@ class Store:
             if isinstance(row, JobRow):
                 caller.check_jobs(session)
             session.add(row)
-            if isinstance(row, JobRow):
-                session.flush()
-                session.add(StepRow.first(row))
+            session.flush()
+            for table, ids in _sources(row):
+                session.execute(update(table).where(table.id.in_(ids)).values(used_at=_now()))
+            if files is not None:
+                files[0].rename(files[1])
 
     # heightmaps
 
-    def add_heightmap(self, heightmap: Heightmap, *, name: str, stats: dict[str, Any]) -> HeightmapRow:
-        """Keep a heightmap: the file first, so that no row is ever without one.
+    def add_heightmap(self, heightmap: Heightmap | Path, *, name: str, stats: dict[str, Any]) -> HeightmapRow:
+        """Keep a heightmap, so that no row is ever without its file.
 
         Parameters
         ----------
-        heightmap : Heightmap
-            What to keep.
+        heightmap : Heightmap or Path
+            What to keep, or its GeoTIFF in the folder of uploads, which is moved.
         name : str
             Its name for people.
         stats : dict
@@ -199,13 +204,12 @@ class Store:
             The new row.
         """
         row = HeightmapRow(id=f"hm-{secrets.token_hex(6)}", created_at=_now(), name=name, stats=stats)
-        path = self.heightmap_path(row.id)
-        write_geotiff(path, heightmap)
-        try:
-            self._keep(row, bytes_of(path))
-        except BaseException:
-            path.unlink(missing_ok=True)
-            raise
+        with self.upload_file() as begun:
+            if isinstance(heightmap, Path):
+                heightmap.replace(begun)
+            else:
+                write_geotiff(begun, heightmap)
+            self._keep(row, bytes_of(begun), (begun, self.heightmap_path(row.id)))
         return row
 
     def heightmap(self, heightmap_id: str) -> HeightmapRow:
@@ -304,7 +308,7 @@ class Store:
     # runs
 
     def add_runs(self, files: Sequence[tuple[str, Path]], stats: list[dict[str, Any]]) -> RunsRow:
-        """Keep runs that were sent together: the files first, so that no row is ever without one.
+        """Keep runs that were sent together, so that no row is ever without its files.
 
         Parameters
         ----------
@@ -319,15 +323,14 @@ class Store:
             The new row.
         """
         row = RunsRow(id=f"runs-{secrets.token_hex(6)}", created_at=_now(), stats=stats)
-        folder = self._runs_folder(row.id)
-        folder.mkdir()
+        begun = self._folder.uploads / row.id
+        begun.mkdir()
         try:
             for name, file in files:
-                shutil.copyfile(file, folder / safe_name(name))
-            self._keep(row, bytes_of(folder))
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+                shutil.copyfile(file, begun / safe_name(name))
+            self._keep(row, bytes_of(begun), (begun, self.runs_folder(row.id)))
+        finally:
+            shutil.rmtree(begun, ignore_errors=True)
         return row
 
     def runs(self, runs_id: str) -> RunsRow:
@@ -368,7 +371,7 @@ class Store:
         NotFoundError
             If there is none.
         """
-        return sorted(self._runs_folder(self.runs(runs_id).id).iterdir())
+        return sorted(self.runs_folder(self.runs(runs_id).id).iterdir())
 
     def all_runs(self, *, limit: int, offset: int) -> tuple[list[RunsRow], int]:
         """Return one page of the uploads of runs, newest first.
@@ -419,7 +422,7 @@ class Store:
                     calibration_ids=users,
                 )
             session.delete(row)
-        shutil.rmtree(self._runs_folder(runs_id), ignore_errors=True)
+        shutil.rmtree(self.runs_folder(runs_id), ignore_errors=True)
 
     # jobs: cost maps and calibrations
 
@@ -597,6 +600,57 @@ class Store:
             query = select(table.id).where(table.status.in_([QUEUED, RUNNING]))
             return list(session.scalars(query.order_by(table.created_at)))
 
+    def wanted(self) -> dict[str, float]:
+        """Return all jobs that wait or run.
+
+        Returns
+        -------
+        dict of str to float
+            When each was asked for [s since 1970], by its id.
+        """
+        found: dict[str, float] = {}
+        with self._sessions() as session:
+            for table in JOBS.values():
+                query = select(table.id, table.created_at).where(table.status.in_([QUEUED, RUNNING]))
+                found |= {job_id: at.replace(tzinfo=dt.UTC).timestamp() for job_id, at in session.execute(query)}
+        return found
+
+    def alike(self, row: CostmapRow) -> list[str]:
+        """Return the finished cost maps that differ from one in nothing but the model.
+
+        Parameters
+        ----------
+        row : CostmapRow
+            The one.
+
+        Returns
+        -------
+        list of str
+            Ids.
+        """
+
+        def _but_model(request: dict[str, Any]) -> dict[str, Any]:
+            return {key: value for key, value in request.items() if key != "model"}
+
+        with self._sessions() as session:
+            query = select(CostmapRow).where(CostmapRow.heightmap_id == row.heightmap_id, CostmapRow.status == DONE)
+            return [made.id for made in session.scalars(query) if _but_model(made.request) == _but_model(row.request)]
+
+    def report(self, job_id: str, progress: float) -> None:
+        """Note how far a job is.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        progress : float
+            Share that is done, 0..1.
+        """
+        table = JOBS[kind_of(job_id)]
+        with self._sessions.begin() as session:
+            at_work = update(table).where(table.id == job_id, table.status.in_([QUEUED, RUNNING]))
+            session.execute(at_work.values(status=RUNNING, progress=progress))
+
     def finish(self, job_id: str, summary: dict[str, Any]) -> bool:
         """Mark a job as done.
 
@@ -637,7 +691,6 @@ class Store:
         with self._sessions.begin() as session:
             at_work = table.status.in_([QUEUED, RUNNING])
             ended = update(table).where(table.id == job_id, at_work).values(finished_at=_now(), **values)
-            session.execute(delete(StepRow).where(StepRow.job_id == job_id))
             return bool(session.execute(ended).rowcount)  # type: ignore[attr-defined]
 
     def load_lattice(self, costmap_id: str) -> CostLattice:
@@ -670,6 +723,7 @@ class Store:
         """
         self._delete(self.costmap(costmap_id))
         LatticeFolder(self.lattice_path(costmap_id)).discard()
+        self._remove_all(costmap_id)
 
     def hidden_models(self) -> set[str]:
         """Return the models that the caller must not see.
@@ -714,8 +768,38 @@ class Store:
 
     def _delete(self, row: JobRow) -> None:
         with self._sessions.begin() as session:
-            session.execute(delete(StepRow).where(StepRow.job_id == row.id))
             session.delete(row)
+
+    def tidy(self, job_id: str) -> None:
+        """Remove what was only needed to make a job that is done.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        """
+        self._remove_all(job_id, but=self._place(job_id))
+
+    def discard(self, job_id: str, models_dir: Path) -> None:
+        """Remove all files of a job.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        models_dir : Path
+            Folder of trained models, where that of a calibration is.
+        """
+        LatticeFolder(self.lattice_path(job_id)).discard()
+        self._remove_all(job_id)
+        if kind_of(job_id) == CALIBRATION:
+            shutil.rmtree(models_dir / job_id, ignore_errors=True)
+
+    def _remove_all(self, job_id: str, but: Path | None = None) -> None:
+        folder = self._place(job_id).parent
+        for place in (folder / job_id, *folder.glob(f"{job_id}.*")):
+            if place != but:
+                shutil.rmtree(place, ignore_errors=True)
 
     def lattice_path(self, costmap_id: str) -> Path:
         """Return the folder of a cost map's lattice.
@@ -765,7 +849,19 @@ class Store:
     def _place(self, job_id: str) -> Path:
         return self.lattice_path(job_id) if kind_of(job_id) == COSTMAP else self.calibration_folder(job_id)
 
-    def _runs_folder(self, runs_id: str) -> Path:
+    def runs_folder(self, runs_id: str) -> Path:
+        """Return the folder of runs that were sent together.
+
+        Parameters
+        ----------
+        runs_id : str
+            Their id.
+
+        Returns
+        -------
+        Path
+            Of a file for each, whether it exists or not.
+        """
         return self._dir / "runs" / runs_id
 
     def _row(self, table: type[Row], there: str, **key: str) -> Row:
@@ -798,6 +894,15 @@ def safe_name(name: str) -> str:
         Letters, digits, dots, hyphens and underscores; at most 100.
     """
     return _UNSAFE.sub("_", name).lstrip(".")[-100:] or "run"
+
+
+def _sources(row: Any) -> list[tuple[Any, list[str]]]:
+    """What a job is made from, by table."""
+    if isinstance(row, CalibrationRow):
+        asked = row.request
+        runs = [*asked["runs"], *asked.get("base_runs", []), *named_test_runs(asked)]
+        return [(RunsRow, runs), (HeightmapRow, [row.heightmap_id])]
+    return [(HeightmapRow, [row.heightmap_id])] if isinstance(row, CostmapRow) else []
 
 
 def _asked(kind: str, heightmap_id: str | None, request: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,68 @@
+"""How much a file that was sent may ask for, while it is read and once it is read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_MB_PER_S = 5.0  # the slowest format, text, is read at twice this speed
+_WALL_PER_CPU = 2.0  # other work may take half of the processors
+
+
+@dataclass(frozen=True)
+class ReadLimits:
+    """What reading one file may take.
+
+    Attributes
+    ----------
+    seconds : float
+        Processor time [s]; a large file has a second more for each 5 MB.
+    memory_mb : float
+        Memory beyond that of an idle process [1e6 bytes].
+    """
+
+    seconds: float
+    memory_mb: float
+
+    def of_file(self, size: int) -> ReadLimits:
+        """Return the limits of a file.
+
+        Parameters
+        ----------
+        size : int
+            Its length [bytes].
+
+        Returns
+        -------
+        ReadLimits
+            With more time for a large one.
+        """
+        return ReadLimits(self.seconds + size / 1e6 / _MB_PER_S, self.memory_mb)
+
+    @property
+    def wall_s(self) -> float:
+        """Real time that it may take [s]."""
+        return _WALL_PER_CPU * self.seconds
+
+
+@dataclass(frozen=True)
+class RunLimits:
+    """How large a measured run may be.
+
+    Attributes
+    ----------
+    mb : float
+        Size of its file [1e6 bytes].
+    rows, columns, cells : int
+        Of its table.
+    text_mb : float
+        Memory of its columns of text [1e6 bytes].
+    km : float
+        Length that was driven [km].
+    """
+
+    mb: float
+    rows: int
+    columns: int
+    cells: int
+    text_mb: float
+    km: float

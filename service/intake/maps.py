@@ -1,0 +1,82 @@
+"""Reads a heightmap that was sent, and writes it as the service keeps it."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, Protocol
+
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.storage.stats import heightmap_stats
+
+
+class Guard(Protocol):
+    """Limits that hold while a block of code runs."""
+
+    def reading(self, path: Path) -> AbstractContextManager[None]:
+        """Return the limits for reading a file.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        """
+
+    def keeping(self, cells: int) -> AbstractContextManager[None]:
+        """Return the limits for work on what was read.
+
+        Parameters
+        ----------
+        cells : int
+            How much it is.
+        """
+
+
+def read_map(
+    *, guard: Guard, path: str, out: str, name: str, max_cells: int, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Read a heightmap and write it as a GeoTIFF.
+
+    Parameters
+    ----------
+    guard : Guard
+        Limits.
+    path : str
+        The file that was sent.
+    out : str
+        The GeoTIFF to write.
+    name : str
+        Its name for people, whose ending may say the format.
+    max_cells : int
+        Most cells.
+    options : dict
+        Those of `read_heightmap`.
+
+    Returns
+    -------
+    dict
+        What a listing says about it, JSON-able.
+
+    Raises
+    ------
+    HeightmapError
+        If it is not a heightmap that can be used.
+    TooLargeError
+        If it has too many cells.
+    """
+    with guard.reading(Path(path)):
+        heightmap = read_heightmap(path, filename=name, max_cells=max_cells, **options)
+    with guard.keeping(heightmap.heights.size):
+        stats = heightmap_stats(heightmap, band=options.get("band"))
+        write_geotiff(out, heightmap)
+    return stats
+
+
+def load_gdal() -> None:
+    """Load GDAL and PROJ with the formats that need them."""
+    from joulemap.model.terrain import coordinate_systems
+    from joulemap.model.terrain.formats import geotiff
+
+    assert geotiff.recognise(b"II*\0", "")
+    coordinate_systems.crs_name("EPSG:32630")
