@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import secrets
 import shutil
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 REPORT, PAGE = "report.json", "report.html"
 _ORDER, _PROBLEM = "order.json", "problem.json"
+_LOOK_S = 1.0  # between looks how far a calibration is
 
 
 class Refused(Exception):
@@ -115,8 +117,6 @@ async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> 
     Refused
         If the runs cannot be calibrated.
     """
-    from distributed import wait
-
     topic, share = f"{order['id']}-progress", -1.0
 
     def _take(event: tuple[float, float]) -> None:
@@ -125,18 +125,17 @@ async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> 
 
     client.subscribe_topic(topic, _take)
     task = client.submit(calibrate, dict(order), topic, key=order["id"], priority=priority)
+    ended = asyncio.ensure_future(task)
     try:
-        while not task.done():
-            try:
-                await wait(task, timeout="1s")
-            except TimeoutError:
-                if share >= 0.0:
-                    yield share
-        document = await task
+        while not (await asyncio.wait([ended], timeout=_LOOK_S))[0]:
+            if share >= 0.0:
+                yield share
+        document = await ended
         if "problem" in document:
             raise Refused(document["problem"])
         yield document
     finally:
+        ended.cancel()
         task.release()
         client.unsubscribe_topic(topic)
 

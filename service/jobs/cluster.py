@@ -30,12 +30,11 @@ _CONFIG = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.limit": "1h",  # no warnings where Python is busy elsewhere
     "distributed.diagnostics.nvml": False,
-    "distributed.nanny.pre-spawn-environ": {
-        **dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
-        "DASK_LOGGING__DISTRIBUTED": "warning",
-    },
-    "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",
+    "distributed.nanny.pre-spawn-environ": {"DASK_LOGGING__DISTRIBUTED": "warning"},  # it is this process's for a while
 }
+
+
+_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class Warm(WorkerPlugin):
@@ -120,6 +119,7 @@ async def connected(scheduler: str | None, *, workers: int) -> AsyncIterator[Cli
                 dashboard_address="127.0.0.1:0",
                 worker_dashboard_address=None,
                 memory_limit=0,
+                env=_ONE_THREAD,
                 asynchronous=True,
             ) as cluster,
             Client(cluster, asynchronous=True, set_as_default=False) as client,

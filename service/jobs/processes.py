@@ -62,7 +62,7 @@ def end_with_parent() -> None:
     """End this process when the worker that started it is gone: then its standard input ends."""
 
     def _watch() -> None:
-        sys.stdin.buffer.read()
+        os.read(0, 1)  # not of sys.stdin, whose lock would be in the way when Python ends
         os._exit(1)
 
     threading.Thread(target=_watch, name="parent", daemon=True).start()

@@ -1,97 +1,157 @@
-"""Jobs done by processes that are killed at random moments, and by several at once: every lattice is the same one."""
+"""Jobs done by plain Dask workers at a scheduler's address, for two services that share a database."""
 
 from __future__ import annotations
 
-import random
+import os
 import signal
+import subprocess
+import sys
 import time
-from contextlib import ExitStack
-from functools import partial
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 import pytest
-from sqlalchemy import select
+from fastapi.testclient import TestClient
+from sqlalchemy import create_engine
 
-from joulemap.service.jobs.steps import Steps
-from joulemap.service.jobs.worker import SERVICE
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.http.app import create_app
+from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import StepRow
-from tests.service.test_restart import free_port
-from tests.service.workers import asked, fingerprint, postgres, postgres_programs, rolling, until, worker
+from tests.service.conftest import settings_for
+from tests.service.preload import disturbed
+from tests.service.test_restart import ask, free_port, serving, status, wait_until
+from tests.service.workers import ROOT, asked, fingerprint, made_here, postgres_programs, postgres_server, rolling
+
+needs_postgres = pytest.mark.skipif(postgres_programs() is None, reason="PostgreSQL is not installed")
 
 
-def undisturbed(store: Store, folder: Path, url: str, heightmap_id: str) -> str:
-    """The fingerprint of a lattice whose one worker was left alone."""
-    costmap_id = asked(store, heightmap_id)
-    with worker(folder, url, name="alone"):
-        until(lambda: store.status(costmap_id) == "done")
-    return fingerprint(store.lattice_path(costmap_id))
+@contextmanager
+def dask(*arguments: str, **env: str) -> Iterator[subprocess.Popen[bytes]]:
+    """`dask scheduler` or `dask worker`, killed in the end."""
+    command = [sys.executable, "-m", "dask", *arguments]
+    with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(ROOT), **env}) as process:
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGKILL)
 
 
-def is_over(store: Store, costmap_id: str) -> bool:
-    return store.status(costmap_id) == "done"
+@contextmanager
+def cluster(workers: int, port: int = 0, **env: str) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """The address of a scheduler; the scheduler and its workers."""
+    port = port or free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    with ExitStack() as stack:
+        scheduler = dask("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--no-show")
+        begun = [stack.enter_context(scheduler)]
+        for _ in range(workers):
+            one = dask(
+                "worker", address, "--host", "127.0.0.1", "--no-dashboard", "--nthreads", "1", "--no-nanny", **env
+            )
+            begun.append(stack.enter_context(one))
+        yield address, begun
 
 
-def killed_again_and_again(folder: Path, *, times: int, seed: int) -> None:
-    """One job after another, its worker killed at a random moment, until `times` kills have come in the middle."""
-    url = f"sqlite:///{folder / 'joulemap.db'}"
-    store = Store(folder, url)
+def of_rolling(client: Any) -> str:
+    """Ask for a cost map of the rolling ground; its place."""
+    tif = write_geotiff(None, rolling(95))
+    assert tif is not None
+    return ask(client, tif)
+
+
+def undisturbed(folder: Path) -> str:
+    """The fingerprint of the lattice that the service is asked for, made in this process."""
+    store = Store(folder, f"sqlite:///{folder / 'alone.db'}")
     store.open()
-    random_time = random.Random(seed)
-    heightmap_id = store.add_heightmap(rolling(), name="rolling", stats={}).id
-    expected = undisturbed(store, folder, url, heightmap_id)
-    kills = 0
-    while kills < times:
-        costmap_id = asked(store, heightmap_id)
-        done = partial(is_over, store, costmap_id)
-        while not done():
-            tiles = progress = store.costmap(costmap_id).progress
-            with worker(folder, url, name=SERVICE, pause_s=0.02) as process:
-                while progress == tiles and not done():
-                    time.sleep(0.01)
-                    progress = store.costmap(costmap_id).progress
-                if kills < times:
-                    time.sleep(random_time.uniform(0.0, 0.5))
-                    process.send_signal(signal.SIGKILL)
-                    process.wait()
-                    kills += not done()
-                else:
-                    until(done)
-            Steps(store.sessions, SERVICE).release(SERVICE)  # what the start of a service does
-        assert fingerprint(store.lattice_path(costmap_id)) == expected
-        assert not list(folder.rglob("*.partial"))
+    heightmap = store.add_heightmap(rolling(95), name="rolling", stats={}).id
+    costmap_id = asked(store, heightmap)
+    made_here(store, costmap_id, folder)
+    made = fingerprint(store.lattice_path(costmap_id))
     store.close()
+    return made
 
 
-def test_killed_jobs_end_with_the_same_lattice(tmp_path: Path) -> None:
-    killed_again_and_again(tmp_path, times=2, seed=1)
+def test_plain_dask_workers_do_the_jobs_of_a_service(tmp_path: Path) -> None:
+    expected = undisturbed(tmp_path / "alone")
+    with cluster(1) as (address, _), TestClient(create_app(settings_for(tmp_path, scheduler=address))) as client:
+        place = of_rolling(client)
+        wait_until(lambda: status(client, place) == "done")
+        assert fingerprint(tmp_path / "costmaps" / f"{place.rsplit('/', 1)[-1]}.zarr") == expected
+
+
+def test_a_scheduler_that_comes_late_is_waited_for(tmp_path: Path) -> None:
+    port = free_port()
+    settings = settings_for(tmp_path, scheduler=f"tcp://127.0.0.1:{port}")
+    with TestClient(create_app(settings)) as client:
+        place = of_rolling(client)
+        wait_until(lambda: "no Dask scheduler answers" in (client.app.state.service.jobs.trouble or ""))  # type: ignore[attr-defined]
+        assert status(client, place) == "queued"
+        with cluster(1, port=port):
+            wait_until(lambda: status(client, place) == "done")
+            assert client.app.state.service.jobs.trouble is None  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
-def test_twenty_kills(tmp_path: Path) -> None:
-    killed_again_and_again(tmp_path, times=20, seed=2)
+@needs_postgres
+def test_two_services_and_two_workers_of_which_half_is_killed(tmp_path: Path) -> None:
+    """The service that sent the job off, the scheduler and a worker are killed one after another."""
+    expected = undisturbed(tmp_path / "alone")
+    slow = disturbed(pause_s=1.0)
+    port = free_port()
+    with postgres_server(free_port()) as server, ExitStack() as stack:
+        address, workers = stack.enter_context(cluster(2, port=port, **slow))
+        shared = {"JOULEMAP_SCHEDULER": address, "JOULEMAP_DATABASE_URL": server.url}
+        _, survivor = stack.enter_context(serving(tmp_path, **shared))
+        with serving(tmp_path, **shared) as (_, http):
+            place = of_rolling(http)
+            wait_until(lambda: status(survivor, place) == "running")
+        workers[1].send_signal(signal.SIGKILL)  # after the service
+        workers[2].send_signal(signal.SIGKILL)
+        workers[0].send_signal(signal.SIGKILL)
+        for worker in workers:
+            worker.wait()
+        stack.enter_context(cluster(1, port=port))
+        wait_until(lambda: status(survivor, place) == "done")
+        assert fingerprint(tmp_path / "costmaps" / f"{place.rsplit('/', 1)[-1]}.zarr") == expected
 
 
+@needs_postgres
 @pytest.mark.slow
-@pytest.mark.skipif(postgres_programs() is None, reason="PostgreSQL is not installed (Debian: postgresql)")
-def test_two_workers_share_a_job_and_one_goes_on_when_the_other_is_killed(tmp_path: Path) -> None:
-    with postgres(free_port()) as url:
-        store = Store(tmp_path, url)
-        store.open()
-        heightmap_id = store.add_heightmap(rolling(), name="rolling", stats={}).id
-        expected = undisturbed(store, tmp_path, url, heightmap_id)
-        costmap_id = asked(store, heightmap_id)
-        with ExitStack() as stack:
-            shared = tmp_path.as_uri()
-            two = [stack.enter_context(worker(shared, url, name=name, pause_s=0.3)) for name in ("one:", "two:")]
+def test_a_lost_database_is_told_and_jobs_go_on_when_it_is_back(tmp_path: Path) -> None:
+    slow = disturbed(tile_cells=64, pause_s=0.5)
+    with postgres_server(free_port()) as server, serving(tmp_path, JOULEMAP_DATABASE_URL=server.url, **slow) as (_, http):
+        place = of_rolling(http)
+        wait_until(lambda: status(http, place) == "running")
+        server.stop()
+        refused = http.get(place)
+        assert (refused.status_code, refused.json()["code"]) == (503, "busy"), refused.text
+        assert "retry-after" in refused.headers
+        time.sleep(5.0)  # several looks of the service
+        server.start()
+        wait_until(lambda: status(http, place) == "done")
 
-            def both_have_worked() -> bool:
-                with store.sessions() as session:
-                    names = session.scalars(select(StepRow.worker).where(StepRow.done)).all()
-                return {name[:4] for name in names} == {"one:", "two:"}
 
-            until(both_have_worked)
-            two[0].send_signal(signal.SIGKILL)
-            until(lambda: store.status(costmap_id) == "done")
-        assert fingerprint(store.lattice_path(costmap_id)) == expected
-        store.close()
+@pytest.mark.parametrize("database", ["sqlite", pytest.param("postgresql", marks=[needs_postgres, pytest.mark.slow])])
+def test_a_job_is_claimed_once_and_given_back_by_a_process_that_ends(tmp_path: Path, database: str) -> None:
+    with postgres_server(free_port()) if database == "postgresql" else nullcontext() as server:
+        url = server.url if server else f"sqlite:///{tmp_path / 'a.db'}"
+        code = (
+            "import sys; from pathlib import Path; from sqlalchemy import create_engine\n"
+            "from joulemap.service.storage.claims import Claims\n"
+            "claims = Claims(create_engine(sys.argv[1]), Path(sys.argv[2]))\n"
+            "print(sorted(claims.keep(['cm-01', 'cm-02'])), flush=True)\n"
+            "sys.stdin.read()"
+        )
+        claims = Claims(create_engine(url), tmp_path / "claims")
+        command = [sys.executable, "-c", code, url, str(tmp_path / "claims")]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "env": {**os.environ, "PYTHONPATH": str(ROOT)}}
+        with subprocess.Popen(command, text=True, **pipes) as other:  # type: ignore[call-overload]
+            assert other.stdout.readline() == "['cm-01', 'cm-02']\n"
+            assert claims.keep(["cm-02", "cm-03"]) == {"cm-03"}
+            other.send_signal(signal.SIGKILL)
+        wait_until(lambda: claims.keep(["cm-02", "cm-03"]) == {"cm-02", "cm-03"})
+        assert claims.keep([]) == set()
+        claims.close()

@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from joulemap.service.jobs.costmaps import build, finish, lay_out, order_of
 from joulemap.service.storage.store import Store
 
 ROOT = Path(__file__).resolve().parents[2]
+
 
 def rolling(metres: int = 190) -> Heightmap:
     """Half-metre cells, a lake of unknown heights in it."""
@@ -71,28 +72,48 @@ def postgres_programs() -> Path | None:
     return found[-1].parent if found and shutil.which("runuser") else None
 
 
-@contextmanager
-def postgres(port: int) -> Iterator[str]:
-    """The URL of a fresh PostgreSQL that listens on this machine alone."""
-    programs = postgres_programs()
-    assert programs is not None
-    home = Path(tempfile.mkdtemp(prefix="joulemap-postgres-"))
-    as_postgres = []
-    if os.geteuid() == 0:  # which PostgreSQL refuses to run as
-        shutil.chown(home, "postgres", "postgres")
-        as_postgres = ["runuser", "-u", "postgres", "--"]
+class Postgres:
+    """A fresh PostgreSQL that listens on this machine alone. url : of its database."""
 
-    def call(program: str, *arguments: str) -> None:
-        command = [*as_postgres, str(programs / program), "-D", str(home / "data"), *arguments]
+    def __init__(self, home: Path, port: int) -> None:
+        self.url = f"postgresql+psycopg://postgres@127.0.0.1:{port}/postgres"
+        self._home, self._options = home, f"-p {port} -k {home} -c listen_addresses=127.0.0.1"
+
+    def call(self, program: str, *arguments: str) -> None:
+        programs = postgres_programs()
+        assert programs is not None
+        as_postgres = ["runuser", "-u", "postgres", "--"] if os.geteuid() == 0 else []  # it refuses to run as root
+        command = [*as_postgres, str(programs / program), "-D", str(self._home / "data"), *arguments]
         subprocess.run(command, check=True, capture_output=True, cwd="/")
 
+    def start(self) -> None:
+        self.call("pg_ctl", "-w", "-l", str(self._home / "log"), "-o", self._options, "start")
+
+    def stop(self) -> None:
+        self.call("pg_ctl", "-w", "-m", "immediate", "stop")
+
+
+@contextmanager
+def postgres(port: int) -> Iterator[str]:
+    """The URL of a fresh PostgreSQL."""
+    with postgres_server(port) as server:
+        yield server.url
+
+
+@contextmanager
+def postgres_server(port: int) -> Iterator[Postgres]:
+    """A PostgreSQL that runs, and is removed in the end."""
+    home = Path(tempfile.mkdtemp(prefix="joulemap-postgres-"))
+    if os.geteuid() == 0:
+        shutil.chown(home, "postgres", "postgres")
+    server = Postgres(home, port)
     try:
-        call("initdb", "-A", "trust", "-U", "postgres")
-        options = f"-p {port} -k {home} -c listen_addresses=127.0.0.1"
-        call("pg_ctl", "-w", "-l", str(home / "log"), "-o", options, "start")
+        server.call("initdb", "-A", "trust", "-U", "postgres")
+        server.start()
         try:
-            yield f"postgresql+psycopg://postgres@127.0.0.1:{port}/postgres"
+            yield server
         finally:
-            call("pg_ctl", "-w", "-m", "immediate", "stop")
+            with suppress(subprocess.CalledProcessError):  # a test may have stopped it
+                server.stop()
     finally:
         shutil.rmtree(home, ignore_errors=True)
