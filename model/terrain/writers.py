@@ -81,7 +81,7 @@ def write_bands_geotiff(
         if tags:
             dataset.update_tags(**tags)
 
-    with warnings.catch_warnings(), rasterio.Env(GDAL_PAM_ENABLED="NO"):
+    with warnings.catch_warnings(), rasterio.Env(GDAL_PAM_ENABLED="NO", GDAL_CACHEMAX=128):
         # A corner at (0, 0) with cells of 1 m looks to rasterio like no transform; GeoTIFF does keep it.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         if path is None:

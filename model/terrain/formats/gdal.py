@@ -22,7 +22,7 @@ GDAL_OPTIONS = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .aux.xml, .ovr, .msk, world files
     "GDAL_PAM_ENABLED": "NO",
     "PROJ_NETWORK": "OFF",
-    "GDAL_CACHEMAX": 256,
+    "GDAL_CACHEMAX": 128,  # [MB]
 }
 """Settings of GDAL and PROJ under which every file and every CRS is read."""
 
@@ -84,7 +84,7 @@ def opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
         except Exception as error:
             if not (is_gdal_error(error) or isinstance(error, (UnicodeDecodeError, OSError))):
                 raise
-            raise HeightmapError(f"the {name} is truncated or corrupt: {error.__cause__ or error}") from error
+            raise HeightmapError(f"the {name} is truncated or corrupt: {str(error.__cause__ or error)[:300]}") from error
 
 
 def read_band(dataset: DatasetReader, band: int, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:

@@ -96,7 +96,7 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
         KeyError,
         ValueError,
     ) as error:
-        raise HeightmapError(f"the .npz file is truncated or corrupt: {error}") from error
+        raise HeightmapError(f"the .npz file is truncated or corrupt: {str(error)[:200]}") from error
     return Decoded(
         heights,
         west_m=_number(scalars, "west_m"),
@@ -111,7 +111,7 @@ def _number(scalars: dict[str, object], key: str) -> float | None:
         return None
     value = scalars[key]
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
-        raise HeightmapError(f'the array "{key}" of the .npz file must be a finite number of metres, got {value!r}')
+        raise HeightmapError(f'the array "{key}" of the .npz file must be a finite number of metres, got {str(value)[:80]!r}')
     return float(value)
 
 

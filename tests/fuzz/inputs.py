@@ -1,0 +1,223 @@
+"""Inputs generated for each reader: small valid files of all kinds, changed where it hurts."""
+
+from __future__ import annotations
+
+import json
+import struct
+import tempfile
+import zlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from rasterio.transform import Affine
+
+from joulemap.model.robot import Robot
+from joulemap.model.runs.cutting import cut_segments
+from joulemap.model.runs.odometry import Odometry, cut_travel, read_odometry
+from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.table import TableLimits
+from joulemap.model.terrain.readers import read_heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from tests.fuzz.files import LOG, Rng, parquet
+from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png
+
+_LIMITS = TableLimits(rows=1_000_000, columns=2_000, cells=20_000_000, text_mb=200.0)
+_WORDS = [
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e308",
+    b"-9999",
+    b"",
+    b"\0",
+    "é".encode(),
+    b"9" * 500,
+    b"\r",
+    b'"',
+    b",",
+    b"1e-320",
+]
+_NUMBERS = [0, 1, 2, 7, 127, 128, 255, 65_535, 2**31 - 1, 2**31, 2**32 - 1]
+_FOLDER = Path(tempfile.gettempdir())
+
+
+def changed(rng: Rng, content: bytes, *, text: bool) -> bytes:
+    """The content with a few changes: of bits, of fields of 2 or 4 bytes, of words, and of parts."""
+    data = bytearray(content)
+    for _ in range(1 if rng.random() < 0.5 else int(rng.integers(2, 5))):
+        if not data:
+            break
+        reach = min(len(data), 400) if rng.random() < 0.6 else len(data)
+        at, how = int(rng.integers(reach)), int(rng.integers(8))
+        if how == 0:
+            data[at] ^= 1 << int(rng.integers(8))
+        elif how == 1:
+            data[at] = int(rng.integers(256))
+        elif how == 2 and not text:
+            kind = str(rng.choice(["<H", ">H", "<I", ">I"]))
+            number = int(rng.choice(_NUMBERS)) % (65_536 if kind[1] == "H" else 2**32)
+            field = struct.pack(kind, number)
+            data[at : at + len(field)] = field
+        elif how in (2, 3):
+            word = _WORDS[int(rng.integers(len(_WORDS)))]
+            data[at : at + int(rng.integers(0, 8))] = word
+        elif how == 4:
+            del data[at : at + int(rng.integers(1, 60))]
+        elif how == 5:
+            part = data[at : at + int(rng.integers(1, 200))]
+            data[at:at] = part * int(rng.integers(1, 5))
+        elif how == 6 and rng.random() < 0.3:
+            del data[at:]
+        elif how == 7:
+            end = min(len(data), at + int(rng.integers(1, 40)))
+            data[at:end] = rng.bytes(end - at)
+    return bytes(data)
+
+
+@cache
+def geotiffs() -> list[bytes]:
+    rng = np.random.default_rng(1)
+    found = []
+    for dtype in ("uint8", "int16", "uint16", "int32", "float32", "float64", "int8"):
+        for options in (
+            {},
+            {"tiled": True, "blockxsize": 16, "blockysize": 16, "compress": "deflate"},
+            {"compress": "lzw", "predictor": 2 if dtype[0] != "f" else 3},
+            {"compress": "zstd", "nodata": 3},
+            {"crs": None, "transform": Affine(1, 0, 5, 0, 1, 5)},
+            {"BIGTIFF": "YES", "crs": "EPSG:32733"},
+            {"scale": 0.1, "offset": 5.0},
+        ):
+            found.append(geotiff((rng.random((20, 17)) * 100).astype(dtype), **options))
+    found.append(geotiff((rng.random((3, 9, 9)) * 9).astype(np.float32)))
+    return found
+
+
+@cache
+def arrays() -> list[bytes]:
+    values = np.random.default_rng(2).random((9, 7)) * 100
+    kinds = ("float32", "float64", "float16", "int16", ">f8", "uint8", "int64")
+    return [npy(values.astype(kind)) for kind in kinds] + [npy(np.asfortranarray(values)), npy(values[0])]
+
+
+@cache
+def archives() -> list[bytes]:
+    values = np.random.default_rng(3).random((9, 7)).astype(np.float32)
+    return [
+        npz(heights=values),
+        npz(heights=values, resolution_m=0.5, west_m=3.0, north_m=9.0, crs="EPSG:32630"),
+        npz(heights=values, resolution_m=np.nan, crs=b"x"),
+        npz(other=values),
+    ]
+
+
+@cache
+def pictures() -> list[bytes]:
+    rng = np.random.default_rng(4)
+    return [png(rng.integers(0, 200, (15, 12)).astype(kind)) for kind in (np.uint8, np.uint16)]
+
+
+@cache
+def logs() -> list[bytes]:
+    rows = [line.split(",") for line in LOG.decode().splitlines()[1:120]]
+    noted = "\n".join(['t,x,y,voltage,current,"note, of"', *(",".join([*row, '"a, b"']) for row in rows)])
+    motors = "\n".join(["t,x,y,left_current,right_current,gps_error", *(",".join([*row, "0.01"]) for row in rows)])
+    return [LOG, noted.encode(), motors.encode(), LOG.replace(b"\n", b"\r\n"), b"\xef\xbb\xbf" + LOG]
+
+
+@cache
+def wheel_logs() -> list[bytes]:
+    rows = "".join(f"{0.1 * k:.1f},{0.5 + 0.1 * np.sin(k / 9):.3f},0.5,2.0,24\n" for k in range(200))
+    return [f"t,speed_left,speed_right,current,voltage\n{rows}".encode(), f"time,velL,velR,curL,curR\n{rows}".encode()]
+
+
+@cache
+def parquet_logs() -> list[bytes]:
+    t = np.arange(150) * 0.1
+    base: dict[str, Any] = {"t": t, "x": 0.5 * t, "y": 0.0 * t, "current": 2.0 + 0.0 * t}
+    more: list[Any] = [
+        np.arange(150, dtype=np.int8),
+        ["a", "b", None] * 50,
+        pa.array(["grass", "mud"] * 75).dictionary_encode(),
+        pa.array((t * 1e9).astype(np.int64)).cast(pa.timestamp("ns", "UTC")),
+        pa.array([None] * 150, pa.float32()),
+        pa.array([1] * 150, pa.decimal128(9, 2)),
+        pa.array([0] * 150, pa.date32()),
+        pa.array([True, None, False] * 50),
+    ]
+    found = [parquet(base | {"more": column}) for column in more]
+    found += [parquet(base, compression=kind) for kind in ("none", "gzip", "zstd", "brotli")]
+    return [*found, parquet(base, data_page_version="2.0", use_dictionary=False, row_group_size=20)]
+
+
+@cache
+def robots() -> list[bytes]:
+    fields = Robot().as_dict()
+    lines = [f"{key} = {json.dumps(value)}" for key, value in fields.items()]
+    return ["\n".join(lines).encode(), b"[robot]\n" + "\n".join(lines).encode(), b"mass_kg = 50\n"]
+
+
+def _with_checksums(rng: Rng, content: bytes) -> bytes:
+    """A PNG whose header has its checksum again, so that more than the checksum is looked at."""
+    if len(content) < 33 or rng.random() < 0.3:
+        return content
+    return content[:29] + struct.pack(">I", zlib.crc32(content[12:29])) + content[33:]
+
+
+def _map(content: bytes, rng: Rng, **options: Any) -> None:
+    given: dict[str, Any] = {"resolution_m": 0.5} if rng.random() < 0.8 else {}
+    if rng.random() < 0.1:
+        given["nodata"] = float(rng.choice([0.0, -9999.0, 1e300]))
+    heightmap = read_heightmap(content, max_cells=2_000_000, **given, **options)
+    assert not np.isinf(heightmap.heights).any()
+    assert write_geotiff(None, heightmap)
+
+
+def _run(content: bytes, rng: Rng) -> None:
+    crs = "EPSG:32630" if rng.random() < 0.8 else None
+    run = parse_run(content, name="run", crs=crs, limits=_LIMITS)
+    _finite(cut_segments(run, charge=not run.has_energy))
+
+
+def _travel(content: bytes, rng: Rng) -> None:
+    place = _FOLDER / f"fuzz-{id(rng)}.csv"
+    place.write_bytes(content)
+    run = read_odometry(place, Odometry(1.0), name="run", limits=_LIMITS)
+    place.unlink()
+    _finite(cut_travel(run, charge=not run.has_energy))
+
+
+def _finite(segments: Any) -> None:
+    json.dumps({"segments": len(segments), "left_out": segments.left_out}, allow_nan=False)
+
+
+def _robot(content: bytes, rng: Rng) -> None:
+    place = _FOLDER / f"fuzz-{id(rng)}.toml"
+    place.write_bytes(content)
+    json.dumps(Robot.from_toml(place).as_dict(), allow_nan=False)
+
+
+READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng], None]]] = {
+    "geotiff": (geotiffs, False, _map),
+    "ascii_grid": (lambda: [ASC, ASC.replace(b"corner", b"center"), ASC * 3], True, _map),
+    "npy": (arrays, False, _map),
+    "npz": (archives, False, _map),
+    "png": (pictures, False, lambda content, rng: _map(_with_checksums(rng, content), rng, scale_m=0.1)),
+    "csv": (logs, True, _run),
+    "parquet": (parquet_logs, False, _run),
+    "wheel_csv": (wheel_logs, True, _travel),
+    "robot": (robots, True, _robot),
+}
+"""By reader: the valid files, whether they are text, and what reads a changed one."""
+
+
+def read_one(reader: str, seed: int, number: int) -> None:
+    """Generate an input, which the seed and its number decide, and read it."""
+    files, text, read = READERS[reader]
+    rng = np.random.default_rng([seed, number])
+    content = files()[int(rng.integers(len(files())))]
+    read(changed(rng, content, text=text), rng)
