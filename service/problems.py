@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import math
 import re
@@ -14,6 +15,8 @@ import numpy as np
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
+from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import TimeoutError as SQLAlchemyTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
@@ -37,6 +40,7 @@ _LOG = logging.getLogger("joulemap.service")
 _CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it
 _MAX_TEXT = 500
 _MAX_ERRORS = 20
+_RETRY_S = 5.0  # a database that restarts
 _MAX_ITEMS = 200
 _BODY, _THE_BODY = "body", "the body "
 
@@ -184,7 +188,8 @@ def problem_of(error: BaseException, request_id: str | None = None) -> dict[str,
     Parameters
     ----------
     error : BaseException
-        Anything outside the error tree is our bug: the body then gives nothing but the request id.
+        Of the error tree, a full disk, or a database that does not answer. Anything else is our bug: the body then
+        gives nothing but the request id.
     request_id : str, optional
         By which the log can be searched.
 
@@ -193,11 +198,25 @@ def problem_of(error: BaseException, request_id: str | None = None) -> dict[str,
     dict
         JSON-able.
     """
+    error = _outside(error) or error
     row = row_of(type(error)) if isinstance(error, JoulemapError) else None
     if row is None or not isinstance(error, JoulemapError):
         detail = "something went wrong inside the service; its log has the details under this request id"
         return problem(500, "internal_error", "Internal error", detail, request_id)
     return problem(row.status, error.code, row.title, error.message, request_id, error.context)
+
+
+def _outside(error: BaseException) -> JoulemapError | None:
+    """What is neither the caller's fault nor ours: a full disk, a database that does not answer."""
+    if isinstance(error, SQLAlchemyTimeout):
+        return BusyError("the database has more questions than it can answer", retry_after_s=_RETRY_S)
+    if isinstance(error, OperationalError):
+        if "disk is full" in str(error.orig):
+            return StorageFullError("the disk of the database is full: nothing more can be kept")
+        return BusyError("the database does not answer", retry_after_s=_RETRY_S)
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return StorageFullError("the disk is full: nothing more can be kept")
+    return None
 
 
 def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -275,6 +294,13 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(ClientDisconnect)
     async def _gone(request: Request, error: ClientDisconnect) -> Response:
         return Response(status_code=_CLOSED)
+
+    @app.exception_handler(OperationalError)
+    @app.exception_handler(SQLAlchemyTimeout)
+    @app.exception_handler(OSError)
+    async def _from_outside(request: Request, error: Exception) -> JSONResponse:
+        _LOG.error("request %s failed: %s", request_id(request), error, exc_info=error if not _outside(error) else None)
+        return response(problem_of(error, request_id(request)))
 
     @app.exception_handler(Exception)
     async def _bug(request: Request, error: Exception) -> JSONResponse:
