@@ -18,8 +18,19 @@ from joulemap.service.http import documents
 from joulemap.service.http.access_keys import KeyCheck, Keys, warn_if_open
 from joulemap.service.http.access_origin import TrustedPages
 from joulemap.service.http.limits import RequestLimits
-from joulemap.service.http.routes import calibrations, contents, costmaps, heightmaps, meta, questions, runs
+from joulemap.service.http.observed import Observed
+from joulemap.service.http.routes import (
+    calibrations,
+    contents,
+    costmaps,
+    heightmaps,
+    job_progress,
+    meta,
+    questions,
+    runs,
+)
 from joulemap.service.http.state import Service
+from joulemap.service.http.watched import on_the_loop
 from joulemap.service.settings import Settings
 
 DESCRIPTION = """Energy planner for ground robots. Send a heightmap, and ask for a directional cost map, energy-optimal
@@ -49,7 +60,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         await anyio.to_thread.run_sync(service.start)
         await anyio.to_thread.run_sync(warn_if_open, service.store, settings.host)
         try:
-            yield
+            async with on_the_loop(service.metrics, [service.plans, service.prices]), service.retention.running():
+                yield
         finally:
             await anyio.to_thread.run_sync(service.stop)
 
@@ -64,7 +76,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.service = service
     app.include_router(meta.router)
-    for module in (heightmaps, costmaps, contents, questions, runs, calibrations):
+    for module in (heightmaps, costmaps, contents, questions, runs, calibrations, job_progress):
         app.include_router(module.router, prefix="/v1")
     problems.install(app)
     documents.install(app)
@@ -89,6 +101,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         other_bytes=int(settings.max_json_mb * 1e6),
         upload_paths=("/v1/heightmaps", "/v1/costmaps", "/v1/runs"),
     )
+    app.add_middleware(Observed, metrics=service.metrics)
     return app
 
 

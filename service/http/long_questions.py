@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-import threading
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from typing import Any, TypeVar
 
-import anyio.to_thread
 from fastapi import Request, Response
+from sse_starlette import ServerSentEvent
+from starlette.requests import ClientDisconnect
 
 from joulemap.model.errors import JoulemapError
 from joulemap.service import problems
@@ -17,79 +18,97 @@ EVENTS = "text/event-stream"
 _LOOK_S = 0.25
 _CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it
 
-Work = Callable[[Callable[[float], None]], Response]
-"""Answers, and calls its argument with the share that is done, 0..1."""
+Result = TypeVar("Result")
+Report = Callable[[float], None]
+"""Is told the share that is done, 0..1."""
 
 
-class _Gone(Exception):
-    """The connection was closed."""
-
-
-async def until_gone(request: Request, work: Work) -> Response:
-    """Return the answer of some work on another thread, which ends early when the connection is closed.
+async def while_connected(request: Request, answer: Coroutine[Any, Any, Response]) -> Response:
+    """Return an answer, or cancel it when the connection is closed before it is there.
 
     Parameters
     ----------
     request : Request
-        Whose connection counts.
-    work : callable
-        The work.
+        Whose connection counts; its body has been read.
+    answer : coroutine
+        Returns the answer.
 
     Returns
     -------
     Response
-        Its answer.
+        The answer, with status 499 where nobody reads it.
     """
-    gone = threading.Event()
-
-    async def _watch() -> None:
-        while not await request.is_disconnected():
-            await asyncio.sleep(_LOOK_S)
-        gone.set()
-
-    def _report(_share: float) -> None:
-        if gone.is_set():
-            raise _Gone
-
-    watcher = asyncio.create_task(_watch())
     try:
-        return await anyio.to_thread.run_sync(work, _report)
-    except _Gone:
+        return await unless_gone(request, answer)
+    except ClientDisconnect:
         return Response(status_code=_CLOSED)
+
+
+async def unless_gone(request: Request, work: Coroutine[Any, Any, Result]) -> Result:
+    """Return the result of some work, or cancel it when the connection is closed before it is there.
+
+    Parameters
+    ----------
+    request : Request
+        Whose connection counts; its body has been read.
+    work : coroutine
+        Returns the result.
+
+    Returns
+    -------
+    object
+        The result, once the work has ended.
+
+    Raises
+    ------
+    ClientDisconnect
+        If the connection was closed.
+    """
+    task, gone = asyncio.create_task(work), asyncio.create_task(_gone(request))
+    try:
+        await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if not task.done():
+            raise ClientDisconnect
+        return task.result()
     finally:
-        watcher.cancel()
+        gone.cancel()
+        task.cancel()
+        await asyncio.wait({task})
 
 
-async def events(work: Work) -> AsyncIterator[str]:
+async def _gone(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+async def events(work: Callable[[Report], Awaitable[Response]]) -> AsyncIterator[ServerSentEvent]:
     """Yield server-sent events: `progress` with the share that is done, then `answer`, or `problem` as of RFC 9457.
 
     Parameters
     ----------
     work : callable
-        The work; it ends when the generator is closed.
+        The work; it is cancelled when the generator is closed.
 
     Yields
     ------
-    str
+    ServerSentEvent
         An event.
     """
-    gone, share = threading.Event(), 0.0
+    share = 0.0
 
     def _report(done: float) -> None:
         nonlocal share
         share = done
-        if gone.is_set():
-            raise _Gone
 
-    task = asyncio.create_task(anyio.to_thread.run_sync(work, _report))
+    task = asyncio.ensure_future(work(_report))
     try:
         while not task.done():
-            yield f"event: progress\ndata: {json.dumps(round(share, 3))}\n\n"
+            yield ServerSentEvent(json.dumps(round(share, 3)), event="progress")
             await asyncio.wait([task], timeout=_LOOK_S)
         try:
             name, body = "answer", bytes(task.result().body).decode()
         except JoulemapError as error:
             name, body = "problem", json.dumps(problems.problem_of(error))
-        yield f"event: {name}\ndata: {body}\n\n"
+        yield ServerSentEvent(body, event=name)
     finally:
-        gone.set()
+        task.cancel()

@@ -1,4 +1,4 @@
-"""The few cost maps that are kept in memory for questions, each with its route planner and a lock."""
+"""The few cost maps that are kept in memory for questions, each with its route planner, which many threads share."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from joulemap.planner.stored_planner import StoredPlanner
 
 class _Entry:
     def __init__(self) -> None:
-        self.lock = threading.Lock()
+        self.loading = threading.Lock()
         self.planner: RoutePlanner | None = None
         self.stored: StoredPlanner | None = None
+        self.pricer: StoredPlanner | None = None  # for given paths, which are not to wait for a search
+        self.searching, self.pricing = threading.Lock(), threading.Lock()
 
 
 class OpenMaps:
     """Cost maps in memory; above `size` the least recently used one is dropped.
 
-    Questions to one map are answered one after another.
+    A planner in memory keeps tables that do not change once they are made, so any number of threads ask it at a time.
+    One that leaves its cost map on disk answers one question at a time.
 
     Parameters
     ----------
@@ -37,6 +40,11 @@ class OpenMaps:
         Above so many cells, questions for routes are answered from the folder.
     memory_bytes : int
         Most memory of such a question.
+
+    Attributes
+    ----------
+    hits, misses : int
+        Questions that found their planner in memory, and those that had to load it.
     """
 
     def __init__(
@@ -53,30 +61,47 @@ class OpenMaps:
         self._size = size
         self._lock = threading.Lock()
         self._entries: OrderedDict[str, _Entry] = OrderedDict()
+        self.hits = self.misses = 0
 
-    @contextmanager
-    def use(self, costmap_id: str) -> Iterator[RoutePlanner]:
-        """Lend the planner of a cost map to this thread alone.
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def is_open(self, costmap_id: str) -> bool:
+        """Return whether a planner of a cost map is in memory, so that its questions may run side by side.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Id of a cost map.
+
+        Returns
+        -------
+        bool
+            False too for one that is planned on from disk.
+        """
+        entry = self._entries.get(costmap_id)
+        return entry is not None and entry.planner is not None
+
+    def planner(self, costmap_id: str) -> RoutePlanner:
+        """Return the planner of a cost map, which other threads may use at the same time.
 
         Parameters
         ----------
         costmap_id : str
             Id of a cost map that is done.
 
-        Yields
-        ------
+        Returns
+        -------
         RoutePlanner
             Loaded where it was not in memory.
         """
         entry = self._entry(costmap_id)
-        with entry.lock:
-            if entry.planner is None:
-                entry.planner = RoutePlanner(self._load(costmap_id))
-            yield entry.planner
+        with entry.loading:
+            return self._loaded(entry, costmap_id)
 
     @contextmanager
-    def use_for_routes(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
-        """Lend a planner of a cost map to this thread alone; of a large map, one that leaves it on disk.
+    def for_routes(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
+        """Lend a planner of a cost map; of a large map, to this thread alone, one that leaves the map on disk.
 
         Parameters
         ----------
@@ -89,16 +114,53 @@ class OpenMaps:
             For routes and verdicts.
         """
         entry = self._entry(costmap_id)
-        with entry.lock:
+        with entry.loading:
             if entry.planner is None and entry.stored is None:
                 stored = StoredPlanner(self._place(costmap_id), memory_bytes=self._memory)
                 if stored.stored.cells > self._most_cells:
                     entry.stored = stored
-                else:
-                    entry.planner = RoutePlanner(self._load(costmap_id))
-            planner = entry.planner or entry.stored
-            assert planner is not None
-            yield planner
+            if entry.stored is None:
+                self._loaded(entry, costmap_id)
+        if entry.planner is not None:
+            yield entry.planner
+            return
+        assert entry.stored is not None
+        with entry.searching:
+            yield entry.stored
+
+    @contextmanager
+    def for_pricing(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
+        """Lend a planner of a cost map to price given paths, which does not wait for searches.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Id of a cost map that is done.
+
+        Yields
+        ------
+        RoutePlanner or StoredPlanner
+            Not for searches.
+        """
+        entry = self._entry(costmap_id)
+        if entry.planner is None:
+            with entry.pricing:
+                if entry.pricer is None:
+                    entry.pricer = StoredPlanner(self._place(costmap_id), memory_bytes=self._memory)
+                if entry.pricer.stored.cells > self._most_cells:
+                    yield entry.pricer
+                    return
+        yield self.planner(costmap_id)
+
+    def _loaded(self, entry: _Entry, costmap_id: str) -> RoutePlanner:
+        """The planner of an entry whose lock `loading` this thread holds."""
+        if entry.planner is None:
+            self.misses += 1
+            entry.planner = RoutePlanner(self._load(costmap_id))
+            entry.pricer = None
+        else:
+            self.hits += 1
+        return entry.planner
 
     def _entry(self, costmap_id: str) -> _Entry:
         with self._lock:

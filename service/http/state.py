@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import copy
+import gc
 import logging
 import threading
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -13,24 +17,39 @@ from typing import Annotated, Any, TypeVar
 import anyio
 from fastapi import Depends, Query, Request
 
-from joulemap.model.energy.predictor import Predictor
-from joulemap.model.errors import BusyError, ConflictError, JoulemapError
+from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
+from joulemap.model.errors import BusyError, ConflictError, InputError, JoulemapError
 from joulemap.model.runs.odometry import Odometry
-from joulemap.model.terrain.readers import read_heightmap
-from joulemap.service.http.intake import RunLimits, read_sent_runs
+from joulemap.planner.plan import RoutePlanner
+from joulemap.service.http.health import OK, Health
+from joulemap.service.http.job_events import JobEvents, look_into
+from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.open_maps import OpenMaps
-from joulemap.service.jobs.makers import make_makers
-from joulemap.service.jobs.worker import SERVICE, Jobs, Worker
+from joulemap.service.http.plans import plan_queue, price_queue
+from joulemap.service.http.retention import Retention
+from joulemap.service.http.watched import watch
+from joulemap.service.intake.limits import ReadLimits, RunLimits
+from joulemap.service.intake.readers import Readers
+from joulemap.service.intake.runs import check_together
+from joulemap.service.jobs.engine import Jobs
 from joulemap.service.models import find_predictor
 from joulemap.service.settings import Settings
 from joulemap.service.storage.owners import NOBODY, Caller
-from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import CALIBRATION, DONE, FAILED, CalibrationRow, CostmapRow, HeightmapRow, RunsRow
+from joulemap.service.storage.store import Store, safe_name
+from joulemap.service.storage.tables import (
+    COSTMAP,
+    DONE,
+    FAILED,
+    CalibrationRow,
+    CostmapRow,
+    HeightmapRow,
+    RunsRow,
+    kind_of,
+)
 from joulemap.service.workflows import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
-_WARM_WAIT_S = 120.0
-_INGEST_AT_ONCE = 2
+_WARM_WAIT_S, _WARM_LOOK_S = 120.0, 0.05
 
 Job = TypeVar("Job", CostmapRow, CalibrationRow)
 
@@ -48,6 +67,9 @@ class Service:
         self.settings = settings
         self.version = version("joulemap")
         self.store = Store(settings.data_dir, settings.resolved_database_url)
+        self.retention = Retention(
+            settings, self.store, {CostmapRow: self.delete_costmap, CalibrationRow: self.delete_calibration}
+        )
         self.maps = OpenMaps(
             self.store.load_lattice,
             size=settings.open_costmaps,
@@ -55,14 +77,18 @@ class Service:
             most_cells=settings.max_cells_in_memory,
             memory_bytes=int(1e9 * settings.route_memory_gb),
         )
-        self.makers = make_makers(self.store, settings, on_done=self.maps.keep)
-        workers = [  # one for each kind, so that a long calibration keeps no cost map waiting
-            Worker(self.store, {kind: maker}, name=SERVICE, ready=self.await_kernels)
-            for kind, maker in self.makers.items()
-            if settings.build_here
-        ]
-        self.jobs = Jobs(self.store, workers, queue_size=settings.queue_size)
-        self.ingest_limit = anyio.CapacityLimiter(_INGEST_AT_ONCE)  # each may hold a whole heightmap
+        self.metrics, self.health = Metrics(), Health()
+        self.plans = plan_queue(settings, self.maps, self.metrics.saw_work)
+        self.prices = price_queue(settings, self.maps, self.metrics.saw_work)
+        self.job_events = JobEvents(look_into(self.store))
+        queues = [self.plans, self.prices]
+        watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=queues)
+        self.jobs = Jobs(self.store, settings, on_done=self._open_made)
+        self.readers = Readers(
+            processes=settings.read_processes,
+            queue=settings.read_queue_size,
+            limits=ReadLimits(settings.read_seconds, settings.read_memory_mb),
+        )
         self.warm_seconds: float | None = None
         self._warm = threading.Event()
         self._warm_failure = "see the log"
@@ -107,16 +133,18 @@ class Service:
     def start(self) -> None:
         """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
         self.store.open()
+        self.health.start()
         threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
-        self.jobs.resume()
+        self.jobs.start()
 
     def stop(self) -> None:
         """Stop the workers and close the store."""
+        self.health.stop()
         self.jobs.stop()
         self.store.close()
 
     def check_ready(self) -> float:
-        """Return how long loading the kernels took.
+        """Return how long loading the kernels took, from what is known already.
 
         Returns
         -------
@@ -126,13 +154,31 @@ class Service:
         Raises
         ------
         BusyError
-            If they are not loaded yet, or if that failed.
+            If they are not loaded yet, if that failed, or if the latest look at something found that it is not well.
         """
         if self.warm_seconds is None:
             if self._warm.is_set():
                 raise BusyError(f"not ready: loading failed: {self._warm_failure}", failed=True)
             raise BusyError("not ready: kernels are being compiled or loaded", failed=False, retry_after_s=2)
+        checks = self.health.results()
+        wrong = [f"{name}: {found}" for name, found in checks.items() if found != OK]
+        if wrong:
+            raise BusyError(f"not ready: {'; '.join(wrong)}", failed=False, checks=checks, retry_after_s=5)
         return self.warm_seconds
+
+    async def kernels_loaded(self) -> None:
+        """Wait until the kernels are loaded, without a thread.
+
+        Raises
+        ------
+        BusyError
+            If that takes too long.
+        """
+        with anyio.move_on_after(_WARM_WAIT_S):
+            while not self._warm.is_set():
+                await anyio.sleep(_WARM_LOOK_S)
+        if not self._warm.is_set():
+            raise BusyError("the service is still compiling its kernels", retry_after_s=10)
 
     def await_kernels(self) -> None:
         """Wait until the kernels are loaded.
@@ -145,7 +191,7 @@ class Service:
         if not self._warm.wait(_WARM_WAIT_S):
             raise BusyError("the service is still compiling its kernels", retry_after_s=10)
 
-    def keep_heightmap(self, path: Path, *, name: str, **options: Any) -> HeightmapRow:
+    async def keep_heightmap(self, path: Path, *, name: str, **options: Any) -> HeightmapRow:
         """Read, check and keep a heightmap that was sent.
 
         Parameters
@@ -167,26 +213,26 @@ class Service:
         HeightmapError
             If it is not a heightmap that can be used.
         TooLargeError
-            If it has too many cells.
+            If it has too many cells, or takes too much time or memory to read.
+        BusyError
+            If too many files wait to be read.
         """
-        heightmap = read_heightmap(path, filename=name, max_cells=self.settings.max_cells, **options)
-        known = heightmap.heights[heightmap.heights == heightmap.heights]
-        frame = heightmap.frame
-        stats = {
-            "rows": frame.rows,
-            "cols": frame.cols,
-            "resolution_m": frame.resolution_m,
-            "crs": frame.crs,
-            "bounds": list(frame.bounds),
-            "known_share": heightmap.known_share,
-            "height_min_m": float(known.min()),
-            "height_max_m": float(known.max()),
-            "hash": heightmap.data_hash,
-            "band": options.get("band"),
-        }
-        return self.store.add_heightmap(heightmap, name=name, stats=stats)
+        made = path.with_name(f"{path.name}.tif")
+        most = self.settings.max_cells
+        try:
+            stats = await self.readers.read(
+                "heightmap", path=str(path), out=str(made), name=name, max_cells=most, options=options
+            )
 
-    def keep_runs(
+            def _keep() -> HeightmapRow:
+                return self.store.add_heightmap(made, name=name, stats=stats)
+
+            return await anyio.to_thread.run_sync(_keep)
+        finally:
+            for left in path.parent.glob(f"*{made.name}*"):  # the map, or what a process that was killed had written
+                left.unlink(missing_ok=True)
+
+    async def keep_runs(
         self, files: Sequence[tuple[str, Path]], *, heightmap_id: str | None = None, odometry: Odometry | None = None
     ) -> RunsRow:
         """Read, check and keep runs that were sent together.
@@ -210,18 +256,45 @@ class Service:
         RunsError
             If a run cannot be read, contains no segment, or does not lie on the heightmap.
         TooLargeError
-            If a run is larger than the limits.
+            If a run is larger than the limits, or takes too much time or memory to read.
+        BusyError
+            If too many files wait to be read.
         InputError
             If two runs have the same name.
         NotFoundError
             If there is no such heightmap.
         """
-        settings = self.settings
-        heightmap = self.store.heightmap(heightmap_id) if heightmap_id is not None else None
-        limits = RunLimits(settings.max_run_mb, settings.max_run_cells, settings.max_run_km)
-        ground = heightmap.stats if heightmap is not None else None
-        stats = read_sent_runs(files, limits=limits, ground=ground, odometry=odometry)
-        return self.store.add_runs(files, stats)
+        names = _distinct([safe_name(name) for name, _ in files])
+        ground = None
+        if heightmap_id is not None:
+            ground = (await anyio.to_thread.run_sync(self.store.heightmap, heightmap_id)).stats
+        asked = {
+            "limits_of_run": asdict(_run_limits(self.settings)),
+            "crs": ground["crs"] if ground is not None else None,
+            "odometry": asdict(odometry) if odometry is not None else None,
+        }
+        stats = [
+            await self.readers.read("run", path=str(path), name=name, **asked)
+            for name, (_, path) in zip(names, files, strict=True)
+        ]
+        check_together(stats, ground)
+        return await anyio.to_thread.run_sync(self.store.add_runs, files, stats)
+
+    def delete_costmap(self, costmap_id: str) -> None:
+        """Delete a cost map; one that is being made is stopped.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
+        self.store.delete_costmap(costmap_id)
+        self.maps.forget(costmap_id)
 
     def delete_calibration(self, calibration_id: str) -> None:
         """Delete a calibration with its report and its model; one that is being made is stopped.
@@ -239,7 +312,7 @@ class Service:
             If cost maps use its model.
         """
         self.store.delete_calibration(calibration_id)
-        self.makers[CALIBRATION].discard(calibration_id)
+        self.store.discard(calibration_id, self.settings.resolved_models_dir)
 
     def done_calibration(self, calibration_id: str) -> CalibrationRow:
         """Return the row of a calibration that is done.
@@ -296,12 +369,24 @@ class Service:
                 progress=row.progress,
                 retry_after_s=2,
             )
+        self.retention.saw(row.id)
         return row
+
+    def _open_made(self, job_id: str) -> None:
+        """Have a new cost map in memory before the first question."""
+        if kind_of(job_id) == COSTMAP:
+            with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
+                if isinstance(planner, RoutePlanner):
+                    planner.prepare()
 
     def _warm_up(self) -> None:
         try:
-            settings = self.settings
-            self.warm_seconds = warm_up(models=settings.warm_models, models_dir=settings.resolved_models_dir)
+            for model in set(self.settings.warm_models).difference(MODEL_NAMES):  # the workers load them all
+                self.find_predictor(model)
+            seconds = warm_up(models=())
+            gc.collect()
+            gc.freeze()  # a million objects of libraries that stay: to go over them again stalls everything for 0.5 s
+            self.warm_seconds = seconds
             _LOG.info("kernels are loaded after %.1f s", self.warm_seconds)
         except JoulemapError as error:
             self._warm_failure = error.message
@@ -310,7 +395,25 @@ class Service:
             self._warm.set()
 
 
-def get_service(request: Request) -> Service:
+def _distinct(names: list[str]) -> list[str]:
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        raise InputError(f"two runs are called {twice[0]}: send them under different names", name=twice[0])
+    return names
+
+
+def _run_limits(settings: Settings) -> RunLimits:
+    return RunLimits(
+        mb=settings.max_run_mb,
+        rows=settings.max_run_rows,
+        columns=settings.max_run_columns,
+        cells=settings.max_run_cells,
+        text_mb=settings.max_run_text_mb,
+        km=settings.max_run_km,
+    )
+
+
+async def get_service(request: Request) -> Service:
     """Return the service of the app that answers a request (a FastAPI dependency), as its caller sees it.
 
     Parameters
@@ -328,7 +431,7 @@ def get_service(request: Request) -> Service:
     return service if caller is NOBODY else service.seen_by(caller)
 
 
-def with_kernels(request: Request) -> Service:
+async def with_kernels(request: Request) -> Service:
     """Return the service once its kernels are loaded (a FastAPI dependency of routes that compute).
 
     Parameters
@@ -346,8 +449,8 @@ def with_kernels(request: Request) -> Service:
     BusyError
         If loading takes too long.
     """
-    service = get_service(request)
-    service.await_kernels()
+    service = await get_service(request)
+    await service.kernels_loaded()
     return service
 
 

@@ -23,8 +23,7 @@ def test_uma_rescue_area(client: TestClient, real_data: Path) -> None:
     ).json()
     assert made["status"] == "done"
     assert made["blocked"]["free"] > 0.3
-    with client.app.state.service.maps.use(made["id"]) as planner:  # type: ignore[attr-defined]
-        lattice = planner.lattice
+    lattice = client.app.state.service.maps.planner(made["id"]).lattice  # type: ignore[attr-defined]
     free = np.argwhere(lattice.blocked == 0)
     rng = np.random.default_rng(1)
     answered = 0

@@ -1,9 +1,6 @@
 """Cost maps planned on from disk: the answers of the map in memory, refusals in words, progress that may stop."""
 
-import asyncio
 import json
-import threading
-import time
 
 import numpy as np
 import pytest
@@ -16,7 +13,6 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.cli import app
 from joulemap.service.http.app import create_app
-from joulemap.service.http.long_questions import events, until_gone
 from tests.service.conftest import GOAL as HTTP_GOAL
 from tests.service.conftest import START as HTTP_START
 from tests.service.conftest import settings_for
@@ -134,32 +130,3 @@ def test_http_tells_the_progress_as_events(small_memory):
     answer = stored.post(f"{place}/paths", json=wrong, headers={"Accept": "text/event-stream"})
     assert "event: problem" in answer.text
     assert stored.post(f"{place}/paths", json=wrong).status_code == 422
-
-
-def test_a_closed_connection_ends_the_work():
-    stopped = threading.Event()
-
-    def work(report):
-        try:
-            while True:
-                report(0.1)
-                time.sleep(0.01)
-        finally:
-            stopped.set()
-
-    class Closed:
-        async def is_disconnected(self):
-            return True
-
-    assert asyncio.run(until_gone(Closed(), work)).status_code == 499
-    assert stopped.is_set()
-
-    async def read_a_little():
-        stream = events(work)
-        await anext(stream)
-        await stream.aclose()
-        await asyncio.sleep(0.1)
-
-    stopped.clear()
-    asyncio.run(read_a_little())
-    assert stopped.is_set()

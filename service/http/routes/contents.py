@@ -6,24 +6,26 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query, Response
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
 from joulemap.model.errors import InputError
-from joulemap.model.ranges import COORDINATE_M, CORRIDOR_PERCENT, HEADING_DEG
+from joulemap.model.ranges import CORRIDOR_PERCENT, HEADING_DEG
 from joulemap.planner.lattice_io import export_geotiff, export_npz
 from joulemap.service.http.documents import problems
+from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.state import KernelsDep
 from joulemap.service.http.zip_stream import zip_folder
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.pictures import field_image, lattice_image
 from joulemap.service.schemas.answers import number
+from joulemap.service.schemas.base import Coordinate
 from joulemap.service.schemas.base import within as bounds
 from joulemap.service.schemas.maps import AtOut, FieldOut
-from joulemap.service.workflows import costs_at
+from joulemap.service.workflows import PointCosts, costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
-Place = Annotated[float, Query(**bounds(COORDINATE_M))]
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
@@ -38,25 +40,30 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
         **problems(404, 409, 503),
     },
 )
-def get_data(
+async def get_data(
     costmap_id: str,
     service: KernelsDep,
+    request: Request,
     format: Annotated[
         Literal["geotiff", "npz", "zarr"],
         Query(description="geotiff: a band per heading [J/m]; npz: arrays; zarr: the kept lattice, zipped"),
     ] = "geotiff",
 ) -> Response:
     """The whole cost map as a file."""
-    service.done_costmap(costmap_id)
+    await run_sync(service.done_costmap, costmap_id)
     if format == "zarr":
         folder = service.store.lattice_path(costmap_id)
         return _file(zip_folder(folder), "application/zip", f"{costmap_id}.zarr.zip")
-    with service.maps.use(costmap_id) as planner:
+
+    def _export() -> Response:
+        lattice = service.maps.planner(costmap_id).lattice
         if format == "geotiff":
-            data, kind, suffix = export_geotiff(planner.lattice), "image/tiff", "tif"
+            data, kind, suffix = export_geotiff(lattice), "image/tiff", "tif"
         else:
-            data, kind, suffix = export_npz(planner.lattice), "application/octet-stream", "npz"
-    return _file(iter([data]), kind, f"{costmap_id}.{suffix}")
+            data, kind, suffix = export_npz(lattice), "application/octet-stream", "npz"
+        return _file(iter([data]), kind, f"{costmap_id}.{suffix}")
+
+    return await while_connected(request, service.plans.do(costmap_id, _export))
 
 
 @router.get(
@@ -64,13 +71,13 @@ def get_data(
     response_class=Response,
     responses={200: {"description": "A picture", "content": {"image/png": _BINARY}}, **problems(404, 409, 503)},
 )
-def get_image(
+async def get_image(
     costmap_id: str,
     service: KernelsDep,
+    request: Request,
     heading_deg: Annotated[
-        float | None,
+        Annotated[float, bounds(HEADING_DEG)] | None,
         Query(
-            **bounds(HEADING_DEG),
             description="clockwise from north [deg]; the picture shows the prices in this heading",
         ),
     ] = None,
@@ -82,24 +89,30 @@ def get_image(
     ] = None,
 ) -> Response:
     """A picture of the cost map: the mean over headings, one heading, or how much the heading matters."""
-    service.done_costmap(costmap_id)
+    await run_sync(service.done_costmap, costmap_id)
     chosen = view or ("mean" if heading_deg is None else "heading")
-    with service.maps.use(costmap_id) as planner:
-        png = lattice_image(planner.lattice, view=chosen, heading_deg=heading_deg)
-    return Response(png, media_type="image/png")
+
+    def _draw() -> Response:
+        lattice = service.maps.planner(costmap_id).lattice
+        return Response(lattice_image(lattice, view=chosen, heading_deg=heading_deg), media_type="image/png")
+
+    return await while_connected(request, service.plans.do(costmap_id, _draw))
 
 
 @router.get("/at", responses=problems(404, 409, 503))
-def get_at(
+async def get_at(
     costmap_id: str,
     service: KernelsDep,
-    x: Annotated[Place, Query(description="world x [m]", examples=[12.5])],
-    y: Annotated[Place, Query(description="world y [m]", examples=[40.5])],
+    x: Annotated[Coordinate, Query(description="world x [m]", examples=[12.5])],
+    y: Annotated[Coordinate, Query(description="world y [m]", examples=[40.5])],
 ) -> AtOut:
     """Energy per metre at one place in all headings, and why some headings are blocked."""
-    service.done_costmap(costmap_id)
-    with service.maps.use(costmap_id) as planner:
-        costs = costs_at(planner.lattice, x, y)
+
+    def _look() -> PointCosts:
+        service.done_costmap(costmap_id)
+        return costs_at(service.maps.planner(costmap_id).lattice, x, y)
+
+    costs = await service.prices.do(costmap_id, _look)
     return AtOut(
         x=x,
         y=y,
@@ -118,17 +131,17 @@ def get_at(
         **problems(404, 409, 503),
     },
 )
-def get_field(
+async def get_field(
     costmap_id: str,
     service: KernelsDep,
-    start_x: Annotated[Place | None, Query(description="energy from here to each cell: world x [m]")] = None,
-    start_y: Annotated[Place | None, Query(description="world y [m]")] = None,
-    goal_x: Annotated[Place | None, Query(description="energy from each cell to here: world x [m]")] = None,
-    goal_y: Annotated[Place | None, Query(description="world y [m]")] = None,
+    request: Request,
+    start_x: Annotated[Coordinate | None, Query(description="energy from here to each cell: world x [m]")] = None,
+    start_y: Annotated[Coordinate | None, Query(description="world y [m]")] = None,
+    goal_x: Annotated[Coordinate | None, Query(description="energy from each cell to here: world x [m]")] = None,
+    goal_y: Annotated[Coordinate | None, Query(description="world y [m]")] = None,
     within: Annotated[
-        float | None,
+        Annotated[float, bounds(CORRIDOR_PERCENT)] | None,
         Query(
-            **bounds(CORRIDOR_PERCENT),
             description="with start and goal: the corridor of routes so much dearer at most [%]",
         ),
     ] = None,
@@ -140,24 +153,29 @@ def get_field(
     ] = "json",
 ) -> Any:
     """Least energy from a start to all cells, from all cells to a goal, or over each cell between both."""
-    row = service.done_costmap(costmap_id)
+    await run_sync(service.done_costmap, costmap_id)
     start, goal = _place(start_x, start_y, "start"), _place(goal_x, goal_y, "goal")
-    with service.maps.use(costmap_id) as planner:
-        found = CostMap(planner.lattice).field(start=start, goal=goal, neighbours=neighbours, snap=snap)
     share = None if within is None else within / 100.0
-    if format == "geotiff":
-        return _file(iter([found.geotiff(within=share)]), "image/tiff", f"{row.id}-field.tif")
-    if format == "png":
-        return Response(field_image(found, within=share), media_type="image/png")
-    known = found.energy_j[np.isfinite(found.energy_j)]
-    return FieldOut(
-        kind=found.kind.value,
-        cells=found.energy_j.size,
-        reached=known.size,
-        least_j=float(known.min()) if known.size else None,
-        most_j=float(known.max()) if known.size else None,
-        corridor_cells=None if share is None else int(found.corridor(share).sum()),
-    )
+
+    def _search() -> Response:
+        lattice = service.maps.planner(costmap_id).lattice
+        found = CostMap(lattice).field(start=start, goal=goal, neighbours=neighbours, snap=snap)
+        if format == "geotiff":
+            return _file(iter([found.geotiff(within=share)]), "image/tiff", f"{costmap_id}-field.tif")
+        if format == "png":
+            return Response(field_image(found, within=share), media_type="image/png")
+        known = found.energy_j[np.isfinite(found.energy_j)]
+        figures = FieldOut(
+            kind=found.kind.value,
+            cells=found.energy_j.size,
+            reached=known.size,
+            least_j=float(known.min()) if known.size else None,
+            most_j=float(known.max()) if known.size else None,
+            corridor_cells=None if share is None else int(found.corridor(share).sum()),
+        )
+        return Response(figures.model_dump_json(), media_type="application/json")
+
+    return await while_connected(request, service.plans.do(costmap_id, _search))
 
 
 def _place(x: float | None, y: float | None, name: str) -> tuple[float, float] | None:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from importlib import resources
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Response
 from fastapi.openapi.docs import get_swagger_ui_html
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse
 from pydantic import BaseModel, Field
 
 from joulemap.model.errors import NotFoundError
 from joulemap.planner.plan import PLANNERS
 from joulemap.service.http.documents import problems
+from joulemap.service.http.metrics import MEDIA_TYPE
 from joulemap.service.http.state import ServiceDep
 
 router = APIRouter(tags=["service"])
@@ -30,6 +31,9 @@ class Ready(BaseModel):
 
     status: str = Field(examples=["ready"])
     warm_up_s: float = Field(description="how long loading or compiling the kernels took [s]")
+    checks: dict[str, str] = Field(
+        description="what the latest look at each part found: `ok`", examples=[{"database": "ok", "disk": "ok"}]
+    )
 
 
 class Index(BaseModel):
@@ -49,8 +53,17 @@ async def healthz() -> Live:
 
 @router.get("/readyz", responses={503: problems(503)[503]})
 async def readyz(service: ServiceDep) -> Ready:
-    """Whether all kernels are compiled and loaded, so that the first question is as fast as the second."""
-    return Ready(status="ready", warm_up_s=service.check_ready())
+    """Whether the database answers, files can be written, and all kernels are loaded, so that no question is slow.
+
+    The service looks every few seconds and answers from what it saw last: this costs nothing and waits for nothing.
+    """
+    return Ready(status="ready", warm_up_s=service.check_ready(), checks=service.health.results())
+
+
+@router.get("/metrics", response_class=PlainTextResponse)
+async def metrics(service: ServiceDep) -> Response:
+    """Numbers for Prometheus: requests, queues, the cost maps in memory, jobs, checks, stalls of the event loop."""
+    return Response(service.metrics.text(), media_type=MEDIA_TYPE)
 
 
 @router.get("/v1")
@@ -65,6 +78,7 @@ async def index(service: ServiceDep) -> Index:
         "openapi": "/openapi.json",
         "live": "/healthz",
         "ready": "/readyz",
+        "metrics": "/metrics",
     }
     return Index(name="joulemap", version=service.version, planners=list(PLANNERS), links=links)
 

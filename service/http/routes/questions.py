@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from anyio.to_thread import run_sync
 from fastapi import APIRouter, Header, Query, Request, Response
-from fastapi.responses import JSONResponse, StreamingResponse
+from fastapi.responses import JSONResponse
 from pydantic import BaseModel
+from sse_starlette import EventSourceResponse
 
 from joulemap.model.errors import ConflictError
 from joulemap.model.robot import Robot
+from joulemap.planner.stopping import check_stop
 from joulemap.service.http.documents import problems
-from joulemap.service.http.long_questions import EVENTS, events, until_gone
+from joulemap.service.http.long_questions import EVENTS, Report, events, while_connected
 from joulemap.service.http.state import KernelsDep
 from joulemap.service.problems import jsonable
 from joulemap.service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
@@ -51,12 +53,12 @@ async def find_path(
     text/event-stream` the answer comes as server-sent events: `progress` with the share that is done, and at the end
     `answer` with the JSON, or `problem`.
     """
+    row = await run_sync(service.done_costmap, costmap_id)
 
-    def _find(report: Callable[[float], None]) -> Response:
-        row = service.done_costmap(costmap_id)
+    def _find(report: Report) -> Response:
         robot = _same_robot(row, wanted.robot)
         battery = battery_of(wanted.battery, robot)
-        with service.maps.use_for_routes(costmap_id) as planner:
+        with service.maps.for_routes(costmap_id) as planner:
             plan = planner.plan(
                 (wanted.start[0], wanted.start[1]),
                 (wanted.goal[0], wanted.goal[1]),
@@ -67,24 +69,29 @@ async def find_path(
                 seed=wanted.seed,
                 alternatives=wanted.alternatives,
                 snap=wanted.snap,
-                progress=report,
+                progress=_unless_stopped(report),
             )
             verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
         if format == "geojson" or (format is None and GEOJSON in (accept or "")):
             return JSONResponse(path_geojson(plan, verdict, _warnings(row)), media_type=GEOJSON)
         return _answer(path_out(plan, verdict, _warnings(row)))
 
+    async def _found(report: Report) -> Response:
+        return await service.plans.do(costmap_id, lambda: _find(report))
+
     if EVENTS in (accept or ""):
-        return StreamingResponse(events(_find), media_type=EVENTS)
-    return await until_gone(request, _find)
+        return EventSourceResponse(events(_found))
+    return await while_connected(request, _found(lambda _share: None))
 
 
 @router.post("/tours", response_model=TourOut, responses=problems(404, 409, 503))
-def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep) -> Any:
+async def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep, request: Request) -> Any:
     """The round trip of least energy that visits all stops and returns to the first one."""
-    row = service.done_costmap(costmap_id)
-    battery = battery_of(wanted.battery, _same_robot(row, wanted.robot))
-    with service.maps.use(costmap_id) as planner:
+    row = await run_sync(service.done_costmap, costmap_id)
+
+    def _find() -> Response:
+        battery = battery_of(wanted.battery, _same_robot(row, wanted.robot))
+        planner = service.maps.planner(costmap_id)
         trip = planner.tour(
             [(stop[0], stop[1]) for stop in wanted.stops],
             neighbours=wanted.neighbours,
@@ -93,26 +100,49 @@ def find_tour(costmap_id: str, wanted: TourRequest, service: KernelsDep) -> Any:
             snap=wanted.snap,
         )
         verdict = judge_routes(planner.lattice, trip.legs, battery) if wanted.battery is not None else None
-    return _answer(tour_out(trip, verdict, _warnings(row)))
+        return _answer(tour_out(trip, verdict, _warnings(row)))
+
+    return await while_connected(request, service.plans.do(costmap_id, _find))
 
 
 @router.post("/feasibility", response_model=FeasibilityOut, responses=problems(404, 409, 503))
-def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: KernelsDep) -> Any:
-    """Whether a battery lasts for a given path, or for the best path from start to goal; also for a round trip."""
-    row = service.done_costmap(costmap_id)
-    robot = _same_robot(row, wanted.robot)
+async def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: KernelsDep, request: Request) -> Any:
+    """Whether a battery lasts for a given path, or for the best path from start to goal; also for a round trip.
+
+    A given path is only priced: it does not wait for the plans of others. So a robot may ask again and again with the
+    rest of its path.
+    """
     path = np.array([point[:2] for point in wanted.path], dtype=np.float64) if wanted.path is not None else None
-    with service.maps.use_for_routes(costmap_id) as planner:
-        assessment = assess(
-            planner,
-            battery=battery_of(wanted.battery, robot),
-            path=path,
-            start=wanted.start,
-            goal=wanted.goal,
-            round_trip=wanted.round_trip,
-            snap=wanted.snap,
-        )
-    return _answer(feasibility_out(assessment, _warnings(row)))
+    queue, lend = (
+        (service.plans, service.maps.for_routes) if path is None else (service.prices, service.maps.for_pricing)
+    )
+
+    def _judge() -> Response:
+        row = service.done_costmap(costmap_id)
+        robot = _same_robot(row, wanted.robot)
+        with lend(costmap_id) as planner:
+            assessment = assess(
+                planner,
+                battery=battery_of(wanted.battery, robot),
+                path=path,
+                start=wanted.start,
+                goal=wanted.goal,
+                round_trip=wanted.round_trip,
+                snap=wanted.snap,
+            )
+        return _answer(feasibility_out(assessment, _warnings(row)))
+
+    return await while_connected(request, queue.do(costmap_id, _judge))
+
+
+def _unless_stopped(report: Report) -> Report:
+    """Reports, and ends what nobody waits for any more."""
+
+    def _reported(share: float) -> None:
+        check_stop()
+        report(share)
+
+    return _reported
 
 
 def _answer(body: BaseModel) -> Response:

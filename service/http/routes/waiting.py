@@ -57,7 +57,7 @@ async def job_answer(
     if match:
         seconds = min(float(match.group(1)), MAX_WAIT_S)
         headers["Preference-Applied"] = f"wait={seconds:.0f}"
-        await service.jobs.wait(job_id, seconds)
+        await service.job_events.until_over(job_id, seconds)
     row = await anyio.to_thread.run_sync(load, job_id)
     if row.status == FAILED and row.problem is not None:
         body = {**row.problem, "context": {**row.problem["context"], "job_id": job_id}}

@@ -1,0 +1,148 @@
+"""What a service looks at regularly and tells: its checks of readiness, and its numbers for Prometheus."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import func, select
+from sqlalchemy.exc import SQLAlchemyError
+
+from joulemap.service.http.health import OK, Health, disk_check
+from joulemap.service.http.metrics import Metrics
+from joulemap.service.http.open_maps import OpenMaps
+from joulemap.service.http.work_queue import WorkQueue
+from joulemap.service.settings import Settings
+from joulemap.service.storage.sizes import bytes_of
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import JOBS, WORDS
+
+_FOLDERS_S = 300.0  # between looks at the sizes of all files, of which there may be many
+
+
+class Looked:
+    """What the latest looks at the database and the data directory found.
+
+    Parameters
+    ----------
+    store : Store
+        Open by the time of the first look.
+    folder : Path
+        The data directory.
+
+    Attributes
+    ----------
+    jobs : dict of (str, str) to int
+        Number of jobs by kind in words and status.
+    bytes : dict of str to int
+        Size by folder of the data directory.
+    """
+
+    def __init__(self, store: Store, folder: Path) -> None:
+        self._store, self._folder = store, folder
+        self.jobs: dict[tuple[str, str], int] = {}
+        self.bytes: dict[str, int] = {}
+
+    def at_database(self) -> None:
+        """Count the jobs.
+
+        Raises
+        ------
+        OSError
+            If the database does not answer.
+        """
+        found: dict[tuple[str, str], int] = {}
+        try:
+            with self._store.sessions() as session:
+                for kind, table in JOBS.items():
+                    rows: Any = session.execute(select(table.status, func.count()).group_by(table.status))
+                    found |= {(WORDS[kind], status): count for status, count in rows}
+        except SQLAlchemyError as error:
+            raise OSError(f"the database does not answer: {getattr(error, 'orig', error)}"[:300]) from error
+        self.jobs = found
+
+    def at_files(self) -> None:
+        """Sum the sizes of all files.
+
+        Raises
+        ------
+        OSError
+            If the data directory cannot be read.
+        """
+        self.bytes = {place.name: bytes_of(place) for place in self._folder.iterdir() if place.is_dir()}
+
+
+def watch(
+    settings: Settings, store: Store, *, health: Health, metrics: Metrics, maps: OpenMaps, queues: list[WorkQueue]
+) -> None:
+    """Add the checks and the numbers that every service has.
+
+    Parameters
+    ----------
+    settings : Settings
+        Whose data directory and limits count.
+    store : Store
+        Open by the time `health` is started.
+    health : Health
+        Gets the checks ``database``, ``disk`` and ``files``.
+    metrics : Metrics
+        Gets the numbers.
+    maps : OpenMaps
+        Cost maps in memory.
+    queues : list of WorkQueue
+        All queues.
+    """
+    looked = Looked(store, settings.data_dir)
+    health.add("database", looked.at_database)
+    health.add("disk", disk_check(settings.data_dir, least_free_bytes=int(settings.min_free_mb * 1e6)))
+    health.add("files", looked.at_files, every_s=_FOLDERS_S)
+    metrics.queues(queues)
+    metrics.gauge("joulemap_open_costmaps", "cost maps in memory", lambda: float(len(maps)))
+    metrics.counter("joulemap_costmap_cache_hits_total", "questions that found their map", lambda: float(maps.hits))
+    metrics.counter("joulemap_costmap_cache_misses_total", "questions that had to load it", lambda: float(maps.misses))
+    metrics.gauge(
+        "joulemap_check_passed",
+        "1 where the latest look found all well, else 0",
+        lambda: {name: float(found == OK) for name, found in health.results().items()},
+        labels=("check",),
+    )
+    metrics.gauge(
+        "joulemap_jobs",
+        "jobs by kind and status",
+        lambda: {key: float(count) for key, count in looked.jobs.items()},
+        labels=("kind", "status"),
+    )
+    metrics.gauge(
+        "joulemap_data_bytes",
+        "size of the files in the data directory, by folder",
+        lambda: {name: float(size) for name, size in looked.bytes.items()},
+        labels=("folder",),
+    )
+
+
+@asynccontextmanager
+async def on_the_loop(metrics: Metrics, queues: Iterable[WorkQueue]) -> AsyncIterator[None]:
+    """Measure the event loop's stalls meanwhile, and end the work of all queues at the end.
+
+    Parameters
+    ----------
+    metrics : Metrics
+        Where the stalls are counted.
+    queues : iterable of WorkQueue
+        All queues.
+
+    Yields
+    ------
+    None
+        Nothing.
+    """
+    watching = asyncio.create_task(metrics.watch_loop())
+    try:
+        yield
+    finally:
+        for queue in queues:
+            queue.stop()
+        watching.cancel()

@@ -1,0 +1,199 @@
+"""Work on threads for requests: in turn, bounded, and ended when nobody waits for it any more."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from joulemap.model.errors import BusyError, NoRouteError
+from joulemap.planner.fields import field_towards
+from joulemap.planner.moves import move_table
+from joulemap.planner.stopping import Stopped, check_stop, new_flag, stop_flag, stoppable
+from joulemap.service.http.long_questions import events, while_connected
+from joulemap.service.http.work_queue import WorkQueue
+from tests.reference.lattices import random_lattice
+
+GENEROUS_S = 30.0
+
+
+def a_queue(**options: object) -> WorkQueue:
+    return WorkQueue("plans", **{"threads": 1, "per_group": 8, "overall": 16, **options})  # type: ignore[arg-type]
+
+
+async def _until(condition) -> None:  # type: ignore[no-untyped-def]
+    async with asyncio.timeout(GENEROUS_S):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+def _stopped() -> None:
+    """Work until the flag is set, as a search does."""
+    while True:
+        check_stop()
+        time.sleep(0.002)
+
+
+def test_the_result_and_the_error_of_some_work_come_back():
+    async def ask():
+        queue = a_queue()
+        assert await queue.do("a", lambda: 42) == 42
+        with pytest.raises(NoRouteError, match="nowhere"):
+            await queue.do("a", lambda: (_ for _ in ()).throw(NoRouteError("nowhere")))
+        assert (queue.waiting, queue.running) == (0, 0)
+
+    asyncio.run(ask())
+
+
+def test_cost_maps_take_turns():
+    """One client with many questions to its map does not make another one wait for all of them."""
+
+    async def ask():
+        queue, order, begun, go = a_queue(), [], threading.Event(), threading.Event()
+
+        def first():
+            begun.set()
+            go.wait(GENEROUS_S)
+
+        tasks = [asyncio.create_task(queue.do("a", first))]
+        await _until(begun.is_set)
+        for group in ("a", "a", "a", "b", "c", "b"):
+            tasks.append(asyncio.create_task(queue.do(group, lambda group=group: order.append(group))))
+        await _until(lambda: queue.waiting == 6)
+        go.set()
+        await asyncio.gather(*tasks)
+        assert order == ["a", "b", "c", "a", "b", "a"]
+
+    asyncio.run(ask())
+
+
+@pytest.mark.parametrize(("groups", "words"), [(["a"] * 3, "this cost map"), (["a", "b", "c", "d"], "of all")])
+def test_what_is_too_much_is_refused_with_a_time_to_come_back(groups, words):
+    async def ask():
+        queue, go = a_queue(per_group=2, overall=3), threading.Event()
+        tasks = [asyncio.create_task(queue.do("x", lambda: go.wait(GENEROUS_S)))]
+        await _until(lambda: queue.running == 1)
+        tasks += [asyncio.create_task(queue.do(group, lambda: 1)) for group in groups[:-1]]
+        await _until(lambda: queue.waiting == len(groups) - 1)
+        with pytest.raises(BusyError, match=words) as refused:
+            await queue.do(groups[-1], lambda: 1)
+        assert refused.value.context["retry_after_s"] >= 1
+        assert queue.refused == 1
+        go.set()
+        await asyncio.gather(*tasks)
+
+    asyncio.run(ask())
+
+
+def test_work_that_nobody_waits_for_ends_and_what_waits_is_never_begun():
+    async def ask():
+        queue, begun = a_queue(), []
+        running = asyncio.create_task(queue.do("a", _stopped))
+        await _until(lambda: queue.running == 1)
+        waiting = asyncio.create_task(queue.do("a", lambda: begun.append(1)))
+        await _until(lambda: queue.waiting == 1)
+        waiting.cancel()
+        await asyncio.wait([waiting])
+        assert queue.waiting == 0
+        running.cancel()
+        await asyncio.wait([running])
+        await _until(lambda: queue.running == 0)
+        assert (begun, queue.given_up) == ([], 2)
+        assert await queue.do("a", lambda: 7) == 7  # the thread is free again
+
+    asyncio.run(ask())
+
+
+def test_only_one_question_loads_a_cost_map_and_another_map_does_not_wait():
+    async def ask():
+        loaded: set[str] = set()
+        queue = a_queue(threads=3, one_at_a_time=lambda group: group not in loaded)
+        at_once, most, go = [], [0], threading.Event()
+
+        def load():
+            at_once.append(1)
+            most[0] = max(most[0], len(at_once))
+            go.wait(GENEROUS_S)
+            at_once.pop()
+
+        tasks = [asyncio.create_task(queue.do("big", load)) for _ in range(3)]
+        await _until(lambda: len(at_once) == 1)
+        assert await queue.do("other", lambda: "other") == "other"
+        assert (queue.running, queue.waiting) == (1, 2)
+        loaded.add("big")
+        go.set()
+        await asyncio.gather(*tasks)
+        assert most[0] <= 2  # the last two may run side by side
+
+    asyncio.run(ask())
+
+
+def test_a_service_that_stops_ends_all_work():
+    async def ask():
+        queue = a_queue()
+        tasks = [asyncio.create_task(queue.do("a", _stopped)) for _ in range(3)]
+        await _until(lambda: queue.running == 1 and queue.waiting == 2)
+        queue.stop()
+        for found in await asyncio.gather(*tasks, return_exceptions=True):
+            assert isinstance(found, BusyError)
+        with pytest.raises(BusyError, match="stops"):
+            await queue.do("a", lambda: 1)
+
+    asyncio.run(ask())
+
+
+@pytest.mark.parametrize("turn", [0.0, 2.0])
+def test_a_search_ends_when_its_flag_is_set(turn):
+    """A flag that is set before the search begins, and one that is set while it runs."""
+    lattice = random_lattice(np.random.default_rng(3), rows=60, cols=60, turn_j_per_rad=turn)
+    table, goal = move_table(lattice), np.array([[30.0, 30.0]])
+    flag = new_flag()
+    with stoppable(flag):
+        assert np.isfinite(field_towards(lattice, table, goal).energy_j).any()
+        flag[0] = 1
+        with pytest.raises(Stopped):
+            field_towards(lattice, table, goal)
+    assert stop_flag()[0] == 0
+    field_towards(lattice, table, goal)
+
+    over, ended = new_flag(), threading.Event()
+
+    def search() -> None:
+        with stoppable(over):
+            try:
+                while True:
+                    field_towards(lattice, table, goal)
+            except Stopped:
+                ended.set()
+
+    thread = threading.Thread(target=search, daemon=True)
+    thread.start()
+    time.sleep(0.05)
+    assert not ended.is_set()
+    over[0] = 1
+    assert ended.wait(GENEROUS_S)
+
+
+def test_a_closed_connection_ends_the_work():
+    class Closed:
+        async def receive(self):
+            await asyncio.sleep(0.02)
+            return {"type": "http.disconnect"}
+
+    async def ask():
+        queue = a_queue()
+        answer = await while_connected(Closed(), queue.do("a", _stopped))  # type: ignore[arg-type]
+        assert answer.status_code == 499
+        await _until(lambda: queue.running == 0)
+        stream = events(lambda report: queue.do("a", _stopped))
+        first = await anext(stream)
+        assert first.event == "progress"
+        await _until(lambda: queue.running == 1)
+        await stream.aclose()
+        await _until(lambda: queue.running == 0)
+        assert queue.given_up == 2
+
+    asyncio.run(ask())
