@@ -41,7 +41,9 @@ class Settings(BaseSettings):
         gt=0,
         description="processor time for reading one sent file, and 1 s more for each 5 MB; twice as much real time [s]",
     )
-    read_memory_mb: float = Field(default=1000.0, gt=0, description="memory for reading one sent file [MB]")
+    read_memory_mb: float = Field(
+        default=750.0, gt=0, description="memory for reading one sent file, beyond the 220 MB of the process [MB]"
+    )
     queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or run at a time")
     max_run_mb: float = Field(default=64.0, gt=0, description="largest file of one measured run [MB]")
     max_run_rows: int = Field(default=1_000_000, gt=0, description="most rows of one measured run")

@@ -89,6 +89,15 @@ class Service:
             queue=settings.read_queue_size,
             limits=ReadLimits(settings.read_seconds, settings.read_memory_mb),
         )
+        self.metrics.gauge(
+            "joulemap_sent_files_waiting", "sent files that wait to be read", lambda: float(self.readers.waiting)
+        )
+        self.metrics.gauge(
+            "joulemap_sent_files_running", "sent files that are read now", lambda: float(self.readers.running)
+        )
+        self.metrics.counter(
+            "joulemap_sent_files_refused_total", "refused: the queue was full", lambda: float(self.readers.refused)
+        )
         self.warm_seconds: float | None = None
         self._warm = threading.Event()
         self._warm_failure = "see the log"

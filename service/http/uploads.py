@@ -15,6 +15,8 @@ from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData, UploadFile
 
 from joulemap.model.errors import InputError
+from joulemap.model.ranges import LONGEST_NAME
+from joulemap.service.http.long_questions import unless_gone
 from joulemap.service.http.state import Service
 from joulemap.service.schemas.maps import UploadOptions
 from joulemap.service.storage.tables import HeightmapRow, RunsRow
@@ -111,14 +113,18 @@ async def take_raw(request: Request, service: Service, options: UploadOptions) -
     """
     with service.store.upload_file() as path:
         await _receive(request, path)
-        return await _keep(service, path, options, filename="upload")
+        return await _keep(request, service, path, options, "upload")
 
 
-async def take_form(form: Mapping[str, Any], service: Service, options: UploadOptions) -> HeightmapRow:
+async def take_form(
+    request: Request, form: Mapping[str, Any], service: Service, options: UploadOptions
+) -> HeightmapRow:
     """Keep the heightmap in the field `file` of a form.
 
     Parameters
     ----------
+    request : Request
+        The request at hand.
     form : mapping
         The form; its other fields are upload options.
     service : Service
@@ -149,7 +155,7 @@ async def take_form(form: Mapping[str, Any], service: Service, options: UploadOp
     filename = _name_of(upload)
     with service.store.upload_file() as path:
         await anyio.to_thread.run_sync(_spill, upload, path)
-        return await _keep(service, path, options, filename=filename)
+        return await _keep(request, service, path, options, filename)
 
 
 async def take_raw_run(request: Request, service: Service, *, name: str, **how: Any) -> RunsRow:
@@ -180,14 +186,16 @@ async def take_raw_run(request: Request, service: Service, *, name: str, **how: 
     """
     with service.store.upload_file() as path:
         await _receive(request, path)
-        return await _keep_runs(service, [(name, path)], **how)
+        return await unless_gone(request, service.keep_runs([(name, path)], **how))
 
 
-async def take_runs(form: FormData, service: Service, **how: Any) -> RunsRow:
+async def take_runs(request: Request, form: FormData, service: Service, **how: Any) -> RunsRow:
     """Keep the runs in the fields `file` of a form: all of them or none.
 
     Parameters
     ----------
+    request : Request
+        The request at hand.
     form : FormData
         The form.
     service : Service
@@ -224,14 +232,7 @@ async def take_runs(form: FormData, service: Service, **how: Any) -> RunsRow:
             path = stack.enter_context(service.store.upload_file())
             await anyio.to_thread.run_sync(_spill, upload, path)
             files.append((_name_of(upload), path))
-        return await _keep_runs(service, files, **how)
-
-
-async def _keep_runs(service: Service, files: list[tuple[str, Path]], **how: Any) -> RunsRow:
-    def keep() -> RunsRow:
-        return service.keep_runs(files, **how)
-
-    return await anyio.to_thread.run_sync(keep, limiter=service.ingest_limit)
+        return await unless_gone(request, service.keep_runs(files, **how))
 
 
 async def _receive(request: Request, path: Path) -> None:
@@ -241,7 +242,8 @@ async def _receive(request: Request, path: Path) -> None:
 
 
 def _name_of(upload: UploadFile) -> str:
-    return PurePosixPath((upload.filename or "upload").replace("\\", "/")).name[:200] or "upload"
+    name = PurePosixPath((upload.filename or "upload").replace("\\", "/")).name
+    return "".join(letter for letter in name[:LONGEST_NAME] if letter.isprintable()) or "upload"
 
 
 def _spill(upload: UploadFile, path: Path) -> None:
@@ -249,11 +251,6 @@ def _spill(upload: UploadFile, path: Path) -> None:
         shutil.copyfileobj(upload.file, out, 1 << 20)
 
 
-async def _keep(service: Service, path: Path, options: UploadOptions, *, filename: str) -> HeightmapRow:
+async def _keep(request: Request, service: Service, path: Path, options: UploadOptions, filename: str) -> HeightmapRow:
     values = options.model_dump(exclude={"name"})
-    name = options.name or filename
-
-    def keep() -> HeightmapRow:
-        return service.keep_heightmap(path, name=name, **values)
-
-    return await anyio.to_thread.run_sync(keep, limiter=service.ingest_limit)
+    return await unless_gone(request, service.keep_heightmap(path, name=options.name or filename, **values))

@@ -1,4 +1,4 @@
-"""The processes that read what is sent: a few, kept warm, killed with their file, and replaced.
+"""The processes that read what is sent: a few, kept for the next file, killed with their file, and replaced.
 
 They are those of `anyio.to_process`, on which the web framework stands already. Each has a pipe of its own, so that the
 end of one disturbs no other; a cancelled call kills its process; and all end with the event loop. Pebble and loky keep
@@ -39,10 +39,7 @@ class Readers:
         Files that found the queue full.
     """
 
-    name = "sent files"
-
     def __init__(self, *, processes: int, queue: int, limits: ReadLimits) -> None:
-        self.threads = processes
         self._queue = queue
         self._limits = limits
         self._limiter = anyio.CapacityLimiter(processes)
@@ -57,10 +54,6 @@ class Readers:
     def running(self) -> int:
         """Number of files that are read now."""
         return self._limiter.statistics().borrowed_tokens
-
-    async def warm(self) -> None:
-        """Start a process, so that the first file does not wait for it."""
-        await to_process.run_sync(guard.prepare, cancellable=True, limiter=self._limiter)
 
     async def read(self, task: str, **arguments: Any) -> dict[str, Any]:
         """Read one file; if the caller is cancelled, the process that reads it is killed.

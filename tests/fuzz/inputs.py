@@ -215,9 +215,14 @@ READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng],
 """By reader: the valid files, whether they are text, and what reads a changed one."""
 
 
-def read_one(reader: str, seed: int, number: int) -> None:
-    """Generate an input, which the seed and its number decide, and read it."""
-    files, text, read = READERS[reader]
+def input_of(reader: str, seed: int, number: int) -> tuple[bytes, Rng]:
+    """An input, which the seed and its number decide, and the generator for further choices."""
+    files, text, _ = READERS[reader]
     rng = np.random.default_rng([seed, number])
     content = files()[int(rng.integers(len(files())))]
-    read(changed(rng, content, text=text), rng)
+    return changed(rng, content, text=text), rng
+
+
+def read_one(reader: str, seed: int, number: int) -> None:
+    """Generate an input and read it."""
+    READERS[reader][2](*input_of(reader, seed, number))

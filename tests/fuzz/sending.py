@@ -45,7 +45,9 @@ def send_files(count: int, seed: int, folder: Path) -> Answers:
         store = app.state.service.store
         before = _kept(folder)
         heightmap = store.add_heightmap(hill(), name="hill", stats={})
-        costmap = store.add_costmap(heightmap.id, {"robot": Robot().as_dict(), "model": "physics", "spacing_m": 1.0, "headings": 16})
+        costmap = store.add_costmap(
+            heightmap.id, {"robot": Robot().as_dict(), "model": "physics", "spacing_m": 1.0, "headings": 16}
+        )
         client.post("/v1/runs", content=b"t,x\n1,2\n")  # the process that reads is started
         for number, sent in enumerate(hostile_files(count, seed)):
             watch.peak_mb = 0.0

@@ -10,14 +10,15 @@ from pydantic import BaseModel, ValidationError
 from starlette.datastructures import FormData
 from starlette.exceptions import HTTPException
 
+from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.service.http.documents import costmap_body, problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.http.uploads import invalid, media_type, take_form
-from joulemap.service.schemas.answers import costmap_out
-from joulemap.service.schemas.base import robot_values
+from joulemap.service.schemas.answers import costmap_out, listed, shown
+from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions
 from joulemap.service.storage.tables import CostmapRow, HeightmapRow
 from joulemap.service.workflows import check_lattice
@@ -30,7 +31,7 @@ class CostmapList(BaseModel):
     """One page of cost maps, newest first."""
 
     total: int
-    items: list[CostmapOut]
+    items: list[CostmapOut | UnreadableOut]
 
 
 @router.post(
@@ -56,7 +57,7 @@ async def make_costmap(
         async with request.form(max_files=1, max_fields=20) as form:
             wanted = _form_options(form)
             await anyio.to_thread.run_sync(_check_settings, service, wanted)
-            heightmap = await take_form(form, service, options)
+            heightmap = await take_form(request, form, service, options)
     elif kind == "application/json":
         wanted = await _json_request(request)
         heightmap = await anyio.to_thread.run_sync(service.store.heightmap, wanted.heightmap_id)
@@ -71,13 +72,13 @@ async def make_costmap(
 def list_costmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CostmapList:
     """All cost maps, finished or not, newest first."""
     rows, total = service.store.costmaps(limit=limit, offset=offset)
-    return CostmapList(total=total, items=[costmap_out(row) for row in rows])
+    return CostmapList(total=total, items=listed(rows, costmap_out))
 
 
-@router.get("/{costmap_id}", responses=problems(404))
+@router.get("/{costmap_id}", responses=problems(404, 409))
 def get_costmap(costmap_id: str, service: ServiceDep) -> CostmapOut:
     """Status and progress; once done, the frame, the prices, what is blocked and why, and how it was made."""
-    return costmap_out(service.store.costmap(costmap_id))
+    return shown(service.store.costmap(costmap_id), costmap_out)
 
 
 @router.get("/{costmap_id}/provenance", responses=problems(404, 409))
@@ -90,8 +91,7 @@ def get_provenance(costmap_id: str, service: ServiceDep) -> dict[str, Any]:
 @router.delete("/{costmap_id}", status_code=204, responses=problems(404))
 def delete_costmap(costmap_id: str, service: ServiceDep) -> None:
     """Delete a cost map; one that is being made is stopped."""
-    service.store.delete_costmap(costmap_id)
-    service.maps.forget(costmap_id)
+    service.delete_costmap(costmap_id)
 
 
 async def _json_request(request: Request) -> CostmapRequest:
@@ -112,7 +112,8 @@ def _form_options(form: FormData) -> CostmapOptions:
 def _check_settings(service: Service, wanted: CostmapOptions) -> None:
     """Check all that can be checked without the map. Raises RobotError, ModelError."""
     Robot.from_mapping(robot_values(wanted.robot))
-    service.find_predictor(wanted.model)
+    if wanted.model not in MODEL_NAMES:  # those need no check, and only the workers load them
+        service.find_predictor(wanted.model)
 
 
 def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) -> CostmapRow:

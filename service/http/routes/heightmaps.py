@@ -10,7 +10,8 @@ from pydantic import BaseModel
 from joulemap.service.http.documents import problems, upload_body
 from joulemap.service.http.state import Limit, Offset, ServiceDep
 from joulemap.service.http.uploads import media_type, take_form, take_raw
-from joulemap.service.schemas.answers import heightmap_out
+from joulemap.service.schemas.answers import heightmap_out, listed, shown
+from joulemap.service.schemas.base import UnreadableOut
 from joulemap.service.schemas.maps import HeightmapOut, UploadOptions
 
 router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])
@@ -20,17 +21,17 @@ class HeightmapList(BaseModel):
     """One page of heightmaps, newest first."""
 
     total: int
-    items: list[HeightmapOut]
+    items: list[HeightmapOut | UnreadableOut]
 
 
-@router.post("", status_code=201, responses=problems(), openapi_extra=upload_body())
+@router.post("", status_code=201, responses=problems(503), openapi_extra=upload_body())
 async def send_heightmap(
     request: Request, response: Response, service: ServiceDep, options: Annotated[UploadOptions, Query()]
 ) -> HeightmapOut:
     """Send a heightmap, as the form field `file` or as the raw body. What the file does not say is a parameter."""
     if media_type(request) == "multipart/form-data":
         async with request.form(max_files=1, max_fields=20) as form:
-            row = await take_form(form, service, options)
+            row = await take_form(request, form, service, options)
     else:
         row = await take_raw(request, service, options)
     response.headers["Location"] = f"/v1/heightmaps/{row.id}"
@@ -41,13 +42,13 @@ async def send_heightmap(
 def list_heightmaps(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> HeightmapList:
     """All heightmaps, newest first."""
     rows, total = service.store.heightmaps(limit=limit, offset=offset)
-    return HeightmapList(total=total, items=[heightmap_out(row) for row in rows])
+    return HeightmapList(total=total, items=listed(rows, heightmap_out))
 
 
-@router.get("/{heightmap_id}", responses=problems(404))
+@router.get("/{heightmap_id}", responses=problems(404, 409))
 def get_heightmap(heightmap_id: str, service: ServiceDep) -> HeightmapOut:
     """Size, position and heights of one heightmap."""
-    return heightmap_out(service.store.heightmap(heightmap_id))
+    return shown(service.store.heightmap(heightmap_id), heightmap_out)
 
 
 @router.delete("/{heightmap_id}", status_code=204, responses=problems(404, 409))

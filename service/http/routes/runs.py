@@ -13,8 +13,8 @@ from joulemap.model.runs.odometry import Odometry
 from joulemap.service.http.documents import problems, runs_body
 from joulemap.service.http.state import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.uploads import media_type, take_raw_run, take_runs
-from joulemap.service.schemas.answers import runs_out
-from joulemap.service.schemas.base import within
+from joulemap.service.schemas.answers import listed, runs_out, shown
+from joulemap.service.schemas.base import UnreadableOut, within
 from joulemap.service.schemas.loop import RunsOut
 
 router = APIRouter(prefix="/runs", tags=["runs and calibrations"])
@@ -24,7 +24,7 @@ class RunsList(BaseModel):
     """Measured runs, newest first."""
 
     total: int
-    items: list[RunsOut]
+    items: list[RunsOut | UnreadableOut]
 
 
 @router.post("", status_code=201, responses=problems(404, 503), openapi_extra=runs_body())
@@ -39,9 +39,8 @@ async def send_runs(
         ),
     ] = None,
     odometry_track_m: Annotated[
-        float | None,
+        Annotated[float, within(TRACK_M)] | None,
         Query(
-            **within(TRACK_M),
             description="the runs have no positions: integrate `speed_left` and `speed_right` with this effective "
             "track width [m]",
         ),
@@ -67,7 +66,7 @@ async def send_runs(
     odometry = None if odometry_track_m is None else Odometry(odometry_track_m, terrain_from_name)
     if media_type(request) == "multipart/form-data":
         async with request.form(max_files=service.settings.max_runs, max_fields=20) as form:
-            row = await take_runs(form, service, heightmap_id=heightmap_id, odometry=odometry)
+            row = await take_runs(request, form, service, heightmap_id=heightmap_id, odometry=odometry)
     else:
         row = await take_raw_run(request, service, name=name, heightmap_id=heightmap_id, odometry=odometry)
     response.headers["Location"] = f"/v1/runs/{row.id}"
@@ -78,13 +77,13 @@ async def send_runs(
 def list_runs(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> RunsList:
     """All runs, newest first."""
     rows, total = service.store.all_runs(limit=limit, offset=offset)
-    return RunsList(total=total, items=[runs_out(row) for row in rows])
+    return RunsList(total=total, items=listed(rows, runs_out))
 
 
-@router.get("/{runs_id}", responses=problems(404))
+@router.get("/{runs_id}", responses=problems(404, 409))
 def get_runs(runs_id: str, service: ServiceDep) -> RunsOut:
     """What was read from runs that were sent together, and what was left out and why."""
-    return runs_out(service.store.runs(runs_id))
+    return shown(service.store.runs(runs_id), runs_out)
 
 
 @router.delete("/{runs_id}", status_code=204, responses=problems(404, 409))
