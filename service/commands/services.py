@@ -35,13 +35,15 @@ def serve(
     import uvicorn
 
     from joulemap.service.http.app import create_app
+    from joulemap.service.http.logs import log_config
 
     settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
     uvicorn.run(
         create_app(settings),
         host=settings.host,
         port=settings.port,
-        log_level="info",
+        access_log=False,  # the service writes a line of its own, with the id of the request
+        log_config=log_config(settings.log_format),
         timeout_graceful_shutdown=settings.shutdown_s,
     )
 

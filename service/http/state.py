@@ -84,6 +84,7 @@ class Service:
         queues = [self.plans, self.prices]
         watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=queues)
         self.jobs = Jobs(self.store, settings, on_done=self._open_made)
+        self.health.add("workers", self._check_workers)
         self.readers = Readers(
             processes=settings.read_processes,
             queue=settings.read_queue_size,
@@ -174,6 +175,11 @@ class Service:
         if wrong:
             raise BusyError(f"not ready: {'; '.join(wrong)}", failed=False, checks=checks, retry_after_s=5)
         return self.warm_seconds
+
+    def _check_workers(self) -> None:
+        """Raise BusyError where nobody can do jobs."""
+        if self.jobs.trouble is not None:
+            raise BusyError(self.jobs.trouble, retry_after_s=10)
 
     async def kernels_loaded(self) -> None:
         """Wait until the kernels are loaded, without a thread.

@@ -10,6 +10,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeVar
 
 import numba
@@ -73,7 +74,8 @@ class WorkQueue:
         observe: Observe = lambda _name, _waited_s, _took_s: None,
     ) -> None:
         self.name, self.threads = name, threads
-        self._per_group, self._overall, self._cores = per_group, overall, share_cores
+        self._per_group, self._overall = per_group, overall
+        self._cores = min(share_cores, numba.get_num_threads())
         self._one_at_a_time, self._observe = one_at_a_time, observe
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix=name)
         self._waiting: OrderedDict[str, deque[_Work]] = OrderedDict()  # the group whose turn it is comes first
@@ -175,7 +177,7 @@ class WorkQueue:
             waited_s = time.monotonic() - made.asked
             inner = max(1, self._cores // len(self._running))
             done = asyncio.get_running_loop().run_in_executor(self._pool, made.context.run, _done, made, inner)
-            done.add_done_callback(lambda future, made=made, waited=waited_s: self._end(made, waited, future))
+            done.add_done_callback(partial(self._end, made, waited_s))
 
     def _end(self, made: _Work, waited_s: float, future: asyncio.Future[Any]) -> None:
         took_s = time.monotonic() - made.asked - waited_s
@@ -193,7 +195,7 @@ class WorkQueue:
 
 def _done(made: _Work, inner_threads: int) -> Any:
     """Do a piece of work on this thread."""
-    numba.set_num_threads(min(inner_threads, numba.config.NUMBA_NUM_THREADS))  # of this thread only
+    numba.set_num_threads(inner_threads)  # of this thread only
     with stoppable(made.stop):
         return made.do()
 

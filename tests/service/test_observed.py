@@ -123,11 +123,10 @@ def test_the_configuration_of_the_log_is_valid(kind, capsys):
 
 def test_readiness_tells_a_full_disk_and_a_lost_database_and_liveness_does_not(client, monkeypatch):
     service = client.app.state.service
-    monkeypatch.setattr(health_module, "EVERY_S", 0.05)
     until(lambda: client.get("/readyz").status_code == 200)
-    assert client.get("/readyz").json()["checks"] == {"database": OK, "disk": OK, "files": OK} | {
-        name: OK for name in service.health.results()
-    }
+    checks = client.get("/readyz").json()["checks"]
+    assert {"database", "disk", "files"} <= set(checks)
+    assert set(checks.values()) == {OK}
 
     class Disk:
         free = 1_000_000
