@@ -1,37 +1,22 @@
-"""What a calibration job does: it runs `calibrate_on_runs` in a process of its own on a worker."""
+"""Sends a calibration off to a cluster."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import secrets
-import shutil
-import sys
 from collections.abc import AsyncGenerator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.energy.predictor import MODEL_NAMES
-from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
-from joulemap.model.runs.calibration_runs import CalibrationRuns, read_calibration_runs, read_odometry_runs
-from joulemap.model.runs.odometry import Odometry
-from joulemap.model.runs.sites import Site
-from joulemap.model.terrain.readers import read_heightmap
-from joulemap.service.jobs.processes import end_with_parent, run
-from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
-from joulemap.service.loop.report_page import report_page
-from joulemap.service.loop.summary import NextStep
-from joulemap.service.models import CALIBRATED_FOLDER
-from joulemap.service.problems import problem_of
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import named_test_runs
+from joulemap.service.work.calibrations import calibrate
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # which takes half a second to load
     from distributed import Client
 
-REPORT, PAGE = "report.json", "report.html"
-_ORDER, _PROBLEM = "order.json", "problem.json"
 _LOOK_S = 1.0  # between looks how far a calibration is
 
 
@@ -138,97 +123,3 @@ async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> 
         ended.cancel()
         task.release()
         client.unsubscribe_topic(topic)
-
-
-def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
-    """Calibrate, on a worker; what is there already is not made again.
-
-    Parameters
-    ----------
-    order : mapping
-        As of `order_of`.
-    topic : str
-        Under which the share of the work that is done is told.
-
-    Returns
-    -------
-    dict
-        The report and the id of the model, or the problem body of a refusal.
-    """
-    from distributed import get_worker
-
-    folder, calibrated, worker = Path(order["folder"]), Path(order["calibrated"]), get_worker()
-    out = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}.partial")
-
-    def _tell(line: str) -> None:
-        kind, _, share = line.partition(" ")
-        if kind == topic:
-            worker.log_event(topic, float(share))
-
-    try:
-        if not folder.exists():
-            out.mkdir(parents=True)
-            (out / _ORDER).write_text(json.dumps(order), encoding="utf-8")
-            ended = run(__name__, [str(out), topic], tell=_tell)
-            if (out / _PROBLEM).exists():
-                return {"problem": json.loads((out / _PROBLEM).read_text(encoding="utf-8"))}
-            if ended != 0:
-                raise RuntimeError(f"the calibration's process ended with {ended}; see the worker's output")
-            (out / _ORDER).unlink()
-            shutil.rmtree(calibrated, ignore_errors=True)  # what an earlier try left
-            begun = calibrated.with_name(f"{out.name}")
-            shutil.move(out / CALIBRATED_FOLDER, begun)  # perhaps to another file system
-            begun.rename(calibrated)
-            out.rename(folder)
-        return {"report": json.loads((folder / REPORT).read_text(encoding="utf-8")), "model": calibrated.name}
-    finally:
-        shutil.rmtree(out, ignore_errors=True)
-
-
-def main(out: Path, topic: str) -> None:
-    """Calibrate in this process as `order.json` says, and leave the report, the page and the model beside it.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the order.
-    topic : str
-        Begins the lines that tell the share of the work that is done.
-
-    Raises
-    ------
-    SystemExit
-        If the runs cannot be calibrated; `problem.json` says why.
-    """
-    order = json.loads((out / _ORDER).read_text(encoding="utf-8"))
-    try:
-        runs = _read(order, Robot.from_mapping(order["robot"]))
-        made = calibrate_on_runs(
-            order["model"],
-            runs,
-            out=out,
-            task=None if order["task"] is None else (tuple(order["task"][0]), tuple(order["task"][1])),
-            groups=campaigns_of(runs.segments.runs) if order["campaigns"] else None,
-            cross_validate=not order["quick"],
-            seed=order["seed"],
-            progress=lambda share: print(topic, share, flush=True),
-        )
-    except JoulemapError as error:
-        (out / _PROBLEM).write_text(json.dumps(problem_of(error, order["id"])), encoding="utf-8")
-        sys.exit(1)
-    (out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
-    steps = [NextStep("Make a cost map with the calibrated model", order["next"])]
-    (out / PAGE).write_text(report_page(made, steps=steps), encoding="utf-8")
-
-
-def _read(order: Mapping[str, Any], robot: Robot) -> CalibrationRuns:
-    files, base, test = ([Path(file) for file in order[key]] for key in ("runs", "base_runs", "test_runs"))
-    if order["heightmap"] is None:
-        return read_odometry_runs(files, Odometry(**order["odometry"]), robot, baseline_files=base, test_files=test)
-    ground = read_heightmap(Path(order["heightmap"]), filename=order["heightmap_name"])
-    return read_calibration_runs([Site(ground, tuple(files), robot, tuple(base), tuple(test))])
-
-
-if __name__ == "__main__":
-    end_with_parent()
-    main(Path(sys.argv[1]), sys.argv[2])

@@ -55,7 +55,7 @@ class Warm(WorkerPlugin):
     def __init__(self, models: Sequence[str], models_dir: Path, *, nice: int) -> None:
         self._models, self._models_dir, self._nice = tuple(models), models_dir, nice
 
-    async def setup(self, worker: Any) -> None:  # type: ignore[override]
+    async def setup(self, worker: Any) -> None:
         """Begin to load; the worker takes tasks meanwhile.
 
         Parameters

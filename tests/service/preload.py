@@ -1,4 +1,4 @@
-"""Loaded by Dask workers in tests, see `disturbed`: small tiles that take a while, and a disk that is full for some time."""
+"""Loaded by Dask workers in tests, see `disturbed`: small tiles that take a while, a disk that is full for a time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from joulemap.planner import tiles
 from joulemap.planner.lattice_io import LatticeFolder
-from joulemap.service.jobs import costmaps
+from joulemap.service.work import tiles as work
 
 NAME = "JOULEMAP_TEST_WORKERS"
 
@@ -24,7 +24,7 @@ def disturbed(*, tile_cells: int = 256, pause_s: float = 0.0, full: Path | None 
 
 def disturb(*, tile_cells: int, pause_s: float, full: str | None) -> None:
     tiles.TILE_CELLS = tile_cells
-    build, write = costmaps.build_tile, LatticeFolder.write
+    build, write = work.build_tile, LatticeFolder.write
 
     def _build(*arguments: Any) -> Any:
         time.sleep(pause_s)
@@ -35,7 +35,7 @@ def disturb(*, tile_cells: int, pause_s: float, full: str | None) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
         write(*arguments)
 
-    costmaps.build_tile, LatticeFolder.write = _build, _write  # type: ignore[method-assign]
+    work.build_tile, LatticeFolder.write = _build, _write  # type: ignore[method-assign]
 
 
 def dask_setup(_worker: object) -> None:

@@ -1,4 +1,4 @@
-"""What is kept survives a restart, and jobs end whatever happens to the service, its workers, its disk or its clients."""
+"""What is kept survives a restart, and jobs end whatever happens to the service, its workers or its disk."""
 
 from __future__ import annotations
 

@@ -121,8 +121,10 @@ def test_two_services_and_two_workers_of_which_half_is_killed(tmp_path: Path) ->
 @needs_postgres
 @pytest.mark.slow
 def test_a_lost_database_is_told_and_jobs_go_on_when_it_is_back(tmp_path: Path) -> None:
-    slow = disturbed(tile_cells=64, pause_s=0.5)
-    with postgres_server(free_port()) as server, serving(tmp_path, JOULEMAP_DATABASE_URL=server.url, **slow) as (_, http):
+    with ExitStack() as stack:
+        server = stack.enter_context(postgres_server(free_port()))
+        slow = disturbed(tile_cells=64, pause_s=0.5)
+        _, http = stack.enter_context(serving(tmp_path, JOULEMAP_DATABASE_URL=server.url, **slow))
         place = of_rolling(http)
         wait_until(lambda: status(http, place) == "running")
         server.stop()

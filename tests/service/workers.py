@@ -19,8 +19,9 @@ import zarr
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.service.jobs.costmaps import build, finish, lay_out, order_of
+from joulemap.service.jobs.costmaps import order_of
 from joulemap.service.storage.store import Store
+from joulemap.service.work.tiles import build, finish, lay_out
 
 ROOT = Path(__file__).resolve().parents[2]
 

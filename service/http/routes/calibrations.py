@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import anyio
@@ -10,17 +11,18 @@ from fastapi import APIRouter, Response
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 
+from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.errors import InputError, TooLargeError
 from joulemap.model.robot import Robot
 from joulemap.service.http.documents import problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
-from joulemap.service.jobs.calibrations import PAGE
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
-from joulemap.service.schemas.answers import calibration_out
-from joulemap.service.schemas.base import robot_values
+from joulemap.service.schemas.answers import calibration_out, listed, shown
+from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest
 from joulemap.service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
+from joulemap.service.work.calibrations import PAGE
 
 router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
 PLACE = "/v1/calibrations"
@@ -30,7 +32,7 @@ class CalibrationList(BaseModel):
     """Calibrations, newest first, without reports."""
 
     total: int
-    items: list[CalibrationOut]
+    items: list[CalibrationOut | UnreadableOut]
 
 
 @router.post(
@@ -52,13 +54,13 @@ async def make_calibration(wanted: CalibrationRequest, service: ServiceDep, pref
 def list_calibrations(service: ServiceDep, limit: Limit = 100, offset: Offset = 0) -> CalibrationList:
     """All calibrations, newest first."""
     rows, total = service.store.calibrations(limit=limit, offset=offset)
-    return CalibrationList(total=total, items=[calibration_out(row, with_report=False) for row in rows])
+    return CalibrationList(total=total, items=listed(rows, partial(calibration_out, with_report=False)))
 
 
-@router.get("/{calibration_id}", responses=problems(404))
+@router.get("/{calibration_id}", responses=problems(404, 409))
 def get_calibration(calibration_id: str, service: ServiceDep) -> CalibrationOut:
     """Status and progress; when done, the report and the id of the calibrated model."""
-    return calibration_out(service.store.calibration(calibration_id))
+    return shown(service.store.calibration(calibration_id), calibration_out)
 
 
 @router.get(
@@ -103,8 +105,8 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     if ground is not None and odometry is not None:
         raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
     robot = Robot.from_mapping(robot_values(wanted.robot))
-    predictor = service.find_predictor(wanted.model)
-    refuse_calibrated(wanted.model, predictor)
+    if wanted.model not in MODEL_NAMES:  # those need no check, and only the workers load them
+        refuse_calibrated(wanted.model, service.find_predictor(wanted.model))
     service.jobs.check_room(CALIBRATION)
     asked = wanted.model_dump(include={"model", "start", "goal", "campaigns", "quick", "seed"})
     asked |= {"runs": runs, "base_runs": baseline, "test_runs": test}

@@ -1,0 +1,1 @@
+"""What the workers do: the tiles of a cost map, and a calibration."""

@@ -1,0 +1,232 @@
+"""A cost map by tiles: it is laid out, built tile by tile wherever a worker is free, and finished.
+
+The store says how far it is: a tile is there when its figures are, which are written after it. Every function may be
+called again, by another process, after one that was killed; what is there already is not made again.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zarr
+
+from joulemap.model.errors import NegativeCycleError
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.readers import open_ground
+from joulemap.planner.figures import figures_of, joined_figures
+from joulemap.planner.lattice_build import build_tile, knows_spread, provenance_of
+from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.service.work.stored_base import with_stored_base
+from joulemap.service.workflows import prepare_build
+
+_LAYOUT, _SUMMARY = "layout.json", "summary.json"
+_KEPT = threading.local()  # of the latest order, for each thread: an open file is read by one thread at a time
+
+
+@dataclass(frozen=True)
+class MapOrder:
+    """What a worker is told of a cost map.
+
+    Attributes
+    ----------
+    place : Path
+        Folder of the lattice, on a file system that service and workers share.
+    heightmap : Path
+        Its file, there too.
+    reading : mapping
+        How it is read: arguments of `open_ground`.
+    robot : mapping
+        As `Robot.as_dict`.
+    model : str or Path
+        See `find_predictor`, as is `models_dir`.
+    models_dir : Path or None
+        Folder of trained models.
+    spacing_m : float
+        Side of a cell [m].
+    headings : int
+        Number of heading bins.
+    finished : tuple of Path
+        Folders of finished cost maps that differ in nothing but the model.
+    replace : bool
+        Whether a lattice that is at `place` is replaced.
+    """
+
+    place: Path
+    heightmap: Path
+    reading: Mapping[str, Any]
+    robot: Mapping[str, Any]
+    model: str | Path
+    spacing_m: float
+    headings: int
+    models_dir: Path | None = None
+    finished: tuple[Path, ...] = ()
+    replace: bool = False
+
+    @property
+    def notes(self) -> Path:
+        """Folder of what is known of the tiles that are there; it goes when the cost map is done."""
+        return self.place.with_name(self.place.name + ".tiles")
+
+    @property
+    def folder(self) -> LatticeFolder:
+        """The lattice."""
+        return LatticeFolder(self.place)
+
+
+class Tiles:
+    """The ground, the model and the tiles of an order, which are read once and not for every tile.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made.
+    """
+
+    def __init__(self, order: MapOrder) -> None:
+        self.order = order
+        self.ground = open_ground(order.heightmap, **order.reading)
+        self.robot, source, self.tiling = prepare_build(
+            self.ground,
+            Robot.from_mapping(order.robot),
+            model=order.model,
+            spacing_m=order.spacing_m,
+            headings=order.headings,
+            models_dir=order.models_dir,
+        )
+        self.source = with_stored_base(source, self.tiling, order.finished)
+
+    @classmethod
+    def of(cls, order: MapOrder) -> Tiles:
+        """Return what was opened for the order before by this thread, or open it.
+
+        Parameters
+        ----------
+        order : MapOrder
+            What is to be made.
+
+        Returns
+        -------
+        Tiles
+            Kept until this thread is given another order.
+        """
+        kept: Tiles | None = getattr(_KEPT, "tiles", None)
+        if kept is None or kept.order != order:
+            _KEPT.tiles = None  # before the next is opened, so that never two are held
+            _KEPT.tiles = kept = cls(order)
+        return kept
+
+
+def lay_out(order: MapOrder) -> tuple[int, list[int]]:
+    """Lay a cost map out where that is not done yet.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made.
+
+    Returns
+    -------
+    count : int
+        Number of its tiles.
+    missing : list of int
+        Those that are not there.
+    """
+    tiles = Tiles.of(order)
+    if (order.notes / _SUMMARY).exists():
+        return len(tiles.tiling), []
+    if not (order.notes / _LAYOUT).exists():
+        if not order.replace:
+            order.folder.discard()  # what an older version of joulemap left
+        order.folder.lay_out(tiles.tiling, tiles.robot, with_std=knows_spread(tiles.source, tiles.robot), again=False)
+        order.notes.mkdir(exist_ok=True)
+        _write(order.notes / _LAYOUT, provenance_of(tiles.ground, tiles.robot, tiles.source, tiles.tiling))
+    count = len(tiles.tiling)
+    return count, [number for number in range(count) if not _note(order, number).exists()]
+
+
+def build(order: MapOrder, number: int) -> None:
+    """Build one tile, unless it is there.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made; it is laid out.
+    number : int
+        Of the tile.
+    """
+    if _note(order, number).exists():
+        return
+    tiles = Tiles.of(order)
+    place = tiles.tiling[number]
+    part = build_tile(tiles.ground, tiles.robot, tiles.source, tiles.tiling, *place)
+    order.folder.write(part, *place)
+    _write(_note(order, number), figures_of(part))
+
+
+def finish(order: MapOrder) -> dict[str, Any]:
+    """Put a cost map whose tiles are all there into its place.
+
+    Parameters
+    ----------
+    order : MapOrder
+        What is to be made.
+
+    Returns
+    -------
+    dict
+        JSON-able: robot, frame, provenance, prices and what is blocked.
+    """
+    noted = order.notes / _SUMMARY
+    if not noted.exists():
+        _write(noted, _summary(Tiles.of(order)))
+    summary: dict[str, Any] = json.loads(noted.read_text(encoding="utf-8"))
+    if order.replace or not order.folder.is_whole:
+        order.folder.finish(summary["provenance"], replace=order.replace)
+    return summary
+
+
+def _summary(tiles: Tiles) -> dict[str, Any]:
+    order, frame = tiles.order, tiles.tiling.frame
+    provenance = json.loads((order.notes / _LAYOUT).read_text(encoding="utf-8"))
+    notes = [_note(order, number).read_text(encoding="utf-8") for number in range(len(tiles.tiling))]
+    figures = joined_figures([json.loads(note) for note in notes])
+    if figures["energy_per_m"] is not None and figures["energy_per_m"]["min"] < 0.0:
+        from joulemap.planner.plan import RoutePlanner  # loads slowly
+
+        zarr.open_group(order.folder.partial, mode="r+").attrs["provenance"] = provenance  # else it cannot be read
+        try:
+            RoutePlanner(load_lattice(order.folder.partial)).prepare()
+        except NegativeCycleError as error:  # the map is good to look at, every question will say the same
+            provenance["warnings"].append(error.message)
+    return {
+        "robot": tiles.robot.as_dict(),
+        "frame": {
+            "rows": frame.rows,
+            "cols": frame.cols,
+            "spacing_m": frame.resolution_m,
+            "bounds": list(frame.bounds),
+            "crs": frame.crs,
+        },
+        "provenance": provenance,
+        **figures,
+    }
+
+
+def _note(order: MapOrder, number: int) -> Path:
+    return order.notes / f"{number}.json"
+
+
+def _write(path: Path, document: dict[str, Any]) -> None:
+    """Whole or not at all. The folder is not made: that of a job which was deleted stays away."""
+    begun = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    try:
+        begun.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+        begun.replace(path)
+    finally:
+        begun.unlink(missing_ok=True)
