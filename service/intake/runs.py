@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -147,5 +148,12 @@ def _read(file: Path, name: str, limits: RunLimits, crs: str | None, odometry: O
 
 def load_kernels() -> None:
     """Load, or compile, the kernels that reading a run needs."""
-    rows = "".join(f"{0.1 * k:.1f},{0.05 * k:.2f},0,24,2\n" for k in range(100))
-    cut_segments(parse_run(f"t,x,y,voltage,current\n{rows}", name="warm-up"))
+    header = "t,x,y,left_current,right_current,speed_left,speed_right,gps_error"
+    rows = [f"{0.1 * k:.1f},{0.05 * k:.2f},{0.01 * k:.2f},2,-2,0.5,0.4,0.01" for k in range(200)]
+    rows[50] = "5.0,,,2,-2,0.5,0.4,"
+    rows[90] = "9.0,500,500,2,-2,0.5,0.4,0.01"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "warm-up.csv"
+        file.write_text("\n".join([header, *rows]), encoding="ascii")
+        cut_segments(parse_run(file.read_bytes(), name=file.name), charge=True)
+        cut_travel(read_odometry(file, Odometry(1.0)), charge=True)

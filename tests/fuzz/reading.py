@@ -17,7 +17,8 @@ from typing import Any
 import anyio
 import numpy as np
 
-from joulemap.model.errors import JoulemapError, TooLargeError
+from joulemap.model.errors import JoulemapError
+from joulemap.service.intake import guard
 from joulemap.service.intake.limits import ReadLimits, RunLimits
 from joulemap.service.intake.readers import Readers
 from tests.fuzz.inputs import input_of, read_one
@@ -37,13 +38,15 @@ class Read:
     seconds: float
     slowest: tuple[float, int]
     failures: list[str]
+    ended: list[str]
 
     def line(self) -> str:
-        """The figures in a line."""
+        """The figures in a line, and what ended a process."""
         counts = ", ".join(f"{name} {count}" for name, count in self.outcomes.most_common())
         return (
             f"{self.reader}: {sum(self.outcomes.values())} inputs in {self.seconds:.0f} s ({counts}); "
             f"slowest {self.slowest[0]:.2f} s (number {self.slowest[1]}); {len(self.failures)} failures"
+            + "".join(f"\n  {words}" for words in self.ended)
         )
 
 
@@ -52,6 +55,7 @@ def fuzz_reader(reader: str, count: int, seed: int, *, most_failures: int = 20) 
     context = mp.get_context("spawn")
     outcomes: Counter[str] = Counter()
     failures: list[str] = []
+    ended: list[str] = []
     slowest = (0.0, 0)
     at, start = 0, time.monotonic()
     while at < count and len(failures) < most_failures:
@@ -70,16 +74,18 @@ def fuzz_reader(reader: str, count: int, seed: int, *, most_failures: int = 20) 
         except EOFError:
             child.join()
             outcomes["process ended"] += 1
+            began = time.monotonic()
             said = anyio.run(_in_the_service, input_of(reader, seed, at)[0], reader)
-            if not said:
-                failures.append(f"{reader} number {at}: it ended the process with {child.exitcode}")
+            ended.append(f"{reader} number {at} ended the process ({child.exitcode}); a service says: {said}")
+            if time.monotonic() - began > 2 * SECONDS:  # of which a new process takes some
+                failures.append(ended[-1])
             at += 1
         child.join()
-    return Read(reader, outcomes, time.monotonic() - start, slowest, failures)
+    return Read(reader, outcomes, time.monotonic() - start, slowest, failures, ended)
 
 
 async def _in_the_service(content: bytes, reader: str) -> str:
-    """The words in which a service refuses what ends a process: Arrow and GDAL abort on some corrupt files."""
+    """What a service says of a file that ends the process: Arrow and GDAL abort on some that are corrupt."""
     with tempfile.NamedTemporaryFile() as file:
         file.write(content)
         file.flush()
@@ -96,9 +102,9 @@ async def _in_the_service(content: bytes, reader: str) -> str:
         task = "run" if "limits_of_run" in given else "heightmap"
         try:
             await Readers(processes=1, queue=1, limits=ReadLimits(5.0, 750.0)).read(task, **given)
-        except TooLargeError as error:
+        except JoulemapError as error:
             return error.message
-    return ""
+    return "it was read"
 
 
 def _read_many(reader: str, seed: int, first: int, count: int, out: Any) -> None:
@@ -108,7 +114,8 @@ def _read_many(reader: str, seed: int, first: int, count: int, out: Any) -> None
 
 def _read_within(reader: str, seed: int, first: int, count: int, out: Any) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    with contextlib.suppress(Exception):  # everything is loaded before memory is limited
+    guard.prepare()  # everything is loaded before memory is limited
+    with contextlib.suppress(Exception):
         read_one(reader, seed, first)
     data = int(next(line for line in Path("/proc/self/status").read_text().splitlines() if "VmData" in line).split()[1])
     hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
