@@ -1,0 +1,285 @@
+"""Files and numbers that are sent to stop the service: each is refused in words, soon, and nothing of it stays."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+import anyio
+import httpx
+import psutil
+import pytest
+from fastapi.testclient import TestClient
+
+from joulemap.model.errors import BusyError, TooLargeError
+from joulemap.service.http.app import create_app, openapi_document
+from joulemap.service.intake.limits import ReadLimits
+from joulemap.service.intake.readers import Readers
+from tests.fuzz.files import MAPS, PATHS, RUNS, parquet, plain_tiff
+from tests.fuzz.reading import fuzz_reader
+from tests.fuzz.sending import send_files
+from tests.service.conftest import GOAL, START, settings_for
+from tests.service.test_bad_input import check_problem, left_in, npy
+from tests.service.test_calibrations import run_csv
+from tests.service.test_contract import served
+
+LIMITS = {"mb": 64.0, "rows": 10**6, "columns": 2_000, "cells": 2 * 10**7, "text_mb": 200.0, "km": 200.0}
+ROWS = b"t,x,y,voltage,current\n" + b"".join(b"%.1f,%.2f,0,24,2\n" % (0.1 * k, 0.05 * k) for k in range(400))
+
+
+def long_text() -> bytes:
+    import pyarrow as pa
+
+    words = pa.DictionaryArray.from_arrays(pa.array([0] * 500_000), pa.array(["w" * 10_000]))
+    return parquet({"t": [0.0] * 500_000, "note": words})
+
+
+def npy_zeros() -> bytes:
+    import numpy as np
+
+    return npy(np.zeros((5, 5)))
+
+
+def npy_of_long_numbers() -> bytes:
+    return npy_zeros().replace(b"(5, 5)", b"(%s, %s)" % (b"9" * 20, b"9" * 20))
+
+
+def latitude_999() -> str:
+    return (
+        'PROJCS["x",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
+        'UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],PARAMETER["latitude_of_origin",999],'
+        'PARAMETER["central_meridian",-3],PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],'
+        'PARAMETER["false_northing",0],UNIT["metre",1]]'
+    )
+
+
+ATTACKS: list[tuple[str, Any, dict, int, str, str]] = [
+    (
+        RUNS,
+        lambda: b",".join(b"c%d" % k for k in range(200_000)),
+        {},
+        413,
+        "too_large",
+        "200,000 columns, the limit is 2,000",
+    ),
+    (RUNS, lambda: b"a,b,a\n1,2,3", {}, 422, "invalid_runs", "column 'a' appears twice"),
+    (RUNS, lambda: b"t,x\r1,2" + b"\r" * 1_500_000, {}, 413, "too_large", "1,500,000 rows, the limit is 1,000,000"),
+    (
+        RUNS,
+        lambda: b"t,x\n" + b"," * 1_900_000,
+        {},
+        422,
+        "invalid_runs",
+        "1900001 cells where the header has 2 columns",
+    ),
+    (RUNS, long_text, {}, 413, "too_large", "texts of up to 10,000 letters"),
+    (RUNS, lambda: parquet({"t": [1.0], "a": [[1.0]]}), {}, 422, "invalid_runs", "column 'a': it holds list"),
+    (MAPS, lambda: plain_tiff(1, 90_000_000), {}, 413, "too_large", "limit of 1000000"),
+    (MAPS, lambda: plain_tiff(1, 900_000), {}, 422, "invalid_heightmap", "at least 2 x 2 cells"),
+    (MAPS, lambda: plain_tiff(900, 900), {}, 422, "invalid_heightmap", ""),
+    (MAPS, lambda: npy_of_long_numbers(), {"resolution_m": 1}, 413, "too_large", "limit of 1000000"),
+    (MAPS, lambda: npy_zeros(), {"resolution_m": 1, "crs": latitude_999()}, 422, "invalid_heightmap", "cannot be used"),
+    (
+        MAPS,
+        lambda: npy_zeros(),
+        {"resolution_m": 1, "crs": "BOUNDCRS[" + "A[" * 900},
+        422,
+        "invalid_heightmap",
+        "not known",
+    ),
+    (MAPS, lambda: npy_zeros(), {"resolution_m": 1, "name": "a\x00b"}, 422, "invalid_request", "name"),
+]
+
+
+@pytest.mark.parametrize(("to", "content", "params", "status", "code", "words"), ATTACKS)
+def test_known_attacks_are_refused(
+    client: TestClient, to: str, content: Any, params: dict, status: int, code: str, words: str
+) -> None:
+    check_problem(client.post(to, content=content(), params=params), status, code, words)
+    assert left_in(Path(client.app.state.service.store._dir)) == []  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b"{" + b",".join(b'"k%d":1' % k for k in range(300_000)) + b"}", "more than 2,000 names of fields"),
+        (b'{"path":[' + b"[0,0]," * 200_000 + b"[0,0]]}", "more than 110,000 lists"),
+        (b'{"path":[' + b"0," * 2_000_000 + b"0]}", "more than 500,000 values"),
+    ],
+)
+def test_bodies_are_counted_before_they_are_parsed(client: TestClient, body: bytes, words: str) -> None:
+    answer = client.post(PATHS.format("cm-x"), content=body, headers={"Content-Type": "application/json"})
+    assert check_problem(answer, 413, "too_large", words)["context"]["limit"] > 0
+
+
+def test_many_unknown_fields_are_one_finding(client: TestClient) -> None:
+    body = {"start": START, "goal": GOAL} | {f"k{k}": 1 for k in range(1_500)}
+    problem = check_problem(client.post(PATHS.format("cm-x"), json=body), 422, "invalid_request", "1502 fields")
+    assert len(problem["context"]["errors"]) == 1
+
+
+def test_every_number_of_a_request_has_bounds() -> None:
+    """Of the schemas of requests, and of the parameters in paths and queries."""
+    document = openapi_document()
+    schemas = document["components"]["schemas"]
+    seen: list[str] = []
+
+    def _walk(schema: dict[str, Any], place: str) -> None:
+        if "$ref" in schema:
+            name = schema["$ref"].rsplit("/", 1)[1]
+            if name not in seen:
+                seen.append(name)
+                _walk(schemas[name], name)
+            return
+        kinds = schema.get("type", [])
+        if {"number", "integer"} & set([kinds] if isinstance(kinds, str) else kinds) and "enum" not in schema:
+            low = schema.get("minimum", schema.get("exclusiveMinimum"))
+            high = schema.get("maximum", schema.get("exclusiveMaximum"))
+            assert low is not None, place
+            assert high is not None, place
+        if "string" in kinds and not {"enum", "const", "format"} & set(schema):
+            assert "maxLength" in schema or place.endswith("options"), place
+        for key in ("items", "additionalProperties"):
+            if isinstance(schema.get(key), dict):
+                _walk(schema[key], f"{place}.{key}")
+        for key in ("anyOf", "oneOf", "allOf", "prefixItems"):
+            for one in schema.get(key, ()):
+                _walk(one, place)
+        for key, one in schema.get("properties", {}).items():
+            _walk(one, f"{place}.{key}")
+
+    for path, methods in document["paths"].items():
+        for operation in methods.values():
+            for parameter in operation.get("parameters", ()):
+                if parameter["in"] == "query":
+                    _walk(parameter["schema"], f"{path} {parameter['name']}")
+            for kind, content in operation.get("requestBody", {}).get("content", {}).items():
+                if kind in ("application/json", "multipart/form-data"):
+                    _walk(content["schema"], path)
+    assert {"CostmapRequest", "RobotIn", "BatteryIn", "PathRequest", "CalibrationRequest"} <= set(seen)
+
+
+def test_a_poisoned_row_does_not_break_a_list(tmp_path: Path, hill_tif: bytes) -> None:
+    with TestClient(create_app(settings_for(tmp_path)), raise_server_exceptions=False) as client:
+        good, bad = (client.post("/v1/heightmaps", content=hill_tif).json()["id"] for _ in range(2))
+        maps = [
+            client.post("/v1/costmaps", json={"heightmap_id": good, "model": "physics"}).json()["id"] for _ in range(2)
+        ]
+        with sqlite3.connect(tmp_path / "joulemap.db") as database:
+            stats = json.loads(database.execute("select stats from heightmaps where id = ?", (bad,)).fetchone()[0])
+            stats["height_max_m"] = float("inf")
+            database.execute("update heightmaps set stats = ? where id = ?", (json.dumps(stats), bad))
+            (asked,) = database.execute("select request from costmaps where id = ?", (maps[0],)).fetchone()
+            asked = json.loads(asked) | {"spacing_m": float("nan")}
+            database.execute("update costmaps set request = ? where id = ?", (json.dumps(asked), maps[0]))
+        for name, whole, broken in (("heightmaps", good, bad), ("costmaps", maps[1], maps[0])):
+            items = {item["id"]: item for item in client.get(f"/v1/{name}").json()["items"]}
+            assert items[broken]["problem"]["status"] == 409
+            assert items[whole].get("problem") is None
+            check_problem(client.get(f"/v1/{name}/{broken}"), 409, "conflict", "cannot be shown", "finite number")
+        assert client.delete(f"/v1/heightmaps/{bad}").status_code == 204
+
+
+def children() -> set[psutil.Process]:
+    """The processes that read; also those of the service that other tests of this file ask."""
+    return {one for one in psutil.Process().children() if "anyio.to_process" in " ".join(one.cmdline())}
+
+
+def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> None:
+    place = tmp_path / "run.csv"
+    place.write_bytes(ROWS)
+
+    async def _main() -> None:
+        hurried = Readers(processes=1, queue=1, limits=ReadLimits(0.001, 750))
+        with pytest.raises(TooLargeError, match=r"could not be read within 0\.001 s"):
+            await hurried.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
+        narrow = Readers(processes=1, queue=1, limits=ReadLimits(5, 20))
+        with pytest.raises(TooLargeError, match="more than 20 MB of memory"):
+            await narrow.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
+        assert (await narrow.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))["rows"] == 400
+        (child,) = children() - others
+        with anyio.move_on_after(0.2) as scope:
+            roomy = Readers(processes=1, queue=1, limits=ReadLimits(30, 10_000))
+            await roomy.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
+        assert scope.cancelled_caught
+        assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+
+    others = children()
+    anyio.run(_main)
+    assert children() <= others
+
+
+def test_a_full_queue_is_told(tmp_path: Path) -> None:
+    place = tmp_path / "run.csv"
+    place.write_bytes(ROWS)
+    found: list[Any] = []
+
+    async def _main() -> None:
+        readers = Readers(processes=1, queue=2, limits=ReadLimits(5, 750))
+
+        async def _one() -> None:
+            try:
+                found.append(await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))
+            except BusyError as error:
+                found.append(error)
+
+        async with anyio.create_task_group() as group:
+            for _ in range(5):
+                group.start_soon(_one)
+
+    anyio.run(_main)
+    refused = [one for one in found if isinstance(one, BusyError)]
+    assert (len(found), len(refused)) == (5, 2)
+    assert refused[0].context["retry_after_s"] > 0
+
+
+def test_the_slot_of_a_client_that_hangs_up_is_free(tmp_path: Path) -> None:
+    """The client leaves while its run is read; the next one is read by a new process."""
+    long = run_csv(0).splitlines(keepends=True)
+    rows = b"".join(long[1:])
+    content = long[0] + rows * 300
+    app, others = create_app(settings_for(tmp_path, read_processes=1)), children()
+    with served(app) as url:
+        assert httpx.post(f"{url}/v1/runs", content=run_csv(0), timeout=60).status_code == 201
+        (reader,) = children() - others
+        with pytest.raises(httpx.ReadTimeout):
+            httpx.post(f"{url}/v1/runs", content=content, timeout=0.5)
+        for _ in range(100):
+            if app.state.service.readers.running == 0:
+                break
+            time.sleep(0.1)
+        assert app.state.service.readers.running == 0
+        assert httpx.post(f"{url}/v1/runs", content=run_csv(1), timeout=60).status_code == 201
+        assert reader not in children()
+    assert left_in(tmp_path) == []
+    assert children() <= others
+
+
+def test_a_reader_that_is_killed_is_replaced(tmp_path: Path) -> None:
+    others = children()
+    with TestClient(create_app(settings_for(tmp_path)), raise_server_exceptions=False) as client:
+        for _ in range(2):
+            assert client.post("/v1/runs", content=run_csv(0)).status_code == 201
+            for child in children() - others:
+                os.kill(child.pid, signal.SIGKILL)
+                child.wait(5)
+
+
+def test_hostile_files_of_each_kind_are_answered(tmp_path: Path) -> None:
+    sent = send_files(8, seed=3, folder=tmp_path)
+    assert sent.failures == []
+
+
+@pytest.mark.parametrize("reader", ["geotiff", "npz", "csv", "parquet"])
+def test_generated_inputs_are_read_or_refused(reader: str) -> None:
+    assert fuzz_reader(reader, 150, seed=11).failures == []
+
+
+@pytest.mark.slow
+def test_two_hundred_hostile_files(tmp_path: Path) -> None:
+    assert send_files(200, seed=0, folder=tmp_path).failures == []
