@@ -167,6 +167,13 @@ async def _cost_map(connection: Connection, cells: int) -> tuple[str, str]:
     return await _made(connection, heightmap_id), heightmap_id
 
 
+async def _stalls(server: Server) -> dict[float, float]:
+    """How many pauses on the event loop were too long by at most so many seconds, so far."""
+    text = (await Connection(server.port).ask("GET", "/metrics"))[1].decode()
+    found = re.findall(r'^joulemap_event_loop_stall_seconds_bucket{le="(\S+)"} (\S+)', text, re.MULTILINE)
+    return {float(bound): float(count) for bound, count in found}
+
+
 async def _repeat(seen: Seen, until: float, ask: Callable[[], Awaitable[int]], pause_s: float = 0.0) -> None:
     while time.perf_counter() < until:
         began = time.perf_counter()
@@ -197,7 +204,7 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
     route = [point[:2] for point in json.loads(answer)["path"]]
     seen = {name: Seen(name) for name in ("paths", "positions", "readyz", "healthz")}
     until = time.perf_counter() + options.seconds
-    cpu, began = server.cpu_s(), time.perf_counter()
+    cpu, began, stalls = server.cpu_s(), time.perf_counter(), await _stalls(server)
     tasks: list[Awaitable[None]] = []
     for _ in range(options.clients):
         client = Connection(server.port)
@@ -211,7 +218,7 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
 
         async def _position(client: Connection = client) -> int:
             at = chance.randrange(len(route) - 1)
-            task = {"path": route[at:], "round_trip": True, "battery": {"charge": 0.6, "reserve": 0.2}}
+            task = {"path": route[at:], "battery": {"charge": 0.6, "reserve": 0.2}}
             return (await client.ask("POST", f"{place}/feasibility", json.dumps(task).encode()))[0]
 
         tasks.append(_repeat(seen["positions"], until, _position))
@@ -244,17 +251,15 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
         seen["build"] = built
     await asyncio.gather(*tasks)
     duration = time.perf_counter() - began
-    first.close()  # the service closed it when it was idle
-    status, answer = await first.ask("GET", "/metrics")
-    metrics = answer.decode() if status == 200 else ""
-    lag = re.search(r"^joulemap_event_loop_stall_max_seconds (\S+)", metrics, re.MULTILINE)
+    after = await _stalls(server)
+    stalls = {bound: after[bound] - stalls[bound] for bound in after}
     half = memory[len(memory) // 2 :]
     return {
         "questions": [one.summary(duration) for one in seen.values() if one.seconds],
         "seconds": duration,
         "cpu_share": (server.cpu_s() - cpu) / duration,
         "cpu_ms_per_path": 1e3 * (server.cpu_s() - cpu) / max(len(seen["paths"].seconds), 1),
-        "worst_stall_ms": 1e3 * float(lag[1]) if lag else None,
+        "stalls": {f"{1e3 * bound:g} ms": max(stalls.values()) - count for bound, count in stalls.items()},
         "memory_mb": [memory[0], half[0], memory[-1]],
         "load": os.getloadavg()[0],
     }
@@ -268,10 +273,10 @@ def _told(found: dict[str, Any]) -> str:
             f"p90 {one['p90_ms']:7.1f}  p99 {one['p99_ms']:7.1f} ({one['p99_by_p50']:.1f} x p50)  "
             f"max {one['max_ms']:7.1f}  {one['statuses']}"
         )
-    stall = "not measured" if found["worst_stall_ms"] is None else f"{found['worst_stall_ms']:.0f} ms"
+    stalls = {bound: round(count) for bound, count in found["stalls"].items() if bound in ("25 ms", "50 ms", "100 ms")}
     lines.append(
-        f"server: {found['cpu_share']:.2f} cores, {found['cpu_ms_per_path']:.0f} ms of processor a path; worst stall "
-        f"of the event loop {stall}; memory {' -> '.join(f'{mb:.0f}' for mb in found['memory_mb'])} MB; "
+        f"server: {found['cpu_share']:.2f} cores, {found['cpu_ms_per_path']:.0f} ms of processor a path; stalls of the "
+        f"event loop longer than {stalls}; memory {' -> '.join(f'{mb:.0f}' for mb in found['memory_mb'])} MB; "
         f"load of the machine {found['load']:.1f}"
     )
     return "\n".join(lines)

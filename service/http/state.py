@@ -37,6 +37,7 @@ from joulemap.service.settings import Settings
 from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.store import Store, safe_name
 from joulemap.service.storage.tables import (
+    CANCELLED,
     COSTMAP,
     DONE,
     FAILED,
@@ -311,6 +312,24 @@ class Service:
         self.store.delete_costmap(costmap_id)
         self.maps.forget(costmap_id)
 
+    def cancel(self, job_id: str) -> None:
+        """Stop a job; its record stays, and what was made of it so far goes.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+
+        Raises
+        ------
+        ConflictError
+            If it is done or has failed.
+        """
+        if not self.store.cancel(job_id) and (status := self.store.status(job_id)) != CANCELLED:
+            raise ConflictError(f"{job_id} is {status or 'deleted'}: there is nothing to cancel", status=status)
+        self.jobs.submit()
+        self.store.discard(job_id, self.settings.resolved_models_dir)
+
     def delete_calibration(self, calibration_id: str) -> None:
         """Delete a calibration with its report and its model; one that is being made is stopped.
 
@@ -377,6 +396,8 @@ class Service:
         if row.status == FAILED:
             detail = (row.problem or {}).get("detail", "no reason is known")
             raise ConflictError(f"{what} {row.id} could not be made: {detail}", status=row.status, problem=row.problem)
+        if row.status == CANCELLED:
+            raise ConflictError(f"{what} {row.id} was cancelled at {row.progress:.0%}", status=row.status)
         if row.status != DONE:
             raise ConflictError(
                 f"{what} {row.id} is {row.status} ({row.progress:.0%}): ask again when it is done",

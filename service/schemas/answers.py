@@ -317,6 +317,8 @@ def path_points(route: Route) -> list[list[float | None]]:
     list of [x, y, z]
         World coordinates [m]; z is None where unknown.
     """
+    if np.isfinite(route.points).all():
+        return route.points.tolist()
     return [[number(v) for v in point] for point in route.points.tolist()]
 
 

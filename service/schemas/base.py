@@ -191,10 +191,10 @@ class UnreadableOut(ResponseModel):
 
 
 class JobOut(ResponseModel):
-    """A job that waits, runs, is done, or has failed."""
+    """A job that waits, runs, is done, has failed, or was cancelled."""
 
     id: str
-    status: Literal["queued", "running", "done", "failed"]
+    status: Literal["queued", "running", "done", "failed", "cancelled"]
     progress: float = Field(ge=0, le=1, description="share that is done, 0..1", examples=[1.0])
     created_at: dt.datetime = Field(description="UTC")
     finished_at: dt.datetime | None = Field(description="UTC")

@@ -14,6 +14,7 @@ from joulemap.model.errors import ConflictError, NotFoundError
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
+    CANCELLED,
     DONE,
     FAILED,
     JOBS,
@@ -116,7 +117,7 @@ def _by_use(store: Store, table: Any) -> list[tuple[str, int | None, dt.datetime
     ends = [table.finished_at] if hasattr(table, "finished_at") else []
     query = select(table.id, table.bytes, table.created_at, table.used_at, *ends)
     if ends:
-        query = query.where(table.status.in_([DONE, FAILED]))
+        query = query.where(table.status.in_([DONE, FAILED, CANCELLED]))
     with store.sessions() as session:
         rows = session.execute(query).all()
     found = [(row_id, size, max(at for at in times if at is not None)) for row_id, size, *times in rows]

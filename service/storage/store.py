@@ -33,6 +33,7 @@ from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.tables import (
     CALIBRATION,
+    CANCELLED,
     COSTMAP,
     DONE,
     FAILED,
@@ -684,6 +685,21 @@ class Store:
             False where the job was deleted or has ended already.
         """
         return self._end(job_id, status=FAILED, problem=problem)
+
+    def cancel(self, job_id: str) -> bool:
+        """Mark a job as cancelled; its row stays.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+
+        Returns
+        -------
+        bool
+            False where the job was deleted or has ended already.
+        """
+        return self._end(job_id, status=CANCELLED)
 
     def _end(self, job_id: str, **values: Any) -> bool:
         table = JOBS[kind_of(job_id)]

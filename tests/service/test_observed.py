@@ -241,3 +241,31 @@ def test_all_who_follow_jobs_share_one_look_and_a_lost_database_comes_back():
     asyncio.run(follow())
     assert looks[0] == {"cm-1", "cm-2"}
     assert len(looks) <= 8
+
+
+def test_a_cancelled_job_keeps_its_record(client, heightmap_id):
+    """Cancelled at once, whatever has begun by then: it ends as cancelled, or was done before."""
+    service = client.app.state.service
+    asked = {"heightmap_id": heightmap_id, "model": "physics", "spacing_m": 0.25, "headings": 64}
+    made = client.post("/v1/costmaps", json=asked).json()["id"]
+    answer = client.post(f"/v1/costmaps/{made}/cancel")
+    assert (answer.status_code, answer.json()["status"]) == (200, "cancelled")
+    assert answer.json()["finished_at"] is not None
+    assert client.post(f"/v1/costmaps/{made}/cancel").json()["status"] == "cancelled"  # once more changes nothing
+    until(lambda: made not in service.store.wanted())
+    time.sleep(0.5)
+    assert client.get(f"/v1/costmaps/{made}").json()["status"] == "cancelled"
+    refused = ask_path(client, made)
+    assert refused.status_code == 409
+    assert "was cancelled" in refused.json()["detail"]
+    assert '"status": "cancelled"' in client.get(f"/v1/costmaps/{made}/events").text
+    assert made in {item["id"] for item in client.get("/v1/costmaps?limit=1000").json()["items"]}
+    assert client.delete(f"/v1/costmaps/{made}").status_code == 204
+    assert client.post(f"/v1/costmaps/{made}/cancel").status_code == 404
+
+
+def test_what_is_done_cannot_be_cancelled(client, costmap_id):
+    answer = client.post(f"/v1/costmaps/{costmap_id}/cancel")
+    assert answer.status_code == 409
+    assert "is done" in answer.json()["detail"]
+    assert client.get(f"/v1/costmaps/{costmap_id}").json()["status"] == "done"

@@ -1,4 +1,4 @@
-"""How far a job is, as server-sent events."""
+"""How far a job is, as server-sent events, and its cancelling: the same for cost maps and calibrations."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 
 from joulemap.service.http.documents import problems
 from joulemap.service.http.state import Service, ServiceDep
+from joulemap.service.schemas.answers import calibration_out, costmap_out
+from joulemap.service.schemas.loop import CalibrationOut
+from joulemap.service.schemas.maps import CostmapOut
 
+COSTMAP, CALIBRATION = "/costmaps/{costmap_id}", "/calibrations/{calibration_id}"
 router = APIRouter()
+_MAPS: list[Any] = ["cost maps"]
+_LOOP: list[Any] = ["runs and calibrations"]
 _DELETED = "deleted"
 _EVENTS: dict[int | str, dict[str, Any]] = {
     200: {
@@ -24,7 +30,7 @@ _EVENTS: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/costmaps/{costmap_id}/events", tags=["cost maps"], response_class=EventSourceResponse, responses=_EVENTS)
+@router.get(f"{COSTMAP}/events", tags=_MAPS, response_class=EventSourceResponse, responses=_EVENTS)
 async def follow_costmap(costmap_id: str, service: ServiceDep) -> EventSourceResponse:
     """Follow a cost map that is being made, as server-sent events: `progress` at every change, and one `end`.
 
@@ -32,23 +38,30 @@ async def follow_costmap(costmap_id: str, service: ServiceDep) -> EventSourceRes
     close it then.
     """
     await run_sync(service.store.costmap, costmap_id)
-    return _stream(service, costmap_id)
+    return EventSourceResponse(_events(service, costmap_id))
 
 
-@router.get(
-    "/calibrations/{calibration_id}/events",
-    tags=["runs and calibrations"],
-    response_class=EventSourceResponse,
-    responses=_EVENTS,
-)
+@router.get(f"{CALIBRATION}/events", tags=_LOOP, response_class=EventSourceResponse, responses=_EVENTS)
 async def follow_calibration(calibration_id: str, service: ServiceDep) -> EventSourceResponse:
     """Follow a calibration that is being made, as server-sent events, like a cost map."""
     await run_sync(service.store.calibration, calibration_id)
-    return _stream(service, calibration_id)
+    return EventSourceResponse(_events(service, calibration_id))
 
 
-def _stream(service: Service, job_id: str) -> EventSourceResponse:
-    return EventSourceResponse(_events(service, job_id))
+@router.post(f"{COSTMAP}/cancel", tags=_MAPS, responses=problems(404, 409))
+def cancel_costmap(costmap_id: str, service: ServiceDep) -> CostmapOut:
+    """Stop making a cost map. Its record stays, with the status `cancelled`; to remove it too, delete it."""
+    service.store.costmap(costmap_id)
+    service.cancel(costmap_id)
+    return costmap_out(service.store.costmap(costmap_id))
+
+
+@router.post(f"{CALIBRATION}/cancel", tags=_LOOP, responses=problems(404, 409))
+def cancel_calibration(calibration_id: str, service: ServiceDep) -> CalibrationOut:
+    """Stop a calibration. Its record stays, with the status `cancelled`; to remove it too, delete it."""
+    service.store.calibration(calibration_id)
+    service.cancel(calibration_id)
+    return calibration_out(service.store.calibration(calibration_id))
 
 
 async def _events(service: Service, job_id: str) -> AsyncIterator[ServerSentEvent]:
