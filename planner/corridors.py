@@ -1,6 +1,6 @@
 """The corridors in which the best any-angle path may lie: every locally best grid path within the grid's error.
 
-A grid of 16 neighbours makes a path up to 2.75 % dearer than it is at any angle, and not every path by the same share.
+A grid of 32 neighbours makes a path up to 1.31 % dearer than it is at any angle, and not every path by the same share.
 So the cheapest grid path need not lie in the corridor of the cheapest path. An A* search that goes on until every cell
 is settled whose path costs at most a margin more, and a second one back from the goal among those cells alone, give the
 least energy of a path through each of them. Where both use the same moves over a stretch (a plateau; Jones 2007,
@@ -25,10 +25,6 @@ from joulemap.planner.moves import MoveTable
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
-MARGINS = {8: 0.06, 16: 0.02, 32: 0.01}
-"""Most energy of another corridor's grid path beyond that of the best, as a share of it, by neighbours: 8, 16 and 32
-cost up to 8.24, 2.75 and 1.31 % more than any angle where the price is the same in all directions, of which every path
-loses some."""
 COUNT = 4
 """Most corridors."""
 PLATEAU = 0.03
@@ -44,7 +40,7 @@ def corridor_paths(
     start: Points,
     goal: Points,
     *,
-    margin: float | None = None,
+    margin: float = 0.01,
     count: int = COUNT,
     landmarks: Landmarks | None = None,
 ) -> list[GridPath]:
@@ -58,8 +54,8 @@ def corridor_paths(
         Priced moves of the lattice.
     start, goal : ndarray of float, (2,)
         Fractional (row, col).
-    margin : float, optional
-        Most energy beyond that of the best, as a share of it; as in `MARGINS` where None.
+    margin : float, default 0.01
+        Most energy beyond that of the best, as a share of it.
     count : int, default 4
         Most paths.
     landmarks : Landmarks, optional
@@ -90,7 +86,7 @@ def corridor_paths(
         slack_j=slack_j,
     )
     ahead = new_search(table, layers, cells, cost, backward=False)
-    margin = 0.0 if count == 1 else MARGINS[len(table.offsets)] if margin is None else margin
+    margin = margin if count > 1 else 0.0
     last, total, expanded = run_search(ahead, table, np.unique(cells), guide, targets, rest, margin=margin)
     direct = direct_energy(lattice, start, goal)
     if direct < math.inf and direct <= total:

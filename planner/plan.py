@@ -29,10 +29,9 @@ from joulemap.planner.words import energy_words
 
 SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_time_limit)
 
-LEAST_NEIGHBOURS = 16
-"""The any-angle step begins with the paths of as many neighbours at least, so that it misses no zigzag."""
-MORE_NEIGHBOURS = 32
-"""Where blocked ground or limits close some moves, it begins with the paths of as many: they find other passages."""
+ANY_ANGLE_NEIGHBOURS = 32
+"""The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
+valleys."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -178,30 +177,22 @@ class RoutePlanner:
         self._tables: dict[tuple[bool, int], MoveTable] = {}
         self._landmarks: dict[int, Landmarks] = {}
         self._bounds: tuple[BoundTable | None] | None = None
-        self._closed: bool | None = None
         self._making = threading.RLock()  # what is kept is made once; questions then share it without a lock
 
-    def prepare(self, neighbours: int = 16, *, landmarks: bool = False) -> None:
-        """Price the moves now, so that the first question does not wait for it.
+    def prepare(self, *, landmarks: bool = False) -> None:
+        """Price the moves of refined routes now, so that the first question does not wait for it.
 
         Parameters
         ----------
-        neighbours : {16, 8, 32}
-            Moves per cell.
         landmarks : bool, default False
             Whether to make landmarks too. They cost eight energy fields and save every later A* most of its search.
         """
-        self._table(neighbours, distance=True)
-        most = self._most(neighbours)
-        self._table(most, distance=False)
+        self._table(ANY_ANGLE_NEIGHBOURS, distance=True)
         if landmarks:
             with self._making:
-                if most not in self._landmarks:
-                    self._landmarks[most] = make_landmarks(self._table(most, distance=False))
-
-    def _most(self, neighbours: int) -> int:
-        """Moves per cell of the search whose paths are improved at any angle."""
-        return max(neighbours, MORE_NEIGHBOURS if self._limited() else LEAST_NEIGHBOURS)
+                if ANY_ANGLE_NEIGHBOURS not in self._landmarks:
+                    table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
+                    self._landmarks[ANY_ANGLE_NEIGHBOURS] = make_landmarks(table)
 
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
@@ -240,8 +231,7 @@ class RoutePlanner:
         planner : str, default "astar"
             One of `PLANNERS`, or the name of a planner that was registered.
         neighbours : {16, 8, 32}
-            Moves per cell of the grid planners; before the any-angle step at least 16, and 32 where blocked ground or
-            limits close some moves.
+            Moves per cell of the grid planners without `refine`; with it they are 32.
         refine : bool, default True
             Whether to improve the path at any angle, which never makes it dearer.
         time_limit_s : float, default 5.0
@@ -284,15 +274,17 @@ class RoutePlanner:
         notes: list[str] = []
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         began = time.perf_counter()
+        if refine:
+            neighbours = max(neighbours, ANY_ANGLE_NEIGHBOURS)
         if refine and not asked.uses_time_limit:
             shortest, (points, found) = both(
-                lambda: self._shortest(start, goal, neighbours, refine), lambda: self._best(start, goal, neighbours)
+                lambda: self._shortest(start, goal, neighbours, refine), lambda: self._best(start, goal)
             )
         else:
             shortest = self._shortest(start, goal, neighbours, refine)
-            landmarks = self._landmarks.get(neighbours)
+            table, landmarks = self._table(neighbours, distance=False), self._landmarks.get(neighbours)
             options = Options(time_limit_s, seed, from_grid, landmarks, progress)
-            points, found = asked.search(lattice, self._table(neighbours, distance=False), start, goal, options)
+            points, found = asked.search(lattice, table, start, goal, options)
             points = refine_path(lattice, points) if refine else points
         if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
             notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
@@ -302,12 +294,8 @@ class RoutePlanner:
             points = best_of(lattice, [shortest, points]) if refine else shortest
         ways = [points]
         if alternatives > 0:
-            others = [
-                w.points
-                for w in alternative_paths(
-                    lattice, self._table(neighbours, distance=False), start, goal, count=alternatives + 1
-                )[1:]
-            ]
+            table = self._table(neighbours, distance=False)
+            others = [w.points for w in alternative_paths(lattice, table, start, goal, count=alternatives + 1)[1:]]
             ways += improved_ways(lattice, points, others) if refine else others
             ways.sort(key=lambda way: path_price(lattice, way))  # once improved, another one may be the cheapest
         details["seconds"] = time.perf_counter() - began
@@ -369,9 +357,7 @@ class RoutePlanner:
         stops = np.array([self._end(f"stop {k}", xy, notes, snap) for k, xy in enumerate(stops_xy)])
         table = self._table(neighbours, distance=False)
         found = cheapest_tour(self.lattice, table, stops, time_limit_s=time_limit_s, progress=progress)
-        ways = (
-            self._best(leg.points[0], leg.points[-1], neighbours)[0] if refine else leg.points for leg in found.paths
-        )
+        ways = (self._best(leg.points[0], leg.points[-1])[0] if refine else leg.points for leg in found.paths)
         order = tuple(int(stop) for stop in found.order)
         legs = tuple(self._route(way, []) for way in ways)
         return RoundTrip(legs, order, found.energy_j, found.bound_j, tuple(notes))
@@ -389,28 +375,15 @@ class RoutePlanner:
                 self._bounds = (bound_table(self.lattice),)
         return self._bounds[0]
 
-    def _best(self, start: Points, goal: Points, neighbours: int) -> tuple[Points, dict[str, Any]]:
+    def _best(self, start: Points, goal: Points) -> tuple[Points, dict[str, Any]]:
         """The best path of any angles that we find, for every kind of question."""
-        seeds = []
-        if neighbours < LEAST_NEIGHBOURS:
-            seeds = [grid_search(self.lattice, self._table(neighbours, distance=False), start, goal).points]
-        most = self._most(neighbours)
-        table, landmarks = self._table(most, distance=False), self._landmarks.get(most)
-        best = best_path(self.lattice, table, start, goal, landmarks=landmarks, seeds=seeds)
+        table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
+        best = best_path(self.lattice, table, start, goal, landmarks=self._landmarks.get(ANY_ANGLE_NEIGHBOURS))
         return best.points, {
-            "neighbours": most,
             "expanded": best.expanded,
             "grid_energy_j": best.grid_energy_j,
             "corridors": best.corridors,
         }
-
-    def _limited(self) -> bool:
-        """Whether blocked ground or limits close some moves: then more headings find passages that others miss."""
-        if self._closed is None:
-            table = self._table(LEAST_NEIGHBOURS, distance=False)
-            inside = (slice(table.reach, -table.reach),) * 2
-            self._closed = bool(np.isnan(table.energy[inside]).any())
-        return self._closed
 
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
         """The shortest path within the limits."""

@@ -44,7 +44,9 @@ class PathRequest(Request):
     start: Point = Field(examples=[[12.5, 40.5]])
     goal: Point = Field(examples=[[80.0, 15.0]])
     planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
-    neighbours: Literal[8, 16, 32] = Field(default=16, description="moves per cell of the grid planners")
+    neighbours: Literal[8, 16, 32] = Field(
+        default=16, description="moves per cell of the grid planners without `refine`; with it they are 32"
+    )
     refine: bool = Field(default=True, description="shorten the grid path where it need not follow the grid")
     time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
         default=5.0, description="how long the sampling planners search [s]"

@@ -50,7 +50,7 @@ def compare_planners(heightmap: Heightmap) -> Table:
         best = planner.plan(start, goal)
         energies = {
             "any-angle route": best.route.energy_j,
-            "16 neighbours": best.details["grid_energy_j"],
+            "16 neighbours": planner.plan(start, goal, refine=False).route.energy_j,
             "shortest path": best.shortest.energy_j,
         }
         for name in SAMPLING_PLANNERS:
@@ -163,7 +163,6 @@ def _gaps(lattice: CostLattice, tasks: int, sampling_s: float) -> tuple[dict[str
     """Shares by which the default answer costs more than others; tasks whose bound exceeds the reference; seconds."""
     planner, fine, prices = RoutePlanner(lattice), refined_moves(lattice), bound_table(lattice)
     planner.prepare()
-    planner.prepare(32)
     free = np.argwhere(lattice.blocked == 0).astype(float)
     rng = np.random.default_rng(11)
     names = (
