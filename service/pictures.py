@@ -28,6 +28,8 @@ from joulemap.service.map_drawing import (
     draw_routes,
 )
 
+_NAME_LETTERS = 60  # of a name that is drawn
+
 __all__ = ["VIEWS", "field_image", "lattice_image", "route_picture"]
 
 
@@ -61,7 +63,8 @@ def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: floa
     model = lattice.provenance.get("model", {}).get("name", "unnamed model")
     rows, cols = lattice.frame.shape
     axes.set_title(drawn.title, loc="left", fontsize=13, fontweight="bold", color=INK, pad=22)
-    about = f"{lattice.robot.name}  ·  model {model}  ·  {cols} x {rows} cells of {lattice.frame.resolution_m:g} m"
+    names = _literal(f"{lattice.robot.name[:_NAME_LETTERS]}  ·  model {model[:_NAME_LETTERS]}")
+    about = f"{names}  ·  {cols} x {rows} cells of {lattice.frame.resolution_m:g} m"
     axes.annotate(about, (0, 1), (0, 6), xycoords="axes fraction", textcoords="offset points", fontsize=9, color=FAINT)
     if drawn.handles:
         below_axes = offset_copy(axes.transAxes, figure, 0.0, -0.5)
@@ -171,9 +174,14 @@ def route_picture(
     )
     spent.set_xlabel("distance along the path [m]")
     climb.tick_params(labelbottom=False)
-    axes.set_title(title, loc="left", fontsize=13, fontweight="bold", color=INK, pad=10)
+    axes.set_title(_literal(title), loc="left", fontsize=13, fontweight="bold", color=INK, pad=10)
     figure.align_ylabels([climb, spent])
     return _png(figure)
+
+
+def _literal(text: str) -> str:
+    """A text in which matplotlib sees no formula."""
+    return text.replace("$", r"\$")
 
 
 def _map_inches(frame: GridFrame) -> tuple[float, float]:

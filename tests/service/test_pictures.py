@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,3 +129,9 @@ def test_odd_shapes_are_drawn(shape: tuple[int, int]) -> None:
     flat = Heightmap(np.zeros(shape, dtype=np.float32), GridFrame(0.0, 50.0, 1.0, *shape))
     lattice = build_lattice(flat, Robot(), PhysicsPredictor())
     assert lattice_image(lattice).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", ["$\\frac{", "r" * 200, "50 $ rover", "ü€漢"])
+def test_any_name_of_a_robot_is_drawn(lattice: CostLattice, name: str) -> None:
+    named = replace(lattice, robot=replace(lattice.robot, name=name))
+    assert lattice_image(named).startswith(b"\x89PNG")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import InputError, RobotError
+from joulemap.model.ranges import ROBOT
 from joulemap.model.robot import GRAVITY_MPS2, Battery, Robot
 
 
@@ -135,3 +136,11 @@ def test_a_battery_is_made_of_numbers(values: dict[str, object], named: str) -> 
 def test_numbers_of_numpy_are_numbers() -> None:
     assert Battery(280, charge=np.float32(0.5)).available_j == pytest.approx(0.5 * 280 * 3600)
     assert Robot(mass_kg=np.float32(50.0)).mass_kg == 50.0
+
+
+def test_the_reference_gives_the_ranges() -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs/reference/files.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
+    said = {row[1].strip("`"): row[3].split(" to ") for row in rows if len(row) == 7}
+    for key, allowed in ROBOT.items():
+        assert [float(end) for end in said[key]] == [allowed.low, allowed.high], key
