@@ -22,6 +22,10 @@ _NAME = re.compile(r"`([a-z][a-z0-9_]*)`")
 _UNITS = ("_m", "_s", "_wh")
 
 
+TYPED = "joulemap.typed"
+"""What of a context holds the words that were typed after the command's name."""
+
+
 class Command(TyperCommand):
     """A command whose list options take every value up to the next option: `--runs a.csv b.csv --out found`."""
 
@@ -40,6 +44,7 @@ class Command(TyperCommand):
         list of str
             What is left over.
         """
+        ctx.meta[TYPED] = list(args)
         options: list[Any] = [option for option in self.params if option.param_type_name == "option"]
         names = {name for option in options for name in option.opts}
         known = {old: new for old, new in RENAMED.items() if new in names and old not in names}

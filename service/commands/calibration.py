@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.markup import escape
 
+from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, json_text, parse_point, progress_bar, write_file
 from joulemap.service.commands.options import (
     BaselineRuns,
@@ -125,6 +126,7 @@ def calibrate(
             "fit, which are too small.",
         ),
     ] = False,
+    scheduler: AsOneTask = None,
     json_file: JsonFile = None,
     *,
     reading: Reading,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
 from joulemap.service.commands.options import (
     HeightmapFile,
@@ -51,6 +52,7 @@ def distill(
     ] = False,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="The same seed and data give the same weights.")] = 0,
     overwrite: Overwrite = False,
+    scheduler: AsOneTask = None,
     json_file: JsonFile = None,
     *,
     reading: Reading,

@@ -9,6 +9,7 @@ import typer
 
 from joulemap.model.errors import TooLargeError
 from joulemap.model.terrain.formats import formats_in_words
+from joulemap.service.commands.cluster import Scheduler, costmap_there
 from joulemap.service.commands.console import (
     JsonFile,
     Output,
@@ -31,10 +32,12 @@ from joulemap.service.commands.options import (
     robot_of,
     there,
 )
+from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served, service_at, unpack
 from joulemap.service.words import route_words, saving_words
 
 if TYPE_CHECKING:
     from joulemap.model.frames import GridFrame
+    from joulemap.service.schemas.maps import CostmapOut
 
 MOST_VALUES = 400_000_000
 """Most rows x columns x headings of a cost map unless the user allows more: the limit of `planner.lattice_build` for a
@@ -65,7 +68,10 @@ def costmap(
         Path,
         typer.Argument(metavar="HEIGHTMAP", callback=there, help=f"{formats_in_words()}."),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="MAP.zarr", help="Folder to write the cost map to.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="MAP.zarr", help="Folder to write the cost map to; optional with --server."),
+    ] = None,
     robot: RobotFile = None,
     model: ModelName = "default",
     spacing: Annotated[float, typer.Option(min=0.01, metavar="M", help="Side of a cell of the cost map [m].")] = 1.0,
@@ -88,6 +94,9 @@ def costmap(
         Path | None, typer.Option(metavar="FILE", help="Also draw it, mean over headings (PNG).")
     ] = None,
     overwrite: Overwrite = False,
+    scheduler: Scheduler = None,
+    server: Server = None,
+    key: Key = None,
     json_file: JsonFile = None,
     *,
     reading: Reading,
@@ -104,14 +113,30 @@ def costmap(
     from joulemap.service.workflows import write_cost_lattice
 
     output = Output(json_file)
-    refuse_to_replace(out, overwrite=overwrite)
+    if out is not None:
+        refuse_to_replace(out, overwrite=overwrite)
+    if server is not None:
+        refuse_local(geotiff=geotiff, npz=npz, picture=picture, scheduler=scheduler)
+        with service_at(server, key) as service, progress_bar("Cost map") as report:
+            sent = service.heightmap(heightmap, **reading)
+            map_there = service.costmap(
+                sent.id, robot=robot, model=model, spacing_m=spacing, headings=headings, progress=report
+            )
+            if out is not None:
+                unpack(map_there.data("zarr"), out)
+        _say_served(output, map_there.about, sent.name, out)
+        return
+    if out is None:
+        raise typer.BadParameter("--out is missing: name the folder to write the cost map to")
     ground = open_ground(heightmap, **reading)
     rover = robot_of(robot)
     _say_size(output, ground.frame, spacing, headings, max_values)
     with leaves_nothing_behind(), progress_bar("Cost map") as report:
-        made = write_cost_lattice(
-            out, ground, rover, model=model, spacing_m=spacing, headings=headings, progress=report
-        )
+        how: dict[str, Any] = {"model": model, "spacing_m": spacing, "headings": headings, "progress": report}
+        if scheduler is not None:
+            made = costmap_there(scheduler, out, heightmap, reading=reading, robot=rover.as_dict(), **how)
+        else:
+            made = write_cost_lattice(out, ground, rover, **how)
     if made.frame.rows * made.frame.cols > FROM_DISK:
         from joulemap.planner.stored_planner import StoredPlanner
 
@@ -147,6 +172,24 @@ def costmap(
             **made.figures,
         }
     )
+
+
+def _say_served(output: Output, made: CostmapOut, source: str, out: Path | None) -> None:
+    """What a service says of a cost map that it made, as the command says it of its own."""
+    found = made.model_dump(mode="json")
+    frame, price, blocked = found.pop("frame"), found["energy_per_m"], found["blocked"]
+    words = ", ".join(f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0)
+    output.say(f"[bold]Cost map[/] {made.id} of {source} for {made.robot.name}, model {made.model}")
+    output.table(
+        {
+            "cells": f"{frame['rows']} rows x {frame['cols']} columns of {made.spacing_m:g} m, {made.headings} headings",
+            "energy": "{min:.1f} .. {max:.1f} J/m, mean {mean:.1f} J/m".format(**price) if price else "nothing is free",
+            "ground": words,
+            **({} if out is None else {"written": str(out)}),
+        }
+    )
+    output.warn(made.warnings)
+    output.document({**found, **frame, "costmap_id": made.id, "out": None if out is None else str(out)})
 
 
 def _say_size(output: Output, ground: GridFrame, spacing: float, headings: int, max_values: int) -> None:
@@ -200,7 +243,7 @@ def _memory_for(costmap: Path) -> float | None:
 
 
 def path(
-    costmap: MapFolder,
+    costmap: MapOrId,
     start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m, map's CRS].")],
     goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m, map's CRS].")],
     planner: Annotated[
@@ -223,6 +266,8 @@ def path(
             metavar="FILE", help="Draw all paths, and the profiles of the energy-optimal and the shortest one (PNG)."
         ),
     ] = None,
+    server: Server = None,
+    key: Key = None,
     json_file: JsonFile = None,
 ) -> None:
     """Find the **energy-optimal path** on a cost map, and what it saves against the shortest path.
@@ -237,34 +282,29 @@ def path(
     from joulemap.service.schemas.answers import path_geojson, path_out
 
     output = Output(json_file)
+    asked: dict[str, Any] = {
+        "planner": planner,
+        "neighbours": neighbours,
+        "refine": refine,
+        "time_limit_s": time_limit,
+        "seed": seed,
+        "alternatives": alternatives,
+        "snap": snap,
+    }
+    if server is not None:
+        refuse_local(memory=memory, picture=picture)
+        with served(server, key, costmap) as map_there, progress_bar("Path") as report:
+            answer = map_there.plan(start, goal, progress=report, **asked)
+            if geojson is not None:
+                write_file(geojson, json_text(map_there.plan_geojson(start, goal, **asked)).encode())
+        _say_path(output, answer.model_dump(mode="json"), map_there.about.robot.name)
+        return
     in_parts = planner == "astar" and alternatives == 0 and picture is None
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if in_parts and memory is None else memory)
     with progress_bar("Path") as report:
-        route = ground.plan(
-            start,
-            goal,
-            planner=planner,
-            neighbours=neighbours,
-            refine=refine,
-            time_limit_s=time_limit,
-            seed=seed,
-            alternatives=alternatives,
-            snap=snap,
-            progress=report,
-        )
+        route = ground.plan(start, goal, progress=report, **asked)
     plan = route.found
-    found = path_out(plan, None, ground.warnings).model_dump(mode="json")
-    output.say(f"[bold]Path[/] for {ground.robot.name}, planner {plan.planner}")
-    output.table(
-        {
-            "energy-optimal": route_words(found),
-            **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
-            "shortest": route_words(found["shortest"]),
-            "saved": saving_words(found, found["shortest"]),
-            **_proven(plan.details),
-        }
-    )
-    output.warn(found["warnings"])
+    _say_path(output, path_out(plan, None, ground.warnings).model_dump(mode="json"), ground.robot.name)
     if geojson is not None:
         write_file(geojson, json_text(path_geojson(plan, None, ground.warnings)).encode())
     if picture is not None:
@@ -274,11 +314,25 @@ def path(
         title = f"Path for {ground.robot.name}" + (f" on {source}" if source not in (None, "memory") else "")
         drawn = route_picture(ground.lattice, plan.route, plan.shortest, title=title, alternatives=plan.others)
         write_file(picture, drawn)
+
+
+def _say_path(output: Output, found: dict[str, Any], robot: str) -> None:
+    output.say(f"[bold]Path[/] for {robot}, planner {found['planner']}")
+    output.table(
+        {
+            "energy-optimal": route_words(found),
+            **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
+            "shortest": route_words(found["shortest"]),
+            "saved": saving_words(found, found["shortest"]),
+            **_proven(found["details"]),
+        }
+    )
+    output.warn(found["warnings"])
     output.document(found)
 
 
 def feasibility(
-    costmap: MapFolder,
+    costmap: MapOrId,
     start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m].")] = None,
     goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m].")] = None,
     path: Annotated[
@@ -299,6 +353,8 @@ def feasibility(
     ] = None,
     charge: StateOfCharge = 1.0,
     reserve: Reserve = 0.0,
+    server: Server = None,
+    key: Key = None,
     json_file: JsonFile = None,
 ) -> None:
     """Say whether the **battery lasts**, for the best route between two points or for a given path.
@@ -318,14 +374,32 @@ def feasibility(
     from joulemap.service.workflows import assess
 
     output = Output(json_file)
+    points = read_path(path) if path is not None else None
+    if server is not None:
+        refuse_local(memory=memory)
+        with served(server, key, costmap) as map_there:
+            verdict = map_there.feasibility(
+                None if points is None else points.tolist(),
+                start=start,
+                goal=goal,
+                round_trip=round_trip,
+                snap=snap,
+                charge=charge,
+                reserve=reserve,
+                capacity_wh=capacity_wh,
+            )
+        _say_verdict(output, verdict.model_dump(mode="json"), round_trip=round_trip)
+        return
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if memory is None else memory)
     battery = Battery(
         capacity_wh=capacity_wh if capacity_wh is not None else ground.robot.battery_wh, charge=charge, reserve=reserve
     )
-    points = read_path(path) if path is not None else None
     planner = ground.planner
     assessment = assess(planner, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip, snap=snap)
-    found = feasibility_out(assessment, ground.warnings).model_dump(mode="json")
+    _say_verdict(output, feasibility_out(assessment, ground.warnings).model_dump(mode="json"), round_trip=round_trip)
+
+
+def _say_verdict(output: Output, found: dict[str, Any], *, round_trip: bool) -> None:
     output.say(f"[bold {'green' if found['feasible'] else 'red'}]{found['message']}[/]")
     rows = {"way out": route_words(found["out"])}
     if found["back"] is not None:

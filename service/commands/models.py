@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from joulemap.model.energy.architectures import ARCHITECTURES, DEFAULT_ARCHITECTURE
+from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
 from joulemap.service.commands.options import (
     Campaign,
@@ -257,6 +258,7 @@ def train(
         ),
     ] = None,
     overwrite: Overwrite = False,
+    scheduler: AsOneTask = None,
     json_file: JsonFile = None,
     *,
     reading: Reading,

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from joulemap.model.errors import InputError
+from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
 from joulemap.service.commands.options import (
     HeightmapFile,
@@ -69,6 +70,7 @@ def reproduce(
         list[str] | None, typer.Option("--only", metavar="NAME...", help="Only these kinds of experiments.")
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=64, metavar="N", help="Processes side by side, a core each.")] = 2,
+    scheduler: AsOneTask = None,
     json_file: JsonFile = None,
 ) -> None:
     """Reproduce the **paper's section V** on simulated sites: both networks, every training strategy, all baselines.

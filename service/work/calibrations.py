@@ -56,7 +56,7 @@ def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
         if not folder.exists():
             out.mkdir(parents=True)
             (out / _ORDER).write_text(json.dumps(order), encoding="utf-8")
-            ended = run(__name__, [str(out), topic], tell=_tell)
+            ended = run(["-m", __name__, str(out), topic], tell=_tell)
             if (out / _PROBLEM).exists():
                 return {"problem": json.loads((out / _PROBLEM).read_text(encoding="utf-8"))}
             if ended != 0:

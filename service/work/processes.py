@@ -10,21 +10,50 @@ from collections.abc import Callable, Sequence
 
 _LOOK_S = 0.5  # between looks whether the task is still wanted
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")  # of a worker
+_COMMAND = (
+    "from joulemap.service.work.processes import end_with_parent; end_with_parent()\n"
+    "from joulemap.service.cli import main; main()"
+)
 
 
-def run(module: str, arguments: Sequence[str], *, cwd: str | None = None, tell: Callable[[str], object]) -> int:
-    """Run a module within a Dask task; tiles go on in the worker meanwhile.
+def run_command(arguments: Sequence[str], folder: str, topic: str) -> int:
+    """Run a `joulemap` command on a worker.
 
     Parameters
     ----------
-    module : str
-        Runs as `python -m`; it calls `end_with_parent` first.
     arguments : sequence of str
-        Of its command line.
-    cwd : str, optional
+        Of the command line.
+    folder : str
         Folder to run in.
+    topic : str
+        Under which every line that it prints is told.
+
+    Returns
+    -------
+    int
+        Its exit code.
+    """
+    from distributed import get_worker  # which takes half a second to load
+
+    worker = get_worker()
+    return run(["-c", _COMMAND, *arguments], cwd=folder, tell=lambda line: worker.log_event(topic, line), errors=True)
+
+
+def run(
+    arguments: Sequence[str], *, tell: Callable[[str], object], cwd: str | None = None, errors: bool = False
+) -> int:
+    """Run Python within a Dask task; tiles go on in the worker meanwhile.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Of Python. What runs calls `end_with_parent` first.
     tell : callable
         Is given every line that the process prints.
+    cwd : str, optional
+        Folder to run in.
+    errors : bool, optional
+        Whether lines of its standard error are told too.
 
     Returns
     -------
@@ -37,9 +66,14 @@ def run(module: str, arguments: Sequence[str], *, cwd: str | None = None, tell: 
     task = worker.state.tasks.get(worker.get_current_task())
     secede()
     env = {name: value for name, value in os.environ.items() if name not in _ONE_THREAD}
-    command = [sys.executable, "-m", module, *arguments]
     with subprocess.Popen(
-        command, cwd=cwd, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=env,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT if errors else None,
+        encoding="utf-8",
     ) as process:
 
         def _watch() -> None:
