@@ -19,6 +19,23 @@ from joulemap.planner.potential import parts_of
 NEIGHBOURS = (8, 16, 32)
 
 
+def check_neighbours(neighbours: int) -> None:
+    """Check a number of moves per cell.
+
+    Parameters
+    ----------
+    neighbours : int
+        The number.
+
+    Raises
+    ------
+    InputError
+        If it is none of 8, 16 and 32.
+    """
+    if neighbours not in NEIGHBOURS:
+        raise InputError(f"neighbours must be 8, 16 or 32, got {neighbours}", neighbours=neighbours)
+
+
 def move_offsets(neighbours: int) -> NDArray[np.int64]:
     """Return the shortest moves of different heading.
 
@@ -37,8 +54,7 @@ def move_offsets(neighbours: int) -> NDArray[np.int64]:
     InputError
         If `neighbours` is another number.
     """
-    if neighbours not in NEIGHBOURS:
-        raise InputError(f"neighbours must be 8, 16 or 32, got {neighbours}", neighbours=neighbours)
+    check_neighbours(neighbours)
     reach = {8: 1, 16: 2, 32: 3}[neighbours]
     steps = [(r, c) for r in range(-reach, reach + 1) for c in range(-reach, reach + 1) if math.gcd(r, c) == 1]
     steps.sort(key=lambda s: float(heading_of(s[1], -s[0])))

@@ -18,6 +18,7 @@ from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.move_prices import check_neighbours
 from joulemap.planner.moves import MoveTable, distance_table, move_table
 from joulemap.planner.places import end_point
 from joulemap.planner.planners import PLANNERS, Options, planner_named
@@ -270,6 +271,7 @@ class RoutePlanner:
             If driving in a circle would fill the battery.
         """
         asked = planner_named(planner)
+        check_neighbours(neighbours)
         lattice = self.lattice
         notes: list[str] = []
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
