@@ -39,7 +39,8 @@ class Settings(BaseSettings):
     read_seconds: float = Field(
         default=5.0,
         gt=0,
-        description="processor time for reading one sent file, and 1 s more for each 5 MB; twice as much real time [s]",
+        description="processor time for reading one sent file, and 1 s more for each 5 MB; six times as much in real "
+        "time [s]",
     )
     read_memory_mb: float = Field(
         default=750.0, gt=0, description="memory for reading one sent file, beyond the 220 MB of the process [MB]"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 _MB_PER_S = 5.0  # the slowest format, text, is read at twice this speed
-_WALL_PER_CPU = 2.0  # other work may take half of the processors
+_WALL_PER_CPU = 6.0  # other work may take most of the processors, and no reader waits for anything else
 
 
 @dataclass(frozen=True)

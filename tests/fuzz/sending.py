@@ -13,6 +13,7 @@ import psutil
 
 from joulemap.model.robot import Robot
 from joulemap.service.http.app import create_app
+from joulemap.service.storage.stats import heightmap_stats
 from tests.fuzz.files import COSTMAPS, PATHS, hostile_files
 from tests.fuzz.reading import MEMORY_MB, SECONDS
 from tests.service.conftest import hill, settings_for
@@ -44,7 +45,7 @@ def send_files(count: int, seed: int, folder: Path) -> Answers:
     with served(app) as url, httpx.Client(base_url=url, timeout=120.0) as client, _Watch() as watch:
         store = app.state.service.store
         before = _kept(folder)
-        heightmap = store.add_heightmap(hill(), name="hill", stats={})
+        heightmap = store.add_heightmap(hill(), name="hill", stats=heightmap_stats(hill()))
         costmap = store.add_costmap(
             heightmap.id, {"robot": Robot().as_dict(), "model": "physics", "spacing_m": 1.0, "headings": 16}
         )
