@@ -7,7 +7,7 @@ from typing import Any
 
 _INTRO = """# Settings of the service
 
-`joulemap serve` and `joulemap worker` read their settings from the environment. Options of the command line come first.
+`joulemap serve` reads its settings from the environment. Options of the command line come first.
 
 | variable | default | meaning |
 | --- | --- | --- |
