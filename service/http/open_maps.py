@@ -20,6 +20,7 @@ class _Entry:
         self.stored: StoredPlanner | None = None
         self.pricer: StoredPlanner | None = None  # for given paths, which are not to wait for a search
         self.searching, self.pricing = threading.Lock(), threading.Lock()
+        self.sharpening = False
 
 
 class OpenMaps:
@@ -123,6 +124,7 @@ class OpenMaps:
                 self._loaded(entry, costmap_id)
         if entry.planner is not None:
             yield entry.planner
+            self._sharpen(entry.planner, entry)
             return
         assert entry.stored is not None
         with entry.searching:
@@ -151,6 +153,13 @@ class OpenMaps:
                     yield entry.pricer
                     return
         yield self.planner(costmap_id)
+
+    def _sharpen(self, planner: RoutePlanner, entry: _Entry) -> None:
+        """After the first answer, make landmarks on another thread: searches of later questions settle fewer cells."""
+        with self._lock:
+            begun, entry.sharpening = entry.sharpening, True
+        if not begun:
+            threading.Thread(target=planner.prepare, kwargs={"landmarks": True}, name="landmarks", daemon=True).start()
 
     def _loaded(self, entry: _Entry, costmap_id: str) -> RoutePlanner:
         """The planner of an entry whose lock `loading` this thread holds."""
