@@ -19,6 +19,7 @@ from tests.service.conftest import GOAL, START, hill, settings_for
 from joulemap.model.terrain.writers import write_geotiff
 
 def compiled():
+    gc.unfreeze()  # a service that is ready has taken what it has loaded out of the garbage collector's sight
     own = [d for d in gc.get_objects() if isinstance(d, Dispatcher)]
     own = [d for d in own if d.py_func.__module__.startswith(("joulemap.model", "joulemap.planner"))]
     return {f"{d.py_func.__module__}.{d.py_func.__name__}": sorted(map(str, d.signatures)) for d in own}
