@@ -20,20 +20,6 @@ if TYPE_CHECKING:  # which takes half a second to load
 _LOOK_S = 1.0  # between looks how far a calibration is
 
 
-class Refused(Exception):
-    """The runs cannot be calibrated.
-
-    Parameters
-    ----------
-    problem : dict
-        Its problem body.
-    """
-
-    def __init__(self, problem: dict[str, Any]) -> None:
-        super().__init__(problem)
-        self.problem = problem
-
-
 def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, Any]:
     """Return what a worker is told of a calibration.
 
@@ -115,10 +101,7 @@ async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> 
         while not (await asyncio.wait([ended], timeout=_LOOK_S))[0]:
             if share >= 0.0:
                 yield share
-        document = await ended
-        if "problem" in document:
-            raise Refused(document["problem"])
-        yield document
+        yield await ended
     finally:
         ended.cancel()
         task.release()

@@ -5,19 +5,14 @@ Dask takes half a second to load: import this module where it is needed.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import signal
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
-from pathlib import Path
-from typing import Any
 
 import dask
-from distributed import Client, LocalCluster, Security, WorkerPlugin
-
-from joulemap.service.workflows import warm_up_models
+from distributed import Client, LocalCluster, Security
 
 CONNECT_S = 10.0
 """Longest time until a scheduler answers [s]."""
@@ -32,42 +27,7 @@ _CONFIG = {
     "distributed.diagnostics.nvml": False,
     "distributed.nanny.pre-spawn-environ": {"DASK_LOGGING__DISTRIBUTED": "warning"},  # it is this process's for a while
 }
-
-
 _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-
-class Warm(WorkerPlugin):
-    """Loads kernels and models in every worker, those that come later among them.
-
-    Parameters
-    ----------
-    models : sequence of str
-        Names of models.
-    models_dir : Path
-        Folder of trained models.
-    nice : int
-        By how much the workers give way to other processes, such as the service that answers questions.
-    """
-
-    name = "joulemap"
-
-    def __init__(self, models: Sequence[str], models_dir: Path, *, nice: int) -> None:
-        self._models, self._models_dir, self._nice = tuple(models), models_dir, nice
-
-    async def setup(self, worker: Any) -> None:
-        """Begin to load; the worker takes tasks meanwhile.
-
-        Parameters
-        ----------
-        worker : distributed.Worker
-            The worker at hand.
-        """
-        os.nice(self._nice)
-        worker.joulemap_warm = asyncio.create_task(asyncio.to_thread(self._load))
-
-    def _load(self) -> None:
-        warm_up_models(self._models, models_dir=self._models_dir)
 
 
 def _kill(cluster: LocalCluster) -> None:

@@ -20,11 +20,11 @@ from sqlalchemy.exc import OperationalError
 
 from joulemap.model.errors import BusyError
 from joulemap.service.jobs import calibrations, costmaps
-from joulemap.service.jobs.calibrations import Refused
 from joulemap.service.problems import problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import CALIBRATION, COSTMAP, WORDS, kind_of
+from joulemap.service.work.calibrations import Refused
 
 if TYPE_CHECKING:  # which takes half a second to load
     from distributed import Client
@@ -76,8 +76,9 @@ class Jobs:
         self._call(self._wake)
 
     def _call(self, event: asyncio.Event) -> None:
-        event.set()  # where the loop is not there yet
-        if self._loop is not None:
+        if self._loop is None:
+            event.set()
+        else:
             with suppress(RuntimeError):  # it has ended
                 self._loop.call_soon_threadsafe(event.set)
 
@@ -105,7 +106,8 @@ class Jobs:
 
     async def _live(self) -> None:
         """Keep a cluster until the service stops; one that is lost is asked again."""
-        from joulemap.service.jobs.cluster import NICE, Warm, connected  # which takes half a second to load
+        from joulemap.service.jobs.cluster import NICE, connected  # which takes half a second to load
+        from joulemap.service.work.warm import Warm
 
         self._loop, settings = asyncio.get_running_loop(), self._settings
         while not self._stop.is_set():
@@ -117,7 +119,7 @@ class Jobs:
                     self.trouble = None
                     await self._serve(client)
             except OSError as error:  # a scheduler that restarts comes back
-                self.trouble = f"no Dask scheduler answers at {settings.scheduler}: {error}"
+                self.trouble = f"no Dask scheduler answers at {settings.scheduler or '127.0.0.1'}: {error}"
                 _LOG.warning("%s", self.trouble)
                 await self._pause()
             except Exception:
@@ -170,7 +172,7 @@ class Jobs:
                 summary = await self._result(await self._begin(client, job_id, priority), job_id)
             done = await asyncio.to_thread(self._store.finish, job_id, summary)
         except Exception as error:
-            await asyncio.to_thread(self._failed, job_id, error)
+            await asyncio.to_thread(self._failed, job_id, error, lost=client.status != "running")
             return
         await asyncio.to_thread(self._store.tidy, job_id)
         if done and self._on_done is not None:
@@ -196,8 +198,9 @@ class Jobs:
                     reported = time.monotonic()
         raise RuntimeError(f"job {job_id} has no result")
 
-    def _failed(self, job_id: str, error: Exception) -> None:
-        if isinstance(error, (OperationalError, CancelledError)) or getattr(error, "errno", None) in _FULL:
+    def _failed(self, job_id: str, error: Exception, *, lost: bool) -> None:
+        """Leave a job for the next look where it is not its fault. lost : whether the scheduler was."""
+        if lost or isinstance(error, (OperationalError, CancelledError)) or getattr(error, "errno", None) in _FULL:
             _LOG.warning("job %s waits and is tried again: %s", job_id, error)
             return
         problem = error.problem if isinstance(error, Refused) else problem_of(error, job_id)

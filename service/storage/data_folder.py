@@ -22,17 +22,17 @@ _WAIT_S = 30.0  # for a service that starts at the same moment
 class DataFolder:
     """A data folder that this process uses, beside other services.
 
+    Parameters
+    ----------
+    path : Path
+        The folder; it is made.
+
     Attributes
     ----------
     alone : bool
         Whether no other service used it when it was opened.
     uploads : Path
         What this process alone writes into; it is removed in the end, or by the next start.
-
-    Parameters
-    ----------
-    path : Path
-        The folder; it is made.
     """
 
     def __init__(self, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import secrets
 import shutil
@@ -25,6 +26,21 @@ from joulemap.service.work.processes import end_with_parent, run
 
 REPORT, PAGE = "report.json", "report.html"
 _ORDER, _PROBLEM = "order.json", "problem.json"
+_FULL_EXIT = 28  # of the process, when the disk is full
+
+
+class Refused(Exception):
+    """The runs cannot be calibrated.
+
+    Parameters
+    ----------
+    problem : dict
+        Its problem body.
+    """
+
+    def __init__(self, problem: dict[str, Any]) -> None:
+        super().__init__(problem)
+        self.problem = problem
 
 
 def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
@@ -40,7 +56,14 @@ def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        The report and the id of the model, or the problem body of a refusal.
+        The report and the id of the model.
+
+    Raises
+    ------
+    Refused
+        If the runs cannot be calibrated.
+    OSError
+        If the disk is full.
     """
     from distributed import get_worker
 
@@ -58,7 +81,9 @@ def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
             (out / _ORDER).write_text(json.dumps(order), encoding="utf-8")
             ended = run(["-m", __name__, str(out), topic], tell=_tell)
             if (out / _PROBLEM).exists():
-                return {"problem": json.loads((out / _PROBLEM).read_text(encoding="utf-8"))}
+                raise Refused(json.loads((out / _PROBLEM).read_text(encoding="utf-8")))
+            if ended == _FULL_EXIT:
+                raise OSError(errno.ENOSPC, "No space left on device", str(out))
             if ended != 0:
                 raise RuntimeError(f"the calibration's process ended with {ended}; see the worker's output")
             (out / _ORDER).unlink()
@@ -118,4 +143,9 @@ def _read(order: Mapping[str, Any], robot: Robot) -> CalibrationRuns:
 
 if __name__ == "__main__":
     end_with_parent()
-    main(Path(sys.argv[1]), sys.argv[2])
+    try:
+        main(Path(sys.argv[1]), sys.argv[2])
+    except OSError as full:
+        if full.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        sys.exit(_FULL_EXIT)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import secrets
+import shutil
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -165,8 +166,13 @@ def build(order: MapOrder, number: int) -> None:
     tiles = Tiles.of(order)
     place = tiles.tiling[number]
     part = build_tile(tiles.ground, tiles.robot, tiles.source, tiles.tiling, *place)
-    order.folder.write(part, *place)
-    _write(_note(order, number), figures_of(part))
+    try:
+        order.folder.write(part, *place)
+        _write(_note(order, number), figures_of(part))
+    except Exception:
+        if not order.notes.exists():  # the cost map was deleted meanwhile; what was just written of it goes too
+            shutil.rmtree(order.folder.partial, ignore_errors=True)
+        raise
 
 
 def finish(order: MapOrder) -> dict[str, Any]:

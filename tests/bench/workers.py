@@ -1,65 +1,78 @@
-"""Two workers beside one: tiles per second of a cost map that `joulemap worker` processes make, a thread each."""
+"""Two workers beside one: seconds for a cost map that plain Dask workers make tile by tile, a thread each."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 
-from joulemap.service.storage.store import Store
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.jobs.cluster import connected
+from joulemap.service.jobs.costmaps import make
+from joulemap.service.work.tiles import MapOrder
 from tests.bench.maps import ROBOT, terrain
 from tests.bench.timing import Row
 from tests.service.test_restart import free_port
-from tests.service.workers import postgres, postgres_programs
 
 CELLS = 2304
 WORKERS = (1, 2)
+ROUNDS = 3
 
 
-def bench_workers() -> list[Row]:
-    """Seconds until nine tenths of the tiles are done, from the moment all workers stand ready."""
+def bench_workers(cells: int = CELLS) -> list[Row]:
+    """The least seconds of several rounds in turns, from the moment all workers stand ready."""
+    times: dict[int, list[float]] = {count: [] for count in WORKERS}
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        write_geotiff(place / "dem.tif", terrain(cells, 1.0))
+        for number in range(ROUNDS):
+            for count in WORKERS:
+                times[count].append(seconds_of(place, count, f"{count}-{number}"))
+    alone = min(times[WORKERS[0]])
     rows: list[Row] = []
-    database = postgres(free_port()) if postgres_programs() else nullcontext(None)
-    with tempfile.TemporaryDirectory() as folder, database as url:
-        store = Store(Path(folder), url or f"sqlite:///{folder}/joulemap.db")
-        store.open()
-        heightmap_id = store.add_heightmap(terrain(CELLS, 1.0), name="terrain", stats={}).id
-        alone = 0.0
-        for count in WORKERS:
-            took = _seconds(store, Path(folder), url, heightmap_id, count)
-            alone = alone or took
-            load = f"load of the machine {os.getloadavg()[0]:.1f}"
-            words = f"{'PostgreSQL' if url else 'SQLite'}, {count} worker(s), {alone / took:.2f} times one ({load})"
-            rows.append((f"{CELLS} x {CELLS}", words, took, "one worker", took / alone))
-        store.close()
+    for count, took in times.items():
+        load = f"load of the machine {os.getloadavg()[0]:.1f}"
+        words = f"{count} Dask worker(s), {alone / min(took):.2f} times one ({load})"
+        rows.append((f"{cells} x {cells}", words, min(took), "one worker", min(took) / alone))
     return rows
 
 
-def _seconds(store: Store, folder: Path, url: str | None, heightmap_id: str, count: int) -> float:
-    one_thread = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-    place = {"JOULEMAP_DATA_DIR": str(folder), **({"JOULEMAP_DATABASE_URL": url} if url else {})}
-    command = [sys.executable, "-c", "from joulemap.service.cli import main; main()", "worker"]
+def seconds_of(folder: Path, count: int, name: str) -> float:
+    """Seconds for a cost map by so many workers, which have made a small one before."""
+    address = f"tcp://127.0.0.1:{(port := free_port())}"
+    dask, one_thread = [sys.executable, "-m", "dask"], {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    worker = ["worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
     with ExitStack() as stack:
-        workers = []
-        for _ in range(count):
-            process = subprocess.Popen(
-                command, env={**os.environ, **one_thread, **place}, stdout=subprocess.PIPE, text=True
-            )
-            workers.append(stack.enter_context(process))
+        for command in (scheduler, *[worker] * count):
+            process = subprocess.Popen([*dask, *command], env={**os.environ, **one_thread}, stderr=subprocess.DEVNULL)
+            stack.enter_context(process)
             stack.callback(process.kill)
-        for process in workers:
-            assert process.stdout is not None
-            assert process.stdout.readline(), "a worker did not start"
-        request = {"robot": ROBOT.as_dict(), "model": "default", "spacing_m": 1.0, "headings": 16}
-        costmap_id = store.add_costmap(heightmap_id, request).id
+        return asyncio.run(_seconds(folder, address, count, name))
+
+
+async def _seconds(folder: Path, address: str, count: int, name: str) -> float:
+    order = MapOrder(folder / f"{name}.zarr", folder / "dem.tif", {}, ROBOT.as_dict(), "default", 1.0, 16)
+    async with connected(address, workers=0) as client:
+        await client.wait_for_workers(count)
+        await client.run(_warm)
         began = time.perf_counter()
-        while (row := store.costmap(costmap_id)).progress < 0.9:
-            assert row.problem is None, row.problem
-            time.sleep(0.02)
-        took = time.perf_counter() - began
-    store.delete_costmap(costmap_id)
-    return took
+        async for _ in make(client, order, key=name):
+            pass
+        return time.perf_counter() - began
+
+
+def _warm() -> None:
+    from joulemap.service.workflows import warm_up_models
+
+    warm_up_models(["default"])
+
+
+if __name__ == "__main__":
+    for row in bench_workers(*map(int, sys.argv[1:2])):
+        print(row)
