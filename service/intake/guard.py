@@ -16,30 +16,43 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from joulemap.model.errors import HeightmapError, InputError, JoulemapError, TooLargeError
-from joulemap.service.intake import maps, runs
 from joulemap.service.intake.limits import ReadLimits
 
 _LOG = logging.getLogger("joulemap.service")
-_TASKS: dict[str, Callable[..., dict[str, Any]]] = {"heightmap": maps.read_map, "run": runs.read_sent_run}
 _PR_SET_PDEATHSIG = 1
 _CELLS_PER_S = 4e6  # a heightmap is compressed at twice this speed
-_prepared = False
 
 
-def prepare() -> None:
-    """Load what reading needs, once per process, so that no file pays for it."""
-    global _prepared
-    if _prepared:
-        return
+@cache
+def prepared(task: str) -> Callable[..., dict[str, Any]]:
+    """Return the function of a task, once all is loaded that it needs, so that no file pays for it.
+
+    Parameters
+    ----------
+    task : str
+        "heightmap" or "run".
+
+    Returns
+    -------
+    callable
+        It reads a file.
+    """
     if sys.platform == "linux":  # a child ends with its service, however that ends
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if task == "heightmap":
+        from joulemap.service.intake import maps
+
+        maps.load_gdal()
+        return maps.read_map
+    from joulemap.service.intake import runs
+
     runs.load_kernels()
-    maps.load_gdal()
-    _prepared = True
+    return runs.read_sent_run
 
 
 def read(task: str, arguments: str) -> str:
@@ -57,12 +70,12 @@ def read(task: str, arguments: str) -> str:
     str
         JSON object: `result`, or `error` with `code`, `message` and `context`.
     """
-    prepare()
+    function = prepared(task)
     given = json.loads(arguments)
     limits = ReadLimits(**given.pop("limits"))
     name = str(given.get("name", "the file"))
     try:
-        return json.dumps({"result": _TASKS[task](guard=_Guard(limits), **given)}, allow_nan=False)
+        return json.dumps({"result": function(guard=_Guard(limits), **given)}, allow_nan=False)
     except MemoryError:
         error: JoulemapError = TooLargeError(
             f"{name} needs more than {limits.memory_mb:g} MB of memory to be read: send a smaller one",

@@ -114,7 +114,8 @@ def _read_many(reader: str, seed: int, first: int, count: int, out: Any) -> None
 
 def _read_within(reader: str, seed: int, first: int, count: int, out: Any) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    guard.prepare()  # everything is loaded before memory is limited
+    for task in ("heightmap", "run"):  # everything is loaded before memory is limited
+        guard.prepared(task)
     with contextlib.suppress(Exception):
         read_one(reader, seed, first)
     data = int(next(line for line in Path("/proc/self/status").read_text().splitlines() if "VmData" in line).split()[1])

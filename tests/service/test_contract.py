@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
@@ -12,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 import schemathesis
 import uvicorn
 from fastapi import FastAPI
 from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import seed as hypothesis_seed
 from hypothesis.errors import Unsatisfiable
 from schemathesis import GenerationMode
 from schemathesis.checks import not_a_server_error
@@ -87,12 +90,12 @@ def served(app: FastAPI) -> Iterator[str]:
 def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> None:
     """Requests generated from the document, about half of them deliberately against it, on a map that exists."""
     app = create_app(settings_for(tmp_path, max_cells=100_000, max_lattice_values=200_000, queue_size=1000))
-    seen: dict[str, set[int]] = {}
+    seen: dict[str, Counter[int]] = {}
     with served(app) as url:
-        heightmap = httpx.post(f"{url}/v1/heightmaps", content=hill_tif).json()["id"]
+        heightmap = httpx.post(f"{url}/v1/heightmaps", content=hill_tif, timeout=60).json()["id"]
         asked = {"heightmap_id": heightmap, "model": "physics"}
         made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}, timeout=70)
-        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0)).json()["id"]
+        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0), timeout=60).json()["id"]
         calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}).json()["id"]
         known = {"costmap_id": made.json()["id"], "heightmap_id": heightmap, "runs_id": runs}
         known["calibration_id"] = calibration
@@ -101,23 +104,62 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
             if operation.method == "delete":
                 continue
             for mode in GenerationMode:
-                run_cases(operation, mode, known, seen.setdefault(f"{operation.method} {operation.path}", set()))
-    assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/paths"]
-    assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/feasibility"]
-    assert {200, 422} <= seen["post /v1/costmaps/{costmap_id}/tours"]
-    assert {202, 422} <= seen["post /v1/costmaps"]
-    assert {200, 422} <= seen["get /v1/costmaps/{costmap_id}/at"]
-    assert {422} <= seen["post /v1/runs"]
-    assert {202, 422} <= seen["post /v1/calibrations"]
-    assert {409} <= seen["get /v1/calibrations/{calibration_id}/report.html"]
+                run_cases(operation, mode, known, seen.setdefault(f"{operation.method} {operation.path}", Counter()))
+    assert {200, 422} <= set(seen["post /v1/costmaps/{costmap_id}/paths"])
+    assert {200, 422} <= set(seen["post /v1/costmaps/{costmap_id}/feasibility"])
+    assert {200, 422} <= set(seen["post /v1/costmaps/{costmap_id}/tours"])
+    assert {202, 422} <= set(seen["post /v1/costmaps"])
+    assert {200, 422} <= set(seen["get /v1/costmaps/{costmap_id}/at"])
+    assert {422} <= set(seen["post /v1/runs"])
+    assert {202, 422} <= set(seen["post /v1/calibrations"])
+    assert {409} <= set(seen["get /v1/calibrations/{calibration_id}/report.html"])
 
 
-def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen: set[int]) -> None:
+@pytest.mark.slow
+def test_twenty_thousand_requests_break_nothing(tmp_path: Path, hill_tif: bytes) -> None:
+    """As above, with as many requests; jobs are queued and not made, so that the machine is free for answers."""
+    limits = {"max_cells": 100_000, "max_lattice_values": 200_000, "queue_size": 1_000_000}
+    with served(create_app(settings_for(tmp_path, **limits))) as url:
+        asked = {
+            "heightmap_id": httpx.post(f"{url}/v1/heightmaps", content=hill_tif, timeout=60).json()["id"],
+            "model": "physics",
+        }
+        made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}, timeout=70).json()["id"]
+    seen: dict[str, Counter[int]] = {}
+    with served(create_app(settings_for(tmp_path, **limits, workers=0))) as url:
+        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0), timeout=60).json()["id"]
+        calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}, timeout=60).json()["id"]
+        known = {"costmap_id": made, "heightmap_id": asked["heightmap_id"], "runs_id": runs}
+        known["calibration_id"] = calibration
+        operations = [found.ok() for found in schemathesis.openapi.from_url(f"{url}/openapi.json").get_all_operations()]
+        # events of a job that nobody makes have no end
+        wanted = [one for one in operations if one.method != "delete" and not one.path.endswith("/events")]
+        for seed in range(200):
+            for operation in wanted:
+                counts = seen.setdefault(f"{operation.method} {operation.path}", Counter())
+                for mode in GenerationMode:
+                    run_cases(operation, mode, known, counts, examples=25, seed=seed)
+            if sum(map(Counter.total, seen.values())) >= 20_000:
+                break
+    print(*(f"{name}: {dict(counts)}" for name, counts in seen.items()), sep="\n")
+    assert sum(map(Counter.total, seen.values())) >= 20_000
+
+
+def run_cases(
+    operation: Any,
+    mode: GenerationMode,
+    known: dict[str, str],
+    seen: Counter[int],
+    *,
+    examples: int = 10,
+    seed: int | None = None,
+) -> None:
+    @(lambda test: test if seed is None else hypothesis_seed(seed)(test))
     @settings(
-        max_examples=10,
+        max_examples=examples,
         deadline=None,
         database=None,
-        derandomize=True,
+        derandomize=seed is None,
         phases=[Phase.explicit, Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
@@ -141,7 +183,7 @@ def run_cases(operation: Any, mode: GenerationMode, known: dict[str, str], seen:
                 case.body.pop("robot", None)
         answer = case.call(timeout=60)
         case.validate_response(answer, checks=CHECKS)
-        seen.add(answer.status_code)
+        seen[answer.status_code] += 1
 
     with suppress(Unsatisfiable):  # what takes no input cannot be asked wrongly
         ask()
