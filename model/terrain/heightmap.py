@@ -84,7 +84,7 @@ class Heightmap:
     @cached_property
     def data_hash(self) -> str:
         """SHA-256 (16 hex digits) of heights and frame: the identity of the heightmap in provenance."""
-        digest = hashlib.sha256(memoryview(self.heights))
+        digest = hashlib.sha256(self.heights.data)
         digest.update(self.frame.identity.encode())
         return digest.hexdigest()[:16]
 

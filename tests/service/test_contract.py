@@ -95,7 +95,7 @@ def test_nothing_sent_breaks_the_service(tmp_path: Path, hill_tif: bytes) -> Non
         heightmap = httpx.post(f"{url}/v1/heightmaps", content=hill_tif, timeout=60).json()["id"]
         asked = {"heightmap_id": heightmap, "model": "physics"}
         made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}, timeout=70)
-        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0), timeout=60).json()["id"]
+        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0), timeout=200).json()["id"]
         calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}).json()["id"]
         known = {"costmap_id": made.json()["id"], "heightmap_id": heightmap, "runs_id": runs}
         known["calibration_id"] = calibration
@@ -127,8 +127,8 @@ def test_twenty_thousand_requests_break_nothing(tmp_path: Path, hill_tif: bytes)
         made = httpx.post(f"{url}/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}, timeout=70).json()["id"]
     seen: dict[str, Counter[int]] = {}
     with served(create_app(settings_for(tmp_path, **limits, workers=0))) as url:
-        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0), timeout=60).json()["id"]
-        calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}, timeout=60).json()["id"]
+        runs = httpx.post(f"{url}/v1/runs", content=run_csv(0, metres=30.0), timeout=200).json()["id"]
+        calibration = httpx.post(f"{url}/v1/calibrations", json={**asked, "runs": [runs]}, timeout=200).json()["id"]
         known = {"costmap_id": made, "heightmap_id": asked["heightmap_id"], "runs_id": runs}
         known["calibration_id"] = calibration
         operations = [found.ok() for found in schemathesis.openapi.from_url(f"{url}/openapi.json").get_all_operations()]

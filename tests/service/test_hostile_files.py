@@ -245,7 +245,7 @@ def test_the_slot_of_a_client_that_hangs_up_is_free(tmp_path: Path) -> None:
     content = long[0] + rows * 300
     app, others = create_app(settings_for(tmp_path, read_processes=1)), children()
     with served(app) as url:
-        assert httpx.post(f"{url}/v1/runs", content=run_csv(0), timeout=60).status_code == 201
+        assert httpx.post(f"{url}/v1/runs", content=run_csv(0), timeout=200).status_code == 201
         (reader,) = children() - others
         with pytest.raises(httpx.ReadTimeout):
             httpx.post(f"{url}/v1/runs", content=content, timeout=0.5)
@@ -254,7 +254,7 @@ def test_the_slot_of_a_client_that_hangs_up_is_free(tmp_path: Path) -> None:
                 break
             time.sleep(0.1)
         assert app.state.service.readers.running == 0
-        assert httpx.post(f"{url}/v1/runs", content=run_csv(1), timeout=60).status_code == 201
+        assert httpx.post(f"{url}/v1/runs", content=run_csv(1), timeout=200).status_code == 201
         assert reader not in children()
     assert left_in(tmp_path) == []
     assert children() <= others
