@@ -457,7 +457,7 @@ def test_too_many_requests_of_one_key(tmp_path: Path) -> None:
 
 
 def test_jobs_at_once_and_bytes_of_one_key(tmp_path: Path, hill_tif: bytes) -> None:
-    settings = settings_for(tmp_path, build_here=False, key_jobs=2)  # nothing is built, so jobs wait
+    settings = settings_for(tmp_path, workers=0, key_jobs=2)  # nothing is built, so jobs wait
     with TestClient(create_app(settings)) as client:
         anna = bearer(add_key(sessions_of(client), "anna"))
         small = bearer(add_key(sessions_of(client), "bert", gb=2.2 * len(hill_tif) / 1e9))
@@ -494,7 +494,7 @@ def test_jobs_at_once_and_bytes_of_one_key(tmp_path: Path, hill_tif: bytes) -> N
 def test_requests_at_the_same_moment_pass_no_limit_together(tmp_path: Path, hill_tif: bytes) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
-    with TestClient(create_app(settings_for(tmp_path, build_here=False, key_jobs=3))) as client:
+    with TestClient(create_app(settings_for(tmp_path, workers=0, key_jobs=3))) as client:
         anna = bearer(add_key(sessions_of(client), "anna"))
         heightmap = client.post("/v1/heightmaps", content=hill_tif, headers=anna).json()["id"]
         body = {"heightmap_id": heightmap, "model": "physics"}

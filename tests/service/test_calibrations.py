@@ -331,7 +331,7 @@ def test_bad_questions(service: TestClient, ground_id: str, runs_id: str) -> Non
 
 
 def test_a_full_queue_is_told(tmp_path: Path) -> None:
-    settings = settings_for(tmp_path, queue_size=1, build_here=False)
+    settings = settings_for(tmp_path, queue_size=1, workers=0)
     with TestClient(create_app(settings)) as client:
         ground = client.post("/v1/heightmaps", content=write_geotiff(None, hills())).json()["id"]
         asked = {"heightmap_id": ground, "runs": [send(client, GOOD).json()["id"]], "model": "physics"}
