@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.planner.energy_map import EnergyMap
+    from joulemap.service.client import Client
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Battery",
     "CalibrationResult",
+    "Client",
     "CostMap",
     "EnergyMap",
     "Evaluation",
@@ -62,6 +64,7 @@ _HOMES = {
     "joulemap.model.terrain.heightmap": ("Heightmap",),
     "joulemap.model.terrain.readers": ("read_heightmap",),
     "joulemap.planner.energy_map": ("EnergyMap",),
+    "joulemap.service.client": ("Client",),
     "joulemap.service.library.calibrations": ("CalibrationResult", "calibrate"),
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs"),

@@ -182,7 +182,7 @@ def _say_served(output: Output, made: CostmapOut, source: str, out: Path | None)
     output.say(f"[bold]Cost map[/] {made.id} of {source} for {made.robot.name}, model {made.model}")
     output.table(
         {
-            "cells": f"{frame['rows']} rows x {frame['cols']} columns of {made.spacing_m:g} m, {made.headings} headings",
+            "cells": "{rows} rows x {cols} columns of {spacing_m:g} m".format(**frame) + f", {made.headings} headings",
             "energy": "{min:.1f} .. {max:.1f} J/m, mean {mean:.1f} J/m".format(**price) if price else "nothing is free",
             "ground": words,
             **({} if out is None else {"written": str(out)}),

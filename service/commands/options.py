@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -41,6 +42,9 @@ def there(path: Path | None) -> Path | None:
     return path
 
 
+_CALIBRATION = re.compile(r"cal-[0-9a-f]{12}")
+
+
 def known_model(name: str | None) -> str | None:
     """Return the model that an option names.
 
@@ -61,7 +65,8 @@ def known_model(name: str | None) -> str | None:
     """
     from joulemap.model.energy.predictor import MODEL_NAMES
 
-    if name is not None and name not in (*MODEL_NAMES, "none") and not Path(name).is_dir():
+    there_already = name in (*MODEL_NAMES, "none") or _CALIBRATION.fullmatch(name or "")  # the latter at a --server
+    if name is not None and not there_already and not Path(name).is_dir():
         known = ", ".join(MODEL_NAMES)
         raise NotFoundError(
             f"there is no model {name!r}: known are {known}, or the folder of a trained model", name=name

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, json_text, parse_point, progress_bar, write_file
-from joulemap.service.commands.maps import MapFolder
 from joulemap.service.commands.options import Reserve, Snap, StateOfCharge
+from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served
 from joulemap.service.words import route_words
 
 
 def tour(
-    costmap: MapFolder,
+    costmap: MapOrId,
     stop: Annotated[
         list[Any],
         typer.Option(metavar="X,Y...", parser=parse_point, help="Places to visit [m, map's CRS], home first."),
@@ -28,6 +28,8 @@ def tour(
     reserve: Reserve = 0.0,
     snap: Snap = False,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the legs as GeoJSON.")] = None,
+    server: Server = None,
+    key: Key = None,
     json_file: JsonFile = None,
 ) -> None:
     """Find the **round trip of least energy** over several places: the order, the legs, and whether the battery lasts.
@@ -44,6 +46,13 @@ def tour(
     from joulemap.service.workflows import judge_routes
 
     output = Output(json_file)
+    if server is not None:
+        refuse_local(geojson=geojson)
+        asked = {"neighbours": neighbours, "refine": refine, "snap": snap, "time_limit_s": time_limit}
+        with served(server, key, costmap) as map_there:
+            answer = map_there.tour(stop, **asked, battery={"charge": charge, "reserve": reserve})
+        _say_tour(output, answer.model_dump(mode="json"), map_there.about.robot.name)
+        return
     ground = open_costmap(costmap)
     with progress_bar("Tour") as report:
         trip = ground.tour(
@@ -51,8 +60,14 @@ def tour(
         ).found
     battery = Battery(ground.robot.battery_wh, charge=charge, reserve=reserve)
     found = tour_out(trip, judge_routes(ground.lattice, trip.legs, battery), ground.warnings).model_dump(mode="json")
+    if geojson is not None:
+        write_file(geojson, json_text(tour_geojson(trip, ground.warnings)).encode())
+    _say_tour(output, found, ground.robot.name)
+
+
+def _say_tour(output: Output, found: dict[str, Any], robot: str) -> None:
     way = " -> ".join(str(k) for k in (*found["order"], 0))
-    output.say(f"[bold]Tour[/] for {ground.robot.name}: {way}{'' if found['proven'] else ' (not proven the best)'}")
+    output.say(f"[bold]Tour[/] for {robot}: {way}{'' if found['proven'] else ' (not proven the best)'}")
     ends = zip(found["order"], (*found["order"][1:], 0), strict=True)
     output.table(
         {f"{here} to {there}": route_words(leg) for (here, there), leg in zip(ends, found["legs"], strict=True)}
@@ -60,6 +75,4 @@ def tour(
     )
     output.say(f"[bold {'green' if found['battery']['feasible'] else 'red'}]{found['battery']['message']}[/]")
     output.warn(found["warnings"])
-    if geojson is not None:
-        write_file(geojson, json_text(tour_geojson(trip, ground.warnings)).encode())
     output.document(found)

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from http import HTTPStatus
+from importlib import resources
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from joulemap.model.terrain.formats import formats_in_words
+from joulemap.service.http.allowed import Allowed
+from joulemap.service.http.document_rules import (
+    CONDITIONS,
+    OPEN_PATHS,
+    RETRY_AFTER,
+    SECURITY,
+    SECURITY_SCHEMES,
+    TOGETHER,
+    problem_example,
+    statuses_of,
+)
 from joulemap.service.problems import MEDIA_TYPE
 from joulemap.service.schemas.base import Problem
 from joulemap.service.schemas.maps import CostmapOptions, CostmapRequest, UploadOptions
@@ -97,7 +111,70 @@ def install(app: FastAPI) -> None:
                 schemas.update(schema.pop("$defs", {}))
                 schemas[model.__name__] = schema
             document["components"]["schemas"] = dict(sorted(schemas.items()))
+            _complete(document)
             app.openapi_schema = document
         return app.openapi_schema
 
     app.openapi = _openapi  # type: ignore[method-assign]
+    app.add_middleware(Allowed, paths=lambda: app.openapi()["paths"])
+
+
+def _complete(document: dict[str, Any]) -> None:
+    """Add what is the same for all operations, which fields go together, and an example of everything."""
+    document["components"]["securitySchemes"] = SECURITY_SCHEMES
+    for name, condition in CONDITIONS.items():
+        document["components"]["schemas"][name] |= condition
+    examples = recorded_examples()
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            if path not in OPEN_PATHS:
+                operation["security"] = SECURITY
+            responses = operation["responses"]
+            for status in statuses_of(method, path) - {int(known) for known in responses}:
+                responses[str(status)] = problems(status)[status]
+            operation["responses"] = {status: _answer(int(status), responses[status]) for status in sorted(responses)}
+            for parameter in operation.get("parameters", []):
+                _say_together(operation["operationId"], parameter)
+            _add_examples(operation, examples.get(operation["operationId"], {}))
+
+
+def _answer(status: int, response: dict[str, Any]) -> dict[str, Any]:
+    """A response with the example of its problem, and when to ask again."""
+    content = response.get("content", {})
+    if MEDIA_TYPE not in content:
+        return response
+    found = {**response, "content": {MEDIA_TYPE: {**content[MEDIA_TYPE], "example": problem_example(status)}}}
+    return {**found, "headers": RETRY_AFTER} if status in (429, 503) else found
+
+
+def _say_together(operation_id: str, parameter: dict[str, Any]) -> None:
+    needed = TOGETHER.get((operation_id, parameter["name"]))
+    if needed is not None:
+        parameter["description"] += "; goes with " + " and ".join(f"`{name}`" for name in needed)
+        parameter["x-requires"] = list(needed)
+
+
+def _add_examples(operation: dict[str, Any], example: Mapping[str, Any]) -> None:
+    """Add what was asked and answered once, see `tests/service/record_examples.py`."""
+    for parameter in operation.get("parameters", []):
+        if parameter["name"] in example.get("parameters", {}):
+            parameter["example"] = example["parameters"][parameter["name"]]
+    body = operation.get("requestBody", {}).get("content", {}).get("application/json")
+    if body is not None and "body" in example:
+        body["example"] = example["body"]
+    for status, answers in example.get("answers", {}).items():
+        for kind, answer in answers.items():
+            operation["responses"][status]["content"][kind]["example"] = answer
+
+
+def recorded_examples() -> dict[str, Any]:
+    """Return what was asked and answered once, by operation.
+
+    Returns
+    -------
+    dict
+        With ``parameters``, ``body`` and ``answers`` (by status and media type), as far as an operation has them.
+    """
+    text = resources.files("joulemap.service").joinpath("http", "examples.json").read_text(encoding="utf-8")
+    found: dict[str, Any] = json.loads(text)
+    return found

@@ -10,6 +10,7 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
+from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
 from joulemap.service.http.state import Service, ServiceDep
 from joulemap.service.schemas.answers import calibration_out, costmap_out
@@ -24,7 +25,7 @@ _DELETED = "deleted"
 _EVENTS: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "Events `progress`, at the end `end`; each with `id`, `status` and `progress` of the job",
-        "content": {"text/event-stream": {"schema": {"type": "string"}}},
+        "content": {"text/event-stream": {"schema": event_schema("progress", "end")}},
     },
     **problems(404),
 }

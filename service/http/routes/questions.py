@@ -14,6 +14,7 @@ from sse_starlette import EventSourceResponse
 from joulemap.model.errors import ConflictError
 from joulemap.model.robot import Robot
 from joulemap.planner.stopping import check_stop
+from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import EVENTS, Report, events, while_connected
 from joulemap.service.http.state import KernelsDep
@@ -33,7 +34,12 @@ GEOJSON = "application/geo+json"
     "/paths",
     response_model=PathOut,
     responses={
-        200: {"content": {GEOJSON: {"schema": {"type": "object", "description": "FeatureCollection of all paths"}}}},
+        200: {
+            "content": {
+                GEOJSON: {"schema": {"type": "object", "description": "FeatureCollection of all paths"}},
+                EVENTS: {"schema": event_schema("progress", "answer", "problem")},
+            }
+        },
         **problems(404, 409, 503),
     },
 )

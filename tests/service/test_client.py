@@ -1,0 +1,247 @@
+"""The client: the same answers and the same errors as the library, over HTTP; and the commands that use it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+import joulemap as jm
+from joulemap.model import errors
+from joulemap.service.cli import app
+from joulemap.service.client import _error_of, _tree
+from joulemap.service.http.app import create_app
+from joulemap.service.problems import problem_of
+from joulemap.service.storage.keys import add_key
+from tests.service.conftest import GOAL, IN_HOLE, START, hill, settings_for
+from tests.service.test_calibrations import ROBOT, hills, run_csv
+from tests.service.test_contract import served
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[str, str]]]:
+    """A service with keys: its address, and the keys of two owners."""
+    service_app = create_app(settings_for(tmp_path_factory.mktemp("data")))
+    with served(service_app) as url:
+        sessions = service_app.state.service.store.sessions
+        yield url, {name: add_key(sessions, name) for name in ("anna", "bert")}
+
+
+@pytest.fixture(scope="module")
+def client(running: tuple[str, dict[str, str]]) -> Iterator[jm.Client]:
+    url, keys = running
+    with jm.Client(url + "/", key=keys["anna"]) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def costmap(client: jm.Client) -> Any:
+    shares: list[float] = []
+    made = client.costmap(hill(), robot={"mass_kg": 50.0}, model="physics", progress=shares.append, timeout_s=120.0)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    return made
+
+
+@pytest.fixture(scope="module")
+def local() -> jm.CostMap:
+    return jm.costmap(hill(), robot={"mass_kg": 50.0}, model="physics")
+
+
+def test_answers_are_those_of_the_library(costmap: Any, local: jm.CostMap) -> None:
+    route, here = costmap.plan(START, GOAL, alternatives=1), local.plan(START, GOAL, alternatives=1)
+    assert route.energy_j == pytest.approx(here.energy_j, rel=1e-9)
+    assert route.shortest.length_m == pytest.approx(here.shortest.length_m, rel=1e-9)
+    shares: list[float] = []
+    assert costmap.plan(START, GOAL, alternatives=1, progress=shares.append).path == route.path
+    assert shares == sorted(shares)
+    for how in ({"charge": 0.6}, {"round_trip": True}, {"round_trip": True, "capacity_wh": 0.5}):
+        verdict, mine = costmap.feasibility(route, **how), local.feasibility(here, **how)
+        assert (verdict.energy_j, verdict.feasible) == (pytest.approx(mine.verdict.energy_j, rel=1e-9), bool(mine)), how
+    assert costmap.feasibility(start=START, goal=GOAL).energy_j == pytest.approx(here.energy_j, rel=1e-9)
+    stops = [START, GOAL, [START[0] + 10.0, START[1] - 8.0]]
+    assert costmap.tour(stops).energy_j == pytest.approx(local.tour(stops).energy_j, rel=1e-9)
+    assert len(costmap.at(START).energy_per_m) == 16
+    assert costmap.data("npz")[:2] == b"PK"
+    assert costmap.about.robot.mass_kg == 50.0
+
+
+def test_errors_are_those_of_the_library(client: jm.Client, costmap: Any, local: jm.CostMap, tmp_path: Path) -> None:
+    far = [START[0] + 1e5, START[1]]
+    for ask in (
+        lambda m: m.plan(START, IN_HOLE),
+        lambda m: m.plan(far, GOAL),
+        lambda m: m.feasibility([START, IN_HOLE]),
+        lambda m: m.tour([START, IN_HOLE, GOAL]),
+    ):
+        with pytest.raises(jm.JoulemapError) as here:
+            ask(local)
+        with pytest.raises(jm.JoulemapError) as there:
+            ask(costmap)
+        assert (type(there.value), there.value.message) == (type(here.value), here.value.message)
+        assert there.value.context["request_id"]
+    with pytest.raises(errors.BlockedError):
+        costmap.plan(START, IN_HOLE, progress=lambda _: None)
+    with pytest.raises(errors.NotFoundError):
+        client.open_costmap("cm-000000000000")
+    with pytest.raises(errors.InputError, match="no id"):
+        client.open_costmap("../heightmaps")
+    with pytest.raises(errors.InputError, match="planner"):
+        costmap.plan(START, GOAL, planner="fastest")
+    (tmp_path / "no.tif").write_text("no heightmap")
+    with pytest.raises(errors.HeightmapError):
+        client.costmap(tmp_path / "no.tif")
+    with pytest.raises(errors.ModelError):
+        client.costmap(hill(), model="cal-000000000000")
+
+
+def test_keys(running: tuple[str, dict[str, str]], costmap: Any) -> None:
+    url, keys = running
+    with jm.Client(url) as nobody, pytest.raises(errors.UnauthorizedError):
+        nobody.open_costmap(costmap.id)
+    with jm.Client(url, key=keys["bert"]) as other, pytest.raises(errors.NotFoundError):
+        other.open_costmap(costmap.id)
+    with pytest.raises(errors.InputError):
+        jm.Client(url, key="schlüssel")
+
+
+def test_no_service() -> None:
+    with jm.Client("http://127.0.0.1:9") as nobody, pytest.raises(errors.BusyError, match="does not answer"):
+        nobody.open_costmap("cm-000000000000")
+
+
+def test_a_job_that_fails_raises_why(client: jm.Client, tmp_path: Path) -> None:
+    (tmp_path / "run_01.csv").write_bytes(run_csv(0, metres=30.0))
+    sent = client.runs(tmp_path / "run_01.csv")
+    with pytest.raises(errors.RunsError, match="segments"):
+        client.calibrate(hills(), sent, model="physics", robot=ROBOT, quick=True, timeout_s=200.0)
+    with pytest.raises(errors.ConflictError):
+        client.delete(sent)
+
+
+def test_a_calibration(client: jm.Client, tmp_path: Path) -> None:
+    files = [tmp_path / f"run_0{k}.csv" for k in (1, 2, 3)]
+    for k, file in enumerate(files):
+        file.write_bytes(run_csv(k, metres=60.0))
+    ground = client.heightmap(hills(), name="hills")
+    sent = client.runs(files, heightmap=ground)
+    assert [run.name for run in sent.runs] == [file.name for file in files]
+    found = client.calibrate(ground, sent, model="physics", robot=ROBOT, quick=True, timeout_s=300.0)
+    assert found.calibrated_model == found.id
+    assert found.report
+    for thing in (found, sent, ground):
+        client.delete(thing)
+
+
+@pytest.mark.parametrize("cls", _tree(errors.JoulemapError))
+def test_every_error_comes_back_as_itself(cls: type[errors.JoulemapError]) -> None:
+    if cls.__module__ != "joulemap.model.errors":
+        pytest.skip("an error inside joulemap")
+    error = _error_of(json.loads(json.dumps(problem_of(cls("words", limit=3), "abc"))))
+    assert (type(error), error.message) == (cls, "words")
+    assert error.context == {"limit": 3, "request_id": "abc"}
+
+
+@pytest.mark.parametrize(
+    ("status", "body", "kind"),
+    [
+        (502, b"<html>Bad Gateway</html>", errors.BusyError),
+        (404, b"[]", errors.InputError),
+        (500, b'{"code": "internal_error", "detail": "x"}', errors.JoulemapError),
+        (422, b'{"code": "invalid_request", "detail": "x"}', errors.InputError),
+    ],
+)
+def test_answers_that_are_no_problem_of_a_service(status: int, body: bytes, kind: type[Exception]) -> None:
+    transport = httpx.MockTransport(lambda _: httpx.Response(status, content=body))
+    with jm.Client("http://proxy", transport=transport) as client, pytest.raises(kind) as found:
+        client.open_costmap("cm-1")
+    assert type(found.value) is kind
+
+
+def test_waiting_goes_on_when_the_service_is_busy(costmap: Any) -> None:
+    """A job is asked for again after 429 and 503, as long as the time allows."""
+    waiting = costmap.about.model_copy(update={"status": "running", "progress": 0.5}).model_dump(mode="json")
+    busy = problem_of(errors.BusyError("restarts", retry_after_s=0.1))
+    answers = [(202, waiting), (503, busy), (200, waiting), (200, costmap.about.model_dump(mode="json"))]
+    asked = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request.method)
+        status, body = answers[len(asked) - 1]
+        return httpx.Response(status, json=body)
+
+    with jm.Client("http://x", transport=httpx.MockTransport(answer)) as client:
+        shares: list[float] = []
+        assert client.costmap("hm-5f0c2a9d41be", progress=shares.append).about == costmap.about
+    assert asked == ["POST", "GET", "GET", "GET"]
+    assert shares == [0.5, 0.5, 0.5, 1.0]
+
+
+# the command line
+
+
+def command(*words: object, key: str | None = None, monkeypatch: pytest.MonkeyPatch) -> int:
+    if key is not None:
+        monkeypatch.setenv("JOULEMAP_KEY", key)
+    with pytest.raises(SystemExit) as ended:
+        app([*map(str, words)])
+    return int(ended.value.code or 0)
+
+
+def test_commands_ask_a_service(
+    running: tuple[str, dict[str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hill_tif: bytes
+) -> None:
+    url, keys = running
+    monkeypatch.chdir(tmp_path)
+    Path("dem.tif").write_bytes(hill_tif)
+    ends = ("--start", f"{START[0]},{START[1]}", "--goal", f"{GOAL[0]},{GOAL[1]}")
+    how = {"key": keys["anna"], "monkeypatch": monkeypatch}
+    there = ("--server", url, "--json", "there.json")
+    assert command("costmap", "dem.tif", "--model", "physics", "--out", "dem.zarr", "--json", "here.json", **how) == 0
+    assert command("costmap", "dem.tif", "--model", "physics", *there, **how) == 0
+    made, mine = json.loads(Path("there.json").read_text()), json.loads(Path("here.json").read_text())
+    costmap_id = made["costmap_id"]
+    assert {key: made[key] for key in ("rows", "cols", "bounds", "energy_per_m", "blocked")} == {
+        key: mine[key] for key in ("rows", "cols", "bounds", "energy_per_m", "blocked")
+    }
+    assert command("costmap", "dem.tif", "--model", "physics", "--out", "served.zarr", "--server", url, **how) == 0
+    for name, options in (
+        ("path", ends),
+        ("feasibility", (*ends, "--round-trip", "--charge", "0.7")),
+        ("tour", ("--stop", ends[1], ends[3], f"{START[0] + 10},{START[1] - 8}")),
+    ):
+        assert command(name, "dem.zarr", *options, "--json", "here.json", **how) == 0, name
+        assert command(name, costmap_id, *options, *there, **how) == 0, name
+        assert command(name, "served.zarr", *options, "--json", "served.json", **how) == 0, name
+        found, mine, served_map = (json.loads(Path(f"{k}.json").read_text()) for k in ("there", "here", "served"))
+        assert found["energy_j"] == pytest.approx(mine["energy_j"], rel=1e-9), name
+        assert served_map["energy_j"] == pytest.approx(mine["energy_j"], rel=1e-9), name
+        assert found.keys() == mine.keys(), name
+    assert command("path", costmap_id, *ends, "--server", url, "--geojson", "there.geojson", **how) == 0
+    assert command("path", "dem.zarr", *ends, "--geojson", "here.geojson", **how) == 0
+    lines = [json.loads(Path(f"{k}.geojson").read_text())["features"] for k in ("there", "here")]
+    assert [line["geometry"] for line in lines[0]] == [line["geometry"] for line in lines[1]]
+
+
+def test_commands_fail_as_without_a_service(
+    running: tuple[str, dict[str, str]],
+    costmap: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    url, keys = running
+    how = {"key": keys["anna"], "monkeypatch": monkeypatch}
+    ends = ("--start", f"{START[0]},{START[1]}", "--goal", f"{IN_HOLE[0]},{IN_HOLE[1]}")
+    assert command("path", costmap.id, *ends, "--server", url, **how) == 4
+    assert "--snap goes there" in capsys.readouterr().err
+    assert command("path", "cm-000000000000", *ends, "--server", url, **how) == 5
+    assert command("path", costmap.id, *ends, "--server", url, "--key", keys["bert"], monkeypatch=monkeypatch) == 5
+    assert command("path", costmap.id, *ends, "--server", url, "--key", "x", monkeypatch=monkeypatch) == 9
+    assert command("path", costmap.id, *ends, "--server", "http://127.0.0.1:9", **how) == 8
+    assert command("path", costmap.id, *ends, **how) == 3  # no folder is called so
+    assert command("path", costmap.id, *ends, "--server", url, "--picture", "x.png", **how) == 2
+    assert command("costmap", "dem.tif", **how) in (2, 5)
