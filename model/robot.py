@@ -176,6 +176,8 @@ class Robot:
             last = f"line {len(text.splitlines())}, at its end"
             place = f", {last if 'end of document' in where else where.rstrip(')')}" if where else ""
             raise RobotError(f"robot file {path}{place}: {problem}", path=str(path)) from error
+        except (ValueError, RecursionError) as error:  # an integer of thousands of digits, thousands of brackets
+            raise RobotError(f"robot file {path}: {str(error)[:100]}", path=str(path)) from error
         try:
             return cls.from_mapping(values)
         except RobotError as error:

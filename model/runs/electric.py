@@ -13,7 +13,7 @@ what they take. So of all readings of the signs the one is believed in which lea
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import product
+from itertools import chain, product
 from typing import Literal, get_args
 
 import numpy as np
@@ -123,8 +123,8 @@ def _summed(
         if wheels is not None:
             turned = every * np.sign(wheels)
             resting = np.where(wheels == 0, np.abs(every), 0.0)  # at rest nothing is fed back
-            readings = [every, *(sign[:, None] * turned + resting for sign in np.vstack([signs, -signs]))]
-            found = min(readings, key=_fed_back)
+            others = (sign[:, None] * turned + resting for sign in np.vstack([signs, -signs]))
+            found = min(chain([every], others), key=_fed_back)  # one after the other: each is as large as the log
             if found is not every:
                 add_count(repairs, "currents_signed_by_wheels", 1)
             return found.sum(axis=0), None

@@ -85,6 +85,9 @@ def test_a_name_near_to_none_gets_the_list() -> None:
             r"robot\.toml, lines 1 and 3: robot\.mass: unknown; did you mean mass_kg\?; "
             r"robot\.voltage: unknown; did you mean nominal_voltage_v\?$",
         ),
+        ("a = " + "[" * 100_000, "robot.toml: maximum recursion depth"),
+        ("mass_kg = " + "9" * 5_000, "robot.toml: Exceeds the limit"),
+        ("speed_mps = 1e-306", "robot.speed_mps is 1e-306; it must be at least 0.01"),
         ("# mass_kg\nmass_kg = -3\n", r"robot\.toml, line 2: robot\.mass_kg is -3; it must be at least 0\.1"),
     ],
 )
