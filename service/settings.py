@@ -67,7 +67,9 @@ class Settings(BaseSettings):
     )
     calibrations_at_once: int = Field(default=1, gt=0, description="calibrations of this service that run at a time")
     plan_threads: int | None = Field(
-        default=None, gt=0, description="questions that search or go over a whole cost map at a time; default: one a core"
+        default=None,
+        gt=0,
+        description="questions that search or go over a whole cost map at a time; default: one for each core",
     )
     plan_queue_size: int = Field(
         default=128, gt=0, description="most questions of one cost map that wait; of all cost maps four times as many"
