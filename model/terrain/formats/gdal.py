@@ -84,7 +84,9 @@ def opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
         except Exception as error:
             if not (is_gdal_error(error) or isinstance(error, (UnicodeDecodeError, OSError))):
                 raise
-            raise HeightmapError(f"the {name} is truncated or corrupt: {str(error.__cause__ or error)[:300]}") from error
+            raise HeightmapError(
+                f"the {name} is truncated or corrupt: {str(error.__cause__ or error)[:300]}"
+            ) from error
 
 
 def read_band(dataset: DatasetReader, band: int, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:

@@ -111,7 +111,9 @@ def _number(scalars: dict[str, object], key: str) -> float | None:
         return None
     value = scalars[key]
     if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
-        raise HeightmapError(f'the array "{key}" of the .npz file must be a finite number of metres, got {str(value)[:80]!r}')
+        raise HeightmapError(
+            f'the array "{key}" of the .npz file must be a finite number of metres, got {str(value)[:80]!r}'
+        )
     return float(value)
 
 
