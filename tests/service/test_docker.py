@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,6 +35,7 @@ class Image:
     env: dict[str, str] = field(default_factory=dict)
     runs: list[tuple[str, str, str]] = field(default_factory=list)
     copies: list[tuple[list[str], str]] = field(default_factory=list)
+    steps: list[tuple[str, ...]] = field(default_factory=list)  # both, in their order
     volumes: list[str] = field(default_factory=list)
     exposed: list[str] = field(default_factory=list)
     command: list[str] = field(default_factory=list)
@@ -52,9 +55,11 @@ def read_image(text: str) -> Image:
             image.env |= dict(re.findall(r"(\w+)=(\S+)", rest))
         elif word == "RUN":
             image.runs.append((image.user, image.folder, rest))
+            image.steps.append(("RUN", image.user, image.folder, rest))
         elif word == "COPY":
             *sources, target = rest.split()
             image.copies.append((sources, target))
+            image.steps.append(("COPY", os.path.normpath(os.path.join(image.folder, target)), *sources))
         elif word == "USER":
             image.user = rest
         elif word == "WORKDIR":
@@ -112,7 +117,7 @@ def test_the_cluster_sets_what_there_is() -> None:
     compose = (REPOSITORY / "docker" / "compose.cluster.yaml").read_text()
     known = {f"JOULEMAP_{name.upper()}" for name in Settings.model_fields} | {"JOULEMAP_BIND"}
     assert set(re.findall(r"JOULEMAP_[A-Z_]+", compose)) <= known
-    assert all(program in compose for program in ("\"dask\", \"scheduler\"", "\"dask\", \"worker\""))
+    assert all(program in compose for program in ('"dask", "scheduler"', '"dask", "worker"'))
     assert "EXTRAS" in compose
     assert "cluster = [" in (REPOSITORY / "pyproject.toml").read_text()
 
@@ -122,6 +127,16 @@ def test_compose_starts_this_image(image: Image) -> None:
     assert "dockerfile: docker/Dockerfile" in compose
     assert f':{image.exposed[0]}:{image.env["JOULEMAP_PORT"]}"' in compose
     assert f"data:{image.volumes[0]}\n" in compose
+
+
+def test_the_root_is_read_only_and_nothing_more_is_allowed(image: Image) -> None:
+    compose = (REPOSITORY / "docker" / "compose.yaml").read_text()
+    for line in ("read_only: true", "cap_drop: [ALL]", '"no-new-privileges:true"', "- /tmp:"):
+        assert line in compose, line
+    for volume in image.volumes:  # else nothing could be written there
+        assert re.search(rf"- \w+:{volume}\b", compose), volume
+    assert image.env["NUMBA_CACHE_DIR"] in image.volumes
+    assert image.env["MPLCONFIGDIR"].startswith(image.env["NUMBA_CACHE_DIR"])
 
 
 def test_the_command_starts_and_its_health_check_tells_so(image: Image, tmp_path: Path) -> None:
@@ -161,6 +176,109 @@ def test_the_steps_build_a_working_service(image: Image, tmp_path: Path) -> None
     shutil.rmtree(root / "app")  # what runs is what was installed
     start_and_check(image, root / "venv" / "bin", root / "data", environment)
     shutil.rmtree(root / "venv")  # more than a gigabyte that pytest would keep
+
+
+IMAGE_SCRIPT = """
+set -e
+mount --make-rprivate /
+mount -t tmpfs -o size=12g tmpfs {base}
+cd {base}
+mkdir up work root volumes
+mount -t overlay overlay -o lowerdir=/,upperdir={base}/up,workdir={base}/work {base}/root
+mount -t proc proc root/proc
+mount --rbind /dev root/dev
+chmod a+rx root/root
+for name in $(getent passwd 1000 | cut -d: -f1); do chroot root userdel $name; done
+chroot root {python} -m venv /base
+{environment}
+export HOME=/root PATH=/base/bin:/usr/sbin:/usr/bin:/sbin:/bin
+{steps}
+chroot root /base/bin/python -m pip list --format=freeze > {report}/installed
+for folder in {volumes}; do
+    mkdir -p volumes$folder
+    cp -a root$folder/. volumes$folder/
+    chown --reference=root$folder volumes$folder
+    mount --bind volumes$folder root$folder
+done
+mount -t tmpfs -o mode=1777 tmpfs root/tmp
+mount -o remount,ro root
+! chroot root touch /app/x 2> /dev/null
+export JOULEMAP_PORT={port} HOME=/home/{user}
+cd root{folder}
+chroot --userspec={user}:{user} {base}/root bash -c 'cd {folder} && exec {command}' > {report}/log 2>&1 &
+pid=$!
+for attempt in $(seq 600); do
+    if chroot --userspec={user}:{user} {base}/root {health}; then break; fi
+    kill -0 $pid
+    sleep 0.5
+done 2> /dev/null
+chroot --userspec={user}:{user} {base}/root {health}
+chroot {base}/root find / -xdev -newer {report}/installed -type f > {report}/written || true
+kill -TERM $pid
+wait $pid || test $? = 143
+test -f {base}/root/data/joulemap.db
+echo done > {report}/done
+"""
+
+
+def can_be_root() -> bool:
+    """Whether this process may mount, so that the steps can be done as they are written, in a copy of this machine."""
+    probe = ["unshare", "-m", "bash", "-c", "mount --make-rprivate / && mount -t tmpfs tmpfs /mnt"]
+    return shutil.which("unshare") is not None and subprocess.run(probe, capture_output=True).returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not can_be_root(), reason="no right to mount")
+def test_every_step_as_it_is_written_and_a_start_on_a_read_only_root(image: Image, tmp_path: Path) -> None:
+    """COPY and RUN in a copy-on-write view of this machine, with the paths and users of the Dockerfile; then CMD as
+    `compose.yaml` starts it: not root, nothing writable but the volumes and /tmp. Only apt-get is left out.
+    """
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    base = Path(tempfile.mkdtemp(prefix="joulemap-image-", dir="/tmp"))
+    steps = []
+    for kind, *rest in image.steps:
+        if kind == "COPY":
+            target, *sources = rest
+            steps += [f"mkdir -p root{target}"]
+            steps += [
+                f"cp -a {REPOSITORY / source}{'/.' if (REPOSITORY / source).is_dir() else ''} root{target}"
+                for source in sources
+            ]
+            continue
+        user, folder, command = rest
+        if command.startswith("apt-get"):
+            continue
+        steps += [f"mkdir -p root{folder}"]
+        home = "/root" if user == "root" else f"/home/{user}"
+        line = f"cd {folder} && {command}".replace("'", "'\\''")
+        steps += [f"HOME={home} chroot --userspec={user}:{user} root bash -e -c '{line}'"]
+    kept = {key: value for key, value in os.environ.items() if key.startswith(("PIP_", "SSL_", "HTTP", "NO_PROXY"))}
+    script = IMAGE_SCRIPT.format(
+        base=base,
+        python=Path(sys.executable).resolve(),
+        environment="\n".join(f"export {key}={shlex.quote(value)}" for key, value in (kept | image.env).items()),
+        steps="\n".join(steps),
+        volumes=" ".join(image.volumes),
+        report=tmp_path,
+        port=port,
+        user=image.user,
+        folder=image.folder,
+        command=shlex.join(image.command),
+        health=shlex.join(image.health),
+    )
+    ran = subprocess.run(["unshare", "-m", "bash", "-c", script], capture_output=True, text=True, timeout=2400)
+    base.rmdir()
+    log = (tmp_path / "log").read_text() if (tmp_path / "log").exists() else ""
+    assert ran.returncode == 0, f"{ran.stdout[-3000:]}\n{ran.stderr[-3000:]}\n{log[-3000:]}"
+    assert (tmp_path / "done").exists()
+    installed = {
+        line.partition("==")[0].lower().replace("_", "-") for line in (tmp_path / "installed").read_text().splitlines()
+    }
+    assert {"joulemap", "fastapi", "torch"} <= installed
+    assert not {"scikit-learn", "pytest", "mkdocs", "ruff", "statsmodels"} & installed, "only what the service needs"
+    assert (tmp_path / "written").read_text() == "", "written outside of the volumes"
 
 
 def start_and_check(image: Image, programs: Path, data: Path, environment: Mapping[str, str]) -> None:
