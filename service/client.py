@@ -518,9 +518,9 @@ class ServedCostMap:
         """
         body: dict[str, Any] = {"round_trip": round_trip, "snap": snap}
         body["battery"] = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh}
-        if isinstance(route, PathOut) and round_trip:
-            route, start, goal = None, route.path[0][:2], route.path[-1][:2]
         points = route.path if isinstance(route, PathOut | TourOut) else route
+        if isinstance(route, PathOut) and round_trip:
+            points, start, goal = None, route.path[0][:2], route.path[-1][:2]
         for name, value in (("start", start), ("goal", goal)):
             body |= {} if value is None else {name: list(value)}
         body |= {} if points is None else {"path": [list(point) for point in points]}

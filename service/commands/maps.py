@@ -379,7 +379,7 @@ def feasibility(
         refuse_local(memory=memory)
         with served(server, key, costmap) as map_there:
             verdict = map_there.feasibility(
-                None if points is None else points.tolist(),
+                points,
                 start=start,
                 goal=goal,
                 round_trip=round_trip,

@@ -30,7 +30,7 @@ _UNTIL_DONE = (
     _status_is("running", finished_at=_NULL, problem=_NULL),
 )
 _CANCELLED = _status_is("cancelled", finished_at=_GIVEN, problem=_NULL)
-_BOTH_ENDS = {"required": ["start", "goal"], "properties": {"start": _GIVEN, "goal": _GIVEN}}
+_BOTH_ENDS: dict[str, Any] = {"required": ["start", "goal"], "properties": {"start": _GIVEN, "goal": _GIVEN}}
 _NO_END = {"properties": {"start": _NULL, "goal": _NULL}}
 
 CONDITIONS: dict[str, dict[str, Any]] = {

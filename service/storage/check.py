@@ -7,6 +7,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -217,7 +218,7 @@ class Check:
         """Files that belong to no row, and what killed processes left."""
         for path in self._store.leftovers():
             what = str(path.relative_to(self._dir))
-            yield Finding("partial", what, LEFT_BY_KILLED, "delete it", lambda p=path: _delete(p))
+            yield Finding("partial", what, LEFT_BY_KILLED, "delete it", partial(_delete, path))
         for folder in _FOLDERS.values():
             for path in sorted((self._dir / folder).iterdir()):
                 if path.name.partition(".")[0] not in known and not path.name.endswith((".partial", ".tiles")):

@@ -132,7 +132,7 @@ def measure(store: Store) -> None:
     store : Store
         Open.
     """
-    places = {
+    places: dict[Any, Callable[[str], Any]] = {
         HeightmapRow: store.heightmap_path,
         RunsRow: store.runs_folder,
         CostmapRow: store.lattice_path,

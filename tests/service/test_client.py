@@ -221,6 +221,12 @@ def test_commands_ask_a_service(
         assert found["energy_j"] == pytest.approx(mine["energy_j"], rel=1e-9), name
         assert served_map["energy_j"] == pytest.approx(mine["energy_j"], rel=1e-9), name
         assert found.keys() == mine.keys(), name
+    line = ("--path", "line.csv")
+    Path("line.csv").write_text(f"x,y\n{START[0]},{START[1]}\n{START[0] + 2},{START[1]}\n")
+    assert command("feasibility", costmap_id, *line, *there, **how) == 0
+    assert command("feasibility", "dem.zarr", *line, "--json", "here.json", **how) == 0
+    found, mine = (json.loads(Path(f"{k}.json").read_text()) for k in ("there", "here"))
+    assert found["energy_j"] == pytest.approx(mine["energy_j"], rel=1e-9)
     assert command("path", costmap_id, *ends, "--server", url, "--geojson", "there.geojson", **how) == 0
     assert command("path", "dem.zarr", *ends, "--geojson", "here.geojson", **how) == 0
     lines = [json.loads(Path(f"{k}.geojson").read_text())["features"] for k in ("there", "here")]
