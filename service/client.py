@@ -520,7 +520,8 @@ class ServedCostMap:
         body["battery"] = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh}
         points = route.path if isinstance(route, PathOut | TourOut) else route
         if isinstance(route, PathOut) and round_trip:
-            points, start, goal = None, route.path[0][:2], route.path[-1][:2]
+            points = None
+            start, goal = ([v for v in place[:2] if v is not None] for place in (route.path[0], route.path[-1]))
         for name, value in (("start", start), ("goal", goal)):
             body |= {} if value is None else {name: list(value)}
         body |= {} if points is None else {"path": [list(point) for point in points]}

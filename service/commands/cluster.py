@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import secrets
 import shutil
@@ -18,7 +17,7 @@ from joulemap.service.commands.arguments import TYPED
 if TYPE_CHECKING:
     from joulemap.service.workflows import Written
 
-_HELP = "Let the workers of a Dask scheduler do it, like tcp://HOST:8786. They must find the same files under the same names."
+_HELP = "Let workers of a Dask scheduler do it, like tcp://HOST:8786. They must find the same files at the same paths."
 
 
 def _run_there(context: typer.Context, address: str | None) -> None:
@@ -115,6 +114,8 @@ def costmap_there(
                     return found
                 progress(found)
         raise RuntimeError("the cost map has no end")
+
+    import asyncio  # loads slowly, and most commands need it not
 
     order.folder.check_place()
     _clear(order)
