@@ -80,7 +80,7 @@ def test_the_table_of_the_robot_file_has_every_key_and_its_default() -> None:
     table = page.partition("## Robot file")[2].partition("## ")[0]
     said: dict[str, str] = {}
     for line in (line for line in table.splitlines() if line.startswith("| `")):
-        names, _, default, *_ = (cell.strip() for cell in line.split("|")[1:5])
+        names, _, _, default, *_ = (cell.strip() for cell in line.split("|")[1:6])
         keys = re.findall(r"`(\w+)`", names)
         said |= dict(zip(keys, default.replace("`", "").split(", "), strict=False))
     for field in fields(Robot):
