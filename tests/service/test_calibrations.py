@@ -280,7 +280,8 @@ BAD_RUNS = [
     (b"t,x,y,current\n" + b"".join(b"%d,1,1,2\n" % k for k in range(200)), 422, "invalid_runs", "no segment"),
     (b"t,x,y,current\n" + b"".join(b"%d,%d,1,2\n" % (k, 1000 * k) for k in range(300)), 413, "too_large", "in metres"),
     (b"x" * 600_000, 413, "too_large", "limit is 0.5 MB"),
-    (b"," * 70_000, 413, "too_large", "limit is 60,000"),
+    (b"," * 70_000, 413, "too_large", "limit is 2,000"),
+    (b"t,x,y,current\n" + b"1,1,1,2\n" * 20_000, 413, "too_large", "limit is 60,000"),
 ]
 
 

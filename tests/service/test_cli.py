@@ -232,15 +232,14 @@ def test_an_error_is_one_line_and_a_code(folder: Path, arguments: tuple[str, ...
         assert len(errors.splitlines()) == 1
 
 
-@pytest.mark.parametrize("command", ["serve", "worker"])
-def test_wrong_settings_of_a_service_are_named(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_settings_of_a_service_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
-    code, _, said = joulemap(command, "--data-dir", tmp_path / "file" / "data")
+    code, _, said = joulemap("serve", "--data-dir", tmp_path / "file" / "data")
     assert (code, "error:" in said, str(tmp_path / "file") in said) == (1, True, True)
     for name, value in (("MAX_RUNS", "many"), ("WARM_MODELS", "default"), ("DATA_DIR", "s3://bucket/data")):
         with monkeypatch.context() as environment:
             environment.setenv(f"JOULEMAP_{name}", value)
-            code, _, said = joulemap(command)
+            code, _, said = joulemap("serve")
         assert code == 2
         assert name.lower() in said.lower()
 
