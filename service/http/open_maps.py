@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -11,6 +13,8 @@ from pathlib import Path
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
+
+_NICE = 10  # of threads that make landmarks
 
 
 class _Entry:
@@ -159,7 +163,7 @@ class OpenMaps:
         with self._lock:
             begun, entry.sharpening = entry.sharpening, True
         if not begun:
-            threading.Thread(target=planner.prepare, kwargs={"landmarks": True}, name="landmarks", daemon=True).start()
+            threading.Thread(target=_make_landmarks, args=(planner,), name="landmarks", daemon=True).start()
 
     def _loaded(self, entry: _Entry, costmap_id: str) -> RoutePlanner:
         """The planner of an entry whose lock `loading` this thread holds."""
@@ -208,3 +212,10 @@ class OpenMaps:
     def _let_go(self) -> None:
         while len(self._entries) > self._size:
             self._entries.popitem(last=False)
+
+
+def _make_landmarks(planner: RoutePlanner) -> None:
+    """Make landmarks while questions go first."""
+    if sys.platform == "linux":  # where a priority is one of this thread and of those that it starts
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
+    planner.prepare(landmarks=True)

@@ -77,7 +77,10 @@ def request_seconds(heightmap: Heightmap, start: list[float], goal: list[float],
     """Seconds of the three requests of the main job, through the whole application in this process."""
     body = write_geotiff(None, heightmap)
     out: dict[str, float] = {}
-    with tempfile.TemporaryDirectory() as folder, TestClient(create_app(Settings(data_dir=Path(folder)))) as client:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        TestClient(create_app(Settings(data_dir=Path(folder))), base_url="http://localhost") as client,
+    ):
         while client.get("/readyz").status_code != 200:
             time.sleep(0.1)
         began = time.perf_counter()
