@@ -7,13 +7,12 @@ stage by stage; after each stage only those stay whose lead or lag the stages to
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.errors import NoRouteError
 from joulemap.model.threads import share_out
 from joulemap.planner.corridors import corridor_paths, mark_around
 from joulemap.planner.edges import Points, path_price
@@ -21,7 +20,6 @@ from joulemap.planner.landmarks import Landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.refine import STAGES, subdivided
-from joulemap.planner.search import GridPath
 
 LAGS = (0.15, 0.12, 0.1, 0.03, 0.0)
 """By how much the path that is the best in the end may lag behind before the stages and after each, as a share of the
@@ -66,7 +64,6 @@ def best_path(
     goal: Points,
     *,
     landmarks: Landmarks | None = None,
-    seeds: Iterable[Points] = (),
 ) -> BestPath:
     """Return the best path of any angles between two places.
 
@@ -80,8 +77,6 @@ def best_path(
         Fractional (row, col).
     landmarks : Landmarks, optional
         Made of this table, for fewer expansions.
-    seeds : iterable of ndarray of float, (n, 2), optional
-        More paths from start to goal to be improved.
 
     Returns
     -------
@@ -91,17 +86,11 @@ def best_path(
     Raises
     ------
     NoRouteError
-        If the goal cannot be reached, and there is no seed.
+        If the goal cannot be reached.
     """
-    seeds = list(seeds)
-    try:
-        margin = LAGS[0] / math.sqrt(max(math.dist(start, goal), 1.0))
-        found = corridor_paths(lattice, table, start, goal, margin=margin, landmarks=landmarks)
-    except NoRouteError:
-        if not seeds:
-            raise
-        found = [GridPath(seeds[0], path_price(lattice, seeds[0]), 0)]
-    points = best_of(lattice, [*(path.points for path in found), *seeds])
+    margin = LAGS[0] / math.sqrt(max(math.dist(start, goal), 1.0))
+    found = corridor_paths(lattice, table, start, goal, margin=margin, landmarks=landmarks)
+    points = best_of(lattice, [path.points for path in found])
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 
 

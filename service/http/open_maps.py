@@ -105,13 +105,15 @@ class OpenMaps:
             return self._loaded(entry, costmap_id)
 
     @contextmanager
-    def for_routes(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
+    def for_routes(self, costmap_id: str, *, landmarks: bool = True) -> Iterator[RoutePlanner | StoredPlanner]:
         """Lend a planner of a cost map; of a large map, to this thread alone, one that leaves the map on disk.
 
         Parameters
         ----------
         costmap_id : str
             Id of a cost map that is done.
+        landmarks : bool, default True
+            Whether to begin to make landmarks afterwards, where there are none.
 
         Yields
         ------
@@ -128,7 +130,8 @@ class OpenMaps:
                 self._loaded(entry, costmap_id)
         if entry.planner is not None:
             yield entry.planner
-            self._sharpen(entry.planner, entry)
+            if landmarks:
+                self._sharpen(entry.planner, entry)
             return
         assert entry.stored is not None
         with entry.searching:

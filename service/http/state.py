@@ -411,7 +411,7 @@ class Service:
     def _open_made(self, job_id: str) -> None:
         """Have a new cost map in memory before the first question."""
         if kind_of(job_id) == COSTMAP:
-            with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
+            with suppress(JoulemapError), self.maps.for_routes(job_id, landmarks=False) as planner:
                 if isinstance(planner, RoutePlanner):
                     planner.prepare()
 
