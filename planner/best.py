@@ -1,7 +1,8 @@
 """The best route that we find between two places: one function, which every question goes through.
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`),
-stage by stage; after each stage only those stay whose lead or lag the stages to come may change, one of each valley.
+stage by stage; after each stage only those stay that may still win, and of
+those near one local optimum only the best.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ most 0.056, 0.062, 0.062 and 0.039."""
 KEEP = (4, 4, 3, 1)
 """Most paths that stay after each stage."""
 SAME_CELLS = 2
-"""Paths that are nowhere further apart than this [cells] lie in one valley, into which the next stages draw both."""
+"""Paths that are nowhere further apart than this [cells] belong to one local optimum: later stages lead both there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,4 +1,4 @@
-"""Compiled settling of a polyline into the valley of least energy that it lies in: Newton's method on its vertices.
+"""Compiled settling of a polyline into the local optimum that it lies near: Newton's method on its vertices.
 
 Every vertex may move to either side. The energy of a leg depends on the offsets of its two ends only, so the Hessian of
 the path's energy has three diagonals, and a step of Newton's method costs as much as pricing the path a few times. What
