@@ -26,6 +26,7 @@ def write_bands_geotiff(
     *,
     descriptions: Sequence[str] | None = None,
     tags: Mapping[str, str] | None = None,
+    quick: bool = False,
 ) -> bytes | None:
     """Write a compressed float32 GeoTIFF, NaN its no-data value. A file appears whole or not at all.
 
@@ -41,6 +42,8 @@ def write_bands_geotiff(
         One text per band.
     tags : mapping of str to str, optional
         Metadata of the file.
+    quick : bool, optional
+        Compress with zstd, in a third of the time and to the same size; not every other program reads it.
 
     Returns
     -------
@@ -66,7 +69,7 @@ def write_bands_geotiff(
         "crs": frame.crs,
         "transform": Affine(frame.resolution_m, 0.0, frame.west_m, 0.0, -frame.resolution_m, frame.north_m),
         "nodata": float("nan"),
-        "compress": "deflate",
+        **({"compress": "zstd", "zstd_level": 1} if quick else {"compress": "deflate"}),
         "predictor": 3,
         "interleave": "band",
         "bigtiff": "if_safer",
@@ -100,7 +103,7 @@ def write_bands_geotiff(
     return None
 
 
-def write_geotiff(path: str | Path | None, heightmap: Heightmap) -> bytes | None:
+def write_geotiff(path: str | Path | None, heightmap: Heightmap, *, quick: bool = False) -> bytes | None:
     """Write a heightmap as a GeoTIFF of one band.
 
     Parameters
@@ -109,10 +112,12 @@ def write_geotiff(path: str | Path | None, heightmap: Heightmap) -> bytes | None
         The file; None returns its bytes instead.
     heightmap : Heightmap
         The heights.
+    quick : bool, optional
+        See `write_bands_geotiff`.
 
     Returns
     -------
     bytes or None
         The file's content where `path` is None.
     """
-    return write_bands_geotiff(path, heightmap.heights[None], heightmap.frame, descriptions=["height [m]"])
+    return write_bands_geotiff(path, heightmap.heights[None], heightmap.frame, descriptions=["height [m]"], quick=quick)

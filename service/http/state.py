@@ -145,6 +145,7 @@ class Service:
         """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
         self.store.open()
         self.health.start()
+        self.readers.start()
         threading.Thread(target=self._warm_up, name="warm-up", daemon=True).start()
         self.jobs.start()
 
@@ -152,6 +153,7 @@ class Service:
         """Stop the workers and close the store."""
         self.health.stop()
         self.jobs.stop()
+        self.readers.close()
         self.store.close()
 
     def check_ready(self) -> float:

@@ -6,13 +6,11 @@ limit is refused by the system, and what was asked for it raises MemoryError.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import logging
 import math
 import resource
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,7 +22,6 @@ from joulemap.model.errors import HeightmapError, InputError, JoulemapError, Too
 from joulemap.service.intake.limits import ReadLimits
 
 _LOG = logging.getLogger("joulemap.service")
-_PR_SET_PDEATHSIG = 1
 _CELLS_PER_S = 4e6  # a heightmap is compressed at twice this speed
 
 
@@ -42,8 +39,6 @@ def prepared(task: str) -> Callable[..., dict[str, Any]]:
     callable
         It reads a file.
     """
-    if sys.platform == "linux":  # a child ends with its service, however that ends
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if task == "heightmap":
         from joulemap.service.intake import maps
 

@@ -69,7 +69,7 @@ def read_map(
         heightmap = read_heightmap(path, filename=name, max_cells=max_cells, **options)
     with guard.keeping(heightmap.heights.size):
         stats = heightmap_stats(heightmap, band=options.get("band"))
-        write_geotiff(out, heightmap)
+        write_geotiff(out, heightmap, quick=True)
     return stats
 
 

@@ -1,28 +1,37 @@
-"""The processes that read what is sent: a few, kept for the next file, killed with their file, and replaced.
+"""The processes that read what is sent: a few at a time, each for one file, killed with it.
 
-They are those of `anyio.to_process`, on which the web framework stands already. Each has a pipe of its own, so that the
-end of one disturbs no other; a cancelled call kills its process; and all end with the event loop. Pebble and loky keep
-threads and shared pipes besides, and loky has no limit for a single call.
+They are forks of a template, see there. Workers that are kept, as those of `anyio.to_process`, Pebble and loky, are
+loaded again after each file that ends one and after a quiet time, which takes seconds of a request. The fork server of
+`multiprocessing` imports the main module of the service into every fork.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
 import anyio
-from anyio import to_process
 
 from joulemap.model.errors import BusyError, InputError, JoulemapError, TooLargeError
-from joulemap.service.intake import guard
 from joulemap.service.intake.limits import ReadLimits
 
 _RETRY_S = 5.0
+_BEGUN = b"\n"  # as the template says it
+_END_S = 5.0  # until a template that should end is killed
+_TRIES = 2  # a template may have been killed
+_ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 class Readers:
-    """Reads files in other processes, a few at a time.
+    """Reads files in other processes, a few at a time; `close` it at the end.
 
     Parameters
     ----------
@@ -43,7 +52,46 @@ class Readers:
         self._queue = queue
         self._limits = limits
         self._limiter = anyio.CapacityLimiter(processes)
+        self._template: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+        self._starting = threading.Lock()
         self.refused = 0
+
+    def start(self) -> None:
+        """Begin to load the template, so that the first file does not wait for it."""
+        self._current()
+
+    def close(self) -> None:
+        """End the template; the files in hand end with their requests."""
+        with self._starting:
+            self._end()
+
+    def _current(self, broken: subprocess.Popen[bytes] | None = None) -> tuple[subprocess.Popen[bytes], socket.socket]:
+        """The template and the socket that brings it files; a new one where there is none, or where it is broken."""
+        with self._starting:
+            if self._template is not None and (self._template is broken or self._template.poll() is not None):
+                self._end()
+            if self._template is None or self._control is None:
+                self._control, theirs = socket.socketpair()
+                with theirs:
+                    self._template = subprocess.Popen(
+                        [sys.executable, "-m", "joulemap.service.intake.template", str(theirs.fileno())],
+                        pass_fds=[theirs.fileno()],
+                        stdin=subprocess.DEVNULL,
+                        env=os.environ | dict.fromkeys(_ONE_THREAD, "1"),
+                    )
+            return self._template, self._control
+
+    def _end(self) -> None:
+        if self._control is not None:
+            self._control.close()
+        if self._template is not None:
+            try:
+                self._template.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                self._template.kill()
+                self._template.wait()
+        self._template = self._control = None
 
     @property
     def waiting(self) -> int:
@@ -87,16 +135,29 @@ class Readers:
                 limit=self._queue,
                 retry_after_s=_RETRY_S,
             )
-        text = json.dumps({**arguments, "limits": asdict(self._limits)})
-        try:
-            answer = await to_process.run_sync(guard.read, task, text, cancellable=True, limiter=self._limiter)
-        except anyio.BrokenWorkerProcess as error:
-            raise self._ended(str(arguments.get("name", "the file"))) from error
+        asked = json.dumps({"task": task, "arguments": json.dumps({**arguments, "limits": asdict(self._limits)})})
+        async with self._limiter:
+            answer = await self._answer(asked.encode())
+        if answer == _BEGUN:
+            raise self._ended(str(arguments.get("name", "the file")))
         found = json.loads(answer)
+        if "os_error" in found:
+            raise OSError(*found["os_error"])
         if "error" in found:
             raise _error_of(**found["error"])
         result: dict[str, Any] = found["result"]
         return result
+
+    async def _answer(self, asked: bytes) -> bytes:
+        """What the fork for a file says; `_BEGUN` alone where it was ended."""
+        broken = None
+        for _ in range(_TRIES):
+            template, control = await anyio.to_thread.run_sync(self._current, broken)
+            said = await _forked(control, asked)
+            if said:
+                return said
+            broken = template
+        raise RuntimeError("the process that reads files does not start: see its output")
 
     def _ended(self, name: str) -> TooLargeError:
         limits = self._limits
@@ -107,6 +168,22 @@ class Readers:
             limit_s=limits.seconds,
             limit_mb=limits.memory_mb,
         )
+
+
+async def _forked(control: socket.socket, asked: bytes) -> bytes:
+    """What a fork of the template answers; nothing where the template is gone. The fork ends with this call."""
+    ours, theirs = socket.socketpair()
+    with theirs, suppress(BrokenPipeError, ConnectionResetError):
+        socket.send_fds(control, [b"f"], [theirs.fileno()])
+    stream, writer = await asyncio.open_unix_connection(sock=ours)
+    try:
+        with suppress(BrokenPipeError, ConnectionResetError):
+            writer.write(asked)
+            writer.write_eof()
+            return await stream.read()
+        return b""
+    finally:
+        writer.transport.abort()
 
 
 def _error_of(code: str, message: str, context: dict[str, Any]) -> JoulemapError:

@@ -101,7 +101,8 @@ async def _in_the_service(content: bytes, reader: str) -> str:
             }
         task = "run" if "limits_of_run" in given else "heightmap"
         try:
-            await Readers(processes=1, queue=1, limits=ReadLimits(5.0, 750.0)).read(task, **given)
+            with contextlib.closing(Readers(processes=1, queue=1, limits=ReadLimits(5.0, 750.0))) as readers:
+                await readers.read(task, **given)
         except JoulemapError as error:
             return error.message
     return "it was read"

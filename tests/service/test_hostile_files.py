@@ -7,6 +7,7 @@ import os
 import signal
 import sqlite3
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -185,9 +186,13 @@ def test_a_poisoned_row_does_not_break_a_list(tmp_path: Path, hill_tif: bytes) -
         assert client.delete(f"/v1/heightmaps/{bad}").status_code == 204
 
 
-def children() -> set[psutil.Process]:
-    """The processes that read; also those of the service that other tests of this file ask."""
-    return {one for one in psutil.Process().children() if "anyio.to_process" in " ".join(one.cmdline())}
+def templates() -> set[psutil.Process]:
+    """The processes whose forks read; also those of the service that other tests of this file ask."""
+    return {one for one in psutil.Process().children() if "intake.template" in " ".join(one.cmdline())}
+
+
+def forks() -> set[psutil.Process]:
+    return {fork for one in templates() for fork in one.children()}
 
 
 def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> None:
@@ -195,23 +200,56 @@ def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> N
     place.write_bytes(ROWS)
 
     async def _main() -> None:
-        hurried = Readers(processes=1, queue=1, limits=ReadLimits(0.001, 750))
-        with pytest.raises(TooLargeError, match=r"could not be read within 0\.001 s"):
+        with (
+            closing(Readers(processes=1, queue=1, limits=ReadLimits(0.001, 750))) as hurried,
+            pytest.raises(TooLargeError, match=r"could not be read within 0\.001 s"),
+        ):
             await hurried.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
-        narrow = Readers(processes=1, queue=1, limits=ReadLimits(5, 20))
-        with pytest.raises(TooLargeError, match="more than 20 MB of memory"):
-            await narrow.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
-        assert (await narrow.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))["rows"] == 400
-        (child,) = children() - others
-        with anyio.move_on_after(0.2) as scope:
-            roomy = Readers(processes=1, queue=1, limits=ReadLimits(30, 10_000))
-            await roomy.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
-        assert scope.cancelled_caught
-        assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+        with closing(Readers(processes=1, queue=1, limits=ReadLimits(5, 20))) as narrow:
+            with pytest.raises(TooLargeError, match="more than 20 MB of memory"):
+                await narrow.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
+            assert (await narrow.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))["rows"] == 400
+        with closing(Readers(processes=1, queue=1, limits=ReadLimits(30, 10_000))) as roomy:
+            seen: set[psutil.Process] = set()
+            with anyio.move_on_after(60) as scope:
+                async with anyio.create_task_group() as group:
 
-    others = children()
+                    async def _until_it_reads() -> None:
+                        while not seen:
+                            await anyio.sleep(0.02)
+                            seen.update(forks())
+                        await anyio.sleep(0.2)
+                        scope.cancel()
+
+                    group.start_soon(_until_it_reads)
+                    await roomy.read("run", path="/dev/zero", name="endless", limits_of_run=LIMITS)
+            assert scope.cancelled_caught
+            await anyio.sleep(0.5)
+            assert seen
+            assert not any(fork.is_running() for fork in seen)
+
+    others = templates()
     anyio.run(_main)
-    assert children() <= others
+    assert templates() <= others
+
+
+def test_files_are_read_by_forks_of_one_thread(tmp_path: Path) -> None:
+    """A fork of several threads would not be whole."""
+    place = tmp_path / "run.csv"
+    place.write_bytes(ROWS)
+
+    async def _main() -> None:
+        with closing(Readers(processes=1, queue=1, limits=ReadLimits(5, 750))) as readers:
+            for _ in range(2):
+                await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS)
+            (template,) = templates() - others
+            assert template.num_threads() == 1
+            assert forks() == set()
+            with pytest.raises(OSError, match="No such file"):
+                await readers.read("run", path=str(tmp_path / "none"), name="run.csv", limits_of_run=LIMITS)
+
+    others = templates()
+    anyio.run(_main)
 
 
 def test_a_full_queue_is_told(tmp_path: Path) -> None:
@@ -220,17 +258,16 @@ def test_a_full_queue_is_told(tmp_path: Path) -> None:
     found: list[Any] = []
 
     async def _main() -> None:
-        readers = Readers(processes=1, queue=2, limits=ReadLimits(5, 750))
-
         async def _one() -> None:
             try:
                 found.append(await readers.read("run", path=str(place), name="run.csv", limits_of_run=LIMITS))
             except BusyError as error:
                 found.append(error)
 
-        async with anyio.create_task_group() as group:
-            for _ in range(5):
-                group.start_soon(_one)
+        with closing(Readers(processes=1, queue=2, limits=ReadLimits(5, 750))) as readers:
+            async with anyio.create_task_group() as group:
+                for _ in range(5):
+                    group.start_soon(_one)
 
     anyio.run(_main)
     refused = [one for one in found if isinstance(one, BusyError)]
@@ -243,31 +280,30 @@ def test_the_slot_of_a_client_that_hangs_up_is_free(tmp_path: Path) -> None:
     long = run_csv(0).splitlines(keepends=True)
     rows = b"".join(long[1:])
     content = long[0] + rows * 300
-    app, others = create_app(settings_for(tmp_path, read_processes=1)), children()
+    app, others = create_app(settings_for(tmp_path, read_processes=1)), templates()
     with served(app) as url:
         assert httpx.post(f"{url}/v1/runs", content=run_csv(0), timeout=200).status_code == 201
-        (reader,) = children() - others
         with pytest.raises(httpx.ReadTimeout):
             httpx.post(f"{url}/v1/runs", content=content, timeout=0.5)
         for _ in range(100):
-            if app.state.service.readers.running == 0:
+            if app.state.service.readers.running == 0 and not forks():
                 break
             time.sleep(0.1)
         assert app.state.service.readers.running == 0
+        assert forks() == set()
         assert httpx.post(f"{url}/v1/runs", content=run_csv(1), timeout=200).status_code == 201
-        assert reader not in children()
     assert left_in(tmp_path) == []
-    assert children() <= others
+    assert templates() <= others
 
 
-def test_a_reader_that_is_killed_is_replaced(tmp_path: Path) -> None:
-    others = children()
+def test_a_template_that_is_killed_is_replaced(tmp_path: Path) -> None:
+    others = templates()
     with TestClient(create_app(settings_for(tmp_path)), raise_server_exceptions=False) as client:
         for _ in range(2):
             assert client.post("/v1/runs", content=run_csv(0)).status_code == 201
-            for child in children() - others:
-                os.kill(child.pid, signal.SIGKILL)
-                child.wait(5)
+            for template in templates() - others:
+                os.kill(template.pid, signal.SIGKILL)
+    assert templates() <= others
 
 
 def test_hostile_files_of_each_kind_are_answered(tmp_path: Path) -> None:
