@@ -5,8 +5,13 @@ The whole of it takes hours: `python -m tests.loop.nulls`, `python -m tests.loop
 
 import pytest
 
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.loop.base_step import drives_of
+from joulemap.model.loop.residuals_of_runs import residuals_on
 from tests.loop.blind import try_blind
-from tests.loop.nulls import cells, keys_of, table_of, try_null
+from tests.loop.calibrator import segments_of
+from tests.loop.generators.case import make_case
+from tests.loop.nulls import cells, config_of, keys_of, table_of, try_null
 
 HARDEST = (
     "offset10-nobase-4-both",
@@ -41,6 +46,22 @@ def test_a_heater_under_another_name_is_named():
     row = try_blind(f"heater:0:{SEED + 1}")
     assert row["all"], row["named"]
     assert row["after"] <= 1.2 * row["clean"]
+
+
+def test_where_the_drives_coast_is_found_in_noise():
+    """Losses of the drives hold no robot back on a descent. A point that is not found bends the prediction, and the
+    bend is taken for an effect.
+    """
+    away = []
+    for number in range(4):
+        case = make_case(config_of("student-nobase-6-hilly", number), SEED + 100 + number)
+        segments = segments_of(case.new.logs, case.declared)
+        rows, _, _ = residuals_on(PhysicsPredictor(), case.new.site.heightmap, case.declared, segments)
+        true = case.robot.rolling_resistance - case.declared.rolling_resistance
+        away.append((drives_of(rows).coasting_shift, true))
+    declared = sum(abs(true) for _, true in away)
+    assert declared > 0.04
+    assert sum(abs(found - true) for found, true in away) < 0.4 * declared, away
 
 
 def test_every_cell_of_the_requirement_is_there():
