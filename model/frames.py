@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import HeightmapError, PointError
@@ -83,23 +82,6 @@ def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
         Angle [rad], from -pi to less than pi.
     """
     return np.mod(np.asarray(angle_rad, dtype=np.float64) + math.pi, TAU) - math.pi
-
-
-@njit(cache=True, inline="always")
-def heading_of_step(drow: float, dcol: float) -> float:
-    """Return the heading of a step on a raster.
-
-    Parameters
-    ----------
-    drow, dcol : float
-        Step in cells; a smaller row is north, a larger column is east.
-
-    Returns
-    -------
-    float
-        Heading [rad], from -pi to pi.
-    """
-    return math.atan2(dcol, -drow)
 
 
 @dataclass(frozen=True)

@@ -89,16 +89,17 @@ def alternative_paths(
         return found
     separation_m = _separation_m(lattice, best.points) if separation_m is None else separation_m
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
-    via, length = plateaus(ahead, behind, table)
-    good = np.flatnonzero((length >= plateau * best.energy_j) & (via <= stretch * best.energy_j))
+    states, via, length = plateaus(ahead, behind, table)
+    good = (length >= plateau * best.energy_j) & (via <= stretch * best.energy_j)
+    states, via, length = states[good], via[good], length[good]
     away_m = _metres_from(lattice, best.points)
-    for state in good[np.argsort(via[good] - length[good], kind="stable")]:  # long plateaus first
-        into = ahead.trace(table, int(state))[::-1] // ahead.layers
-        cells = np.append(into, behind.trace(table, int(state))[1:] // behind.layers)
+    for k in np.argsort(via - length, kind="stable"):  # long plateaus first
+        into = ahead.trace(table, int(states[k]))[::-1] // ahead.layers
+        cells = np.append(into, behind.trace(table, int(states[k]))[1:] // behind.layers)
         cells = cells[np.append(True, np.diff(cells) != 0)]  # turns on the spot
         if np.unique(cells).size < cells.size or np.mean(away_m[cells] > separation_m) < share:
             continue
-        found.append(GridPath(joined_points(lattice, start, cells, goal), float(via[state]), 0))
+        found.append(GridPath(joined_points(lattice, start, cells, goal), float(via[k]), 0))
         if len(found) == count:
             break
         away_m = np.minimum(away_m, _metres_from(lattice, found[-1].points))

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from joulemap.model.threads import share_out
 from joulemap.planner.corridors import corridor_paths, mark_around
 from joulemap.planner.edges import Points, path_price
-from joulemap.planner.landmarks import Landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.refine import STAGES, subdivided
@@ -58,14 +57,7 @@ class BestPath:
     corridors: int
 
 
-def best_path(
-    lattice: CostLattice,
-    table: MoveTable,
-    start: Points,
-    goal: Points,
-    *,
-    landmarks: Landmarks | None = None,
-) -> BestPath:
+def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> BestPath:
     """Return the best path of any angles between two places.
 
     Parameters
@@ -76,8 +68,6 @@ def best_path(
         Priced moves of the lattice.
     start, goal : ndarray of float, (2,)
         Fractional (row, col).
-    landmarks : Landmarks, optional
-        Made of this table, for fewer expansions.
 
     Returns
     -------
@@ -90,7 +80,7 @@ def best_path(
         If the goal cannot be reached.
     """
     margin = LAGS[0] / math.sqrt(max(math.dist(start, goal), 1.0))
-    found = corridor_paths(lattice, table, start, goal, margin=margin, landmarks=landmarks)
+    found = corridor_paths(lattice, table, start, goal, margin=margin)
     points = best_of(lattice, [path.points for path in found])
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 

@@ -25,8 +25,7 @@ NEVER = np.int64(1) << 62
 class Guide(NamedTuple):
     """Lower bounds of the energy still to come from a cell, of which the largest counts (see `heuristics`).
 
-    Each of `pairs` (a, b) gives the bound a * cells to `goal` - b * surface + rest; each column of `marks` gives its
-    value at the cell + marks_rest. Without either the bound is 0.
+    Each of `pairs` (a, b) gives the bound a * cells to `goal` - b * surface + rest. Without any the bound is 0.
 
     Attributes
     ----------
@@ -38,18 +37,12 @@ class Guide(NamedTuple):
         Fractional (row, col).
     surface : ndarray of float64, (cells,)
         What a rise is counted on [J].
-    marks : ndarray of float32, (cells, M)
-        Landmark energies [J].
-    marks_rest : ndarray of float64, (M,)
-        [J].
     """
 
     pairs: NDArray[np.float64]
     rest: NDArray[np.float64]
     goal: NDArray[np.float64]
     surface: NDArray[np.float64]
-    marks: NDArray[np.float32]
-    marks_rest: NDArray[np.float64]
 
 
 @njit(cache=True)
@@ -70,7 +63,7 @@ def bound_at(guide, cell, cols):
     float
         Energy [J]; infinite where it is known that the goal cannot be reached.
     """
-    best = 0.0 if guide.pairs.shape[0] + guide.marks.shape[1] == 0 else -np.inf
+    best = 0.0 if guide.pairs.shape[0] == 0 else -np.inf
     if guide.pairs.shape[0] > 0:
         row = np.int64(cell) // cols
         down, right = guide.goal[0] - row, guide.goal[1] - (np.int64(cell) - row * cols)
@@ -78,10 +71,6 @@ def bound_at(guide, cell, cols):
         height = guide.surface[cell]
         for k in range(guide.pairs.shape[0]):
             best = max(best, guide.pairs[k, 0] * cells - guide.pairs[k, 1] * height + guide.rest[k])
-    for k in range(guide.marks.shape[1]):
-        bound = guide.marks[cell, k] + guide.marks_rest[k]
-        if bound > best:  # false where neither end is joined to the landmark
-            best = bound
     return best
 
 
@@ -238,7 +227,7 @@ def search_cells(
     moves = jump.size
     steps = (-jump if backward else jump).astype(np.uintp)
     prices = price.reshape(-1)
-    free = guide.pairs.shape[0] + guide.marks.shape[1] == 0
+    free = guide.pairs.shape[0] == 0
     known = np.full(1 if free else energy.size, np.nan)  # bounds, each computed once
     per_j = 1.0 / width
     queue, count, current, due_first = open_ring(first, energy[first], guide, cols, per_j)
@@ -280,7 +269,9 @@ def search_cells(
                     continue
                 reached = so_far + prices[(other if backward else cell) * np.uintp(moves) + np.uintp(n)]
                 before = energy[other]
-                if not reached + slack * (1.0 + abs(reached)) < before:  # nor where there is no such move
+                if not reached < before:  # nor where there is no such move
+                    continue
+                if slack > 0.0 and not reached + slack * (1.0 + abs(reached)) < before:
                     continue
                 if capped and reached > ceiling[other]:
                     continue

@@ -19,7 +19,6 @@ from joulemap.planner.buckets import SETTLED
 from joulemap.planner.edges import Points
 from joulemap.planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_before
 from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_towards
-from joulemap.planner.landmarks import Landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals
@@ -42,7 +41,6 @@ def corridor_paths(
     *,
     margin: float = 0.01,
     count: int = COUNT,
-    landmarks: Landmarks | None = None,
 ) -> list[GridPath]:
     """Return the cheapest path over grid moves, and the best of every other corridor that is nearly as good.
 
@@ -58,8 +56,6 @@ def corridor_paths(
         Most energy beyond that of the best, as a share of it.
     count : int, default 4
         Most paths.
-    landmarks : Landmarks, optional
-        Made of this table, for fewer expansions.
 
     Returns
     -------
@@ -74,7 +70,6 @@ def corridor_paths(
     layers = layer_count(lattice, table)
     cells, cost = terminals(lattice, table, start, layers, outward=True)
     targets, rest = terminals(lattice, table, goal, layers, outward=False)
-    marks, slack_j = (landmarks.marks, landmarks.slack_j) if landmarks is not None else (None, 0.0)
     guide = guide_towards(
         table,
         energy_bounds(table),
@@ -82,8 +77,6 @@ def corridor_paths(
         targets,
         rest.min(axis=1),
         lattice.frame.resolution_m,
-        marks=marks,
-        slack_j=slack_j,
     )
     ahead = new_search(table, layers, cells, cost, backward=False)
     margin = margin if count > 1 else 0.0
@@ -99,22 +92,24 @@ def corridor_paths(
         return found
     most = float(total) + margin * abs(float(total))
     behind = _back(ahead, table, targets, rest, most)
-    via, length = plateaus(ahead, behind, table)
-    good = np.flatnonzero((length >= PLATEAU * abs(total)) & (via <= most))
+    states, via, length = plateaus(ahead, behind, table)
+    good = (length >= PLATEAU * abs(total)) & (via <= most)
+    states, via, length = states[good], via[good], length[good]
     cols = lattice.frame.cols
     taken = np.zeros(lattice.frame.shape, dtype=np.bool_)
     apart = max(2, round(APART * float(np.hypot(*np.diff(found[0].points, axis=0).T).sum())))
     mark_around(taken, first, cols, apart)
-    for state in good[np.argsort(via[good], kind="stable")]:
-        if taken.ravel()[_middle(behind, table, int(state), float(length[state]))]:
+    for k in np.argsort(via, kind="stable"):
+        state = int(states[k])
+        if taken.ravel()[_middle(behind, table, state, float(length[k]))]:
             continue
-        into = ahead.trace(table, int(state))[::-1] // layers
-        way = np.append(into, behind.trace(table, int(state))[1:] // layers)
+        into = ahead.trace(table, state)[::-1] // layers
+        way = np.append(into, behind.trace(table, state)[1:] // layers)
         way = way[np.append(True, np.diff(way) != 0)]  # turns on the spot
         mark_around(taken, way, cols, apart)
         if np.unique(way).size < way.size:
             continue
-        found.append(GridPath(joined_points(lattice, start, way, goal), float(via[state]), 0))
+        found.append(GridPath(joined_points(lattice, start, way, goal), float(via[k]), 0))
         if len(found) == count:
             break
     return found
@@ -159,7 +154,9 @@ def mark_around(taken, way, cols, apart):
         taken[max(i - apart, 0) : min(i + apart + 1, rows), max(j - apart, 0) : min(j + apart + 1, cols)] = True
 
 
-def plateaus(ahead: Search, behind: Search, table: MoveTable) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def plateaus(
+    ahead: Search, behind: Search, table: MoveTable
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the stretches of moves that two searches share.
 
     Parameters
@@ -171,46 +168,66 @@ def plateaus(ahead: Search, behind: Search, table: MoveTable) -> tuple[NDArray[n
 
     Returns
     -------
-    via : ndarray of float, (states,)
-        Energy [J] of the best path through each state that begins a plateau, else infinite.
-    length : ndarray of float, (states,)
-        Energy [J] of the plateau.
+    states : ndarray of int64, (n,)
+        The state that each plateau begins with.
+    via : ndarray of float64, (n,)
+        Energy of the best path through it [J].
+    length : ndarray of float64, (n,)
+        Energy of the plateau [J].
     """
-    return _measure_plateaus(ahead.energy_j, ahead.pred, behind.energy_j, behind.pred, table.jump, ahead.layers)
+    reached = np.flatnonzero(behind.energy_j < np.inf)
+    labels = ahead.energy_j, ahead.pred, behind.energy_j, behind.pred
+    return _measured(reached, *labels, table.jump, ahead.layers)
 
 
 @njit(cache=True, nogil=True)
-def _measure_plateaus(ahead, ahead_pred, behind, behind_pred, jump, layers):
-    states = ahead.size
-    after = np.full(states, -1, dtype=np.int64)  # the next state of a plateau
-    begins = np.ones(states, dtype=np.bool_)
-    for state in range(states):
-        if not (ahead[state] < np.inf and behind[state] < np.inf):
+def _measured(reached, ahead, ahead_pred, behind, behind_pred, jump, layers):
+    """As `plateaus`; reached : the states that the search back has reached."""
+    states = np.empty(reached.size, dtype=np.int64)
+    via, length = np.empty(reached.size), np.empty(reached.size)
+    count = 0
+    for state in reached:
+        end = _shared_next(state, ahead_pred, behind_pred, jump, layers) if ahead[state] < np.inf else _NONE
+        if end == _NONE or _is_shared(state, ahead, ahead_pred, behind, behind_pred, jump, layers):
             continue
-        if layers == 1:
-            code = behind_pred[state] & (SETTLED - 1)
-            if code == 0:
-                continue
-            following = state + jump[code - 1]
-            shared = ahead_pred[following] & (SETTLED - 1) == code
-        else:
-            code = behind_pred[state]
-            if code == SEED:
-                continue
-            following = state_before(code, state, jump, True)
-            # what turned right on the way back is a turn to the left on the way there
-            mirrored = TURNED_LEFT if code == TURNED_RIGHT else TURNED_RIGHT if code == TURNED_LEFT else code
-            shared = ahead_pred[following] == mirrored
-        if shared:
-            after[state] = following
-            begins[following] = False
-    via = np.full(states, np.inf)
-    length = np.zeros(states)
-    for state in range(states):
-        if after[state] >= 0 and begins[state]:
-            end = after[state]
-            while after[end] >= 0:
-                end = after[end]
-            via[state] = ahead[state] + behind[state]
-            length[state] = ahead[end] - ahead[state]
-    return via, length
+        while True:
+            further = _shared_next(end, ahead_pred, behind_pred, jump, layers)
+            if further == _NONE:
+                break
+            end = further
+        states[count] = state
+        via[count] = ahead[state] + behind[state]
+        length[count] = ahead[end] - ahead[state]
+        count += 1
+    return states[:count], via[:count], length[:count]
+
+
+@njit(cache=True)
+def _shared_next(state, ahead_pred, behind_pred, jump, layers):
+    """The state after one on the way to the goal where the search from the start came over the same move, else -1."""
+    if layers == 1:
+        code = behind_pred[state] & (SETTLED - 1)
+        if code == 0:
+            return _NONE
+        following = state + jump[code - 1]
+        return following if ahead_pred[following] & (SETTLED - 1) == code else _NONE
+    code = behind_pred[state]
+    if code == SEED:
+        return _NONE
+    following = state_before(code, state, jump, True)
+    # what turned right on the way back is a turn to the left on the way there
+    mirrored = TURNED_LEFT if code == TURNED_RIGHT else TURNED_RIGHT if code == TURNED_LEFT else code
+    return following if ahead_pred[following] == mirrored else _NONE
+
+
+@njit(cache=True)
+def _is_shared(state, ahead, ahead_pred, behind, behind_pred, jump, layers):
+    """Whether the move by which the search from the start reached a state is one that the search back used too."""
+    if layers == 1:
+        code = ahead_pred[state] & (SETTLED - 1)
+        before = state - jump[code - 1] if code > 0 else _NONE
+    else:
+        before = state_before(ahead_pred[state], state, jump, False) if ahead_pred[state] != SEED else _NONE
+    if before == _NONE or not (ahead[before] < np.inf and behind[before] < np.inf):
+        return False
+    return _shared_next(before, ahead_pred, behind_pred, jump, layers) == state

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.kernels import leg_energy_with, turn_angle
+from joulemap.planner.kernels import heading_memory, leg_energy_with, turn_angle
 
 TOLERANCE = 1e-5
 """Relative gain of a sweep below which the next step is tried."""
@@ -64,14 +64,14 @@ def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, movable, ev
     side = np.zeros((n, 2))
     cost = np.full((stretches, 3, 3), np.inf)  # shift of either control: 0 stay, 1 and 2 to either side
     stale = np.ones(stretches, dtype=np.bool_)
-    weights = np.empty(traction.shape[2])
+    memory = heading_memory(traction.shape[2])
     chosen = np.zeros(stretches + 1, dtype=np.int64)
     turn_sides(points, side, turned, 0, n)
     for _ in range(sweeps):
         for k in range(stretches):
             if stale[k]:
                 _price_stretch(
-                    weights,
+                    memory,
                     traction,
                     gradient,
                     blocked,
@@ -146,7 +146,7 @@ def _shifted(points, side, i, first, last, a, b, step):
 
 @njit(cache=True)
 def _price_stretch(
-    weights, traction, gradient, blocked, terms, turn_j_per_rad, points, movable, side, controls, k, step, cost
+    memory, traction, gradient, blocked, terms, turn_j_per_rad, points, movable, side, controls, k, step, cost
 ):
     """Fill cost[k]: energies of stretch k for all shifts of its two controls, turns between them included."""
     shifts = cost.shape[1]
@@ -162,7 +162,7 @@ def _price_stretch(
             r_, c_ = r0, c0
             for i in range(first + 1, last + 1):
                 r1, c1 = _shifted(points, side, i, first, last, a, b, step)
-                total += leg_energy_with(weights, traction, gradient, blocked, terms, r0, c0, r1, c1, math.inf)
+                total += leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, math.inf)
                 if math.isnan(total):
                     break
                 if turn_j_per_rad > 0.0 and i > first + 1:

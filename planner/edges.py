@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import InputError, PointError
-from joulemap.model.frames import heading_of
-from joulemap.planner.kernels import heading_weights, leg_energies, path_energy
+from joulemap.model.frames import heading_of, heading_vector
+from joulemap.planner.kernels import heading_memory, heading_weights, leg_energies, path_energy
 from joulemap.planner.lattice import CostLattice
 
 Points = NDArray[np.float64]
@@ -226,9 +226,11 @@ def interpolation_matrix(headings_rad: ArrayLike, bins: int) -> NDArray[np.float
     headings = np.atleast_1d(np.asarray(headings_rad, dtype=np.float64))
     if bins < 4:
         raise InputError(f"at least 4 heading bins are needed, got {bins}")
+    memory = heading_memory(bins)
     matrix = np.empty((headings.size, bins))
-    for k, heading in enumerate(headings):
-        heading_weights(float(heading), matrix[k])
+    for k, (east, north) in enumerate(zip(*heading_vector(headings), strict=True)):
+        heading_weights(east, north, memory)
+        matrix[k] = memory[0]
     return matrix
 
 

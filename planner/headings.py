@@ -93,7 +93,7 @@ def search_headings(
     cells = energy.size // moves
     steps = -jump if backward else jump
     prices = price.reshape(-1)
-    free = guide.pairs.shape[0] + guide.marks.shape[1] == 0
+    free = guide.pairs.shape[0] == 0
     known = np.full(1 if free else cells, np.nan)
     due = np.full(cells, NEVER)  # the bucket in which a cell waits
     to_drive = np.zeros(cells, dtype=np.uint32)  # bit set of headings

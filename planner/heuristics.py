@@ -13,9 +13,6 @@ c_s = min over m of (r_m + s p_m - a_s |m - g|),
 
     h_s(n) = a_s * |n - g| - s p_n + c_s  <=  a_s * |n - m| + s * (p_m - p_n) + r_m  for every m  (triangle inequality).
 
-A landmark L (`landmarks.py`) with least energies d gives d(n, L) - d(m, L) <= d(n, m) and d(L, m) - d(L, n) <= d(n, m),
-for which the least over m of r_m and the part of m may be taken at once too (Goldberg & Harrelson 2005).
-
 The maximum of consistent bounds is consistent. s = 0 is the plain bound by the cheapest metre. s = 1 counts the climb
 to a higher goal in full. Where some prices are negative (regeneration), any s with a_s >= 0 is the height potential
 that makes energy - s * rise >= 0 on every move, which is what Dijkstra needs (Johnson 1977; Sachenbacher et
@@ -30,8 +27,6 @@ from numpy.typing import NDArray
 from joulemap.planner.buckets import Guide
 from joulemap.planner.edges import Points
 from joulemap.planner.moves import MoveTable
-
-_NO_MARKS = np.empty((0, 0), dtype=np.float32)
 
 
 def energy_bounds(table: MoveTable) -> NDArray[np.float64]:
@@ -76,8 +71,6 @@ def guide_towards(
     targets: NDArray[np.int64],
     rest: NDArray[np.float64],
     spacing_m: float,
-    marks: NDArray[np.float32] | None = None,
-    slack_j: float = 0.0,
 ) -> Guide:
     """Return the bounds that lead a search to a goal.
 
@@ -95,10 +88,6 @@ def guide_towards(
         Energy from each of them to the goal [J].
     spacing_m : float
         Side of a cell [m].
-    marks : ndarray of float32, (cells, M), optional
-        Of `Landmarks` [J].
-    slack_j : float, default 0.0
-        Rounding error of a difference of two marks [J].
 
     Returns
     -------
@@ -110,10 +99,7 @@ def guide_towards(
     row, col = np.divmod(targets, table.energy.shape[1])
     away = np.hypot(row - goal[0], col - goal[1])
     least = (rest + pairs[:, 1:] * surface[targets] - pairs[:, :1] * away).min(axis=1, initial=np.inf)
-    if marks is None:
-        marks = _NO_MARKS
-    marks_rest = (rest[:, None] - marks[targets]).min(axis=0, initial=np.inf) - slack_j if marks.size else np.empty(0)
-    return Guide(pairs, least, np.ascontiguousarray(goal), surface, marks, marks_rest.astype(np.float64))
+    return Guide(pairs, least, np.ascontiguousarray(goal), surface)
 
 
 def guide_everywhere(table: MoveTable, *, backward: bool) -> Guide:
@@ -137,4 +123,4 @@ def guide_everywhere(table: MoveTable, *, backward: bool) -> Guide:
     """
     pairs = dijkstra_bounds(table) * ([[1.0, -1.0]] if backward else [[1.0, 1.0]])
     pairs = pairs[pairs[:, 1] != 0.0]
-    return Guide(pairs, np.zeros(len(pairs)), np.zeros(2), table.surface.ravel(), _NO_MARKS, np.empty(0))
+    return Guide(pairs, np.zeros(len(pairs)), np.zeros(2), table.surface.ravel())

@@ -14,49 +14,96 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.model.frames import heading_of_step
-
 TOUCH = 1e-9
 """Bilinear weight below which a cell does not count as touched."""
 
 
-@njit(cache=True, nogil=True)
-def heading_weights(heading_rad, weights):
-    """Fill an array with the weights of the trigonometric interpolation between equal heading bins.
+@njit(cache=True)
+def heading_memory(bins):
+    """Return memory for the weights of one heading, and what they are computed from.
 
     Parameters
     ----------
-    heading_rad : float
-        Heading [rad, clockwise from north].
+    bins : int
+        Number of heading bins K.
+
+    Returns
+    -------
     weights : ndarray of float64, (K,)
-        Is filled with the weight of each bin; they sum to 1.
+        To be filled by `heading_weights`.
+    directions : ndarray of float64, (4, K)
+        North and east component of every bin's heading, and the same with alternating signs.
+    """
+    directions = np.empty((4, bins))
+    for k in range(bins):
+        north, east = math.cos(2.0 * math.pi * k / bins), math.sin(2.0 * math.pi * k / bins)
+        sign = 1.0 if k % 2 == 0 else -1.0
+        directions[0, k], directions[1, k], directions[2, k], directions[3, k] = north, east, sign * north, sign * east
+    return np.empty(bins), directions
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def heading_weights(east, north, memory):
+    """Fill memory with the weights of the trigonometric interpolation between equal heading bins.
+
+    Parameters
+    ----------
+    east, north : float
+        Unit vector of the heading.
+    memory : tuple of ndarray
+        As `heading_memory` returned it; its first array is filled with the weight of each bin. They sum to 1.
 
     Notes
     -----
-    The periodic sinc (Dirichlet) kernel: exact for every Fourier series of order below K / 2.
+    The periodic sinc (Dirichlet) kernel: exact for every Fourier series of order below K / 2. With d_k the angle from
+    bin k, and K even, its weight is sin(K d_k / 2) / (K tan(d_k / 2)). Here sin(K d / 2) = U(cos d) sin d at the
+    nearest bin, U the Chebyshev polynomial of the second kind of order K / 2 - 1, and elsewhere the same value with
+    alternating sign; so no trigonometric function is called.
 
     References
     ----------
     Berrut & Trefethen 2004, section 7.
     """
-    count = weights.size
-    step = math.pi / count
-    nearest = int(math.floor(0.5 * heading_rad / step + 0.5))
-    half = 0.5 * heading_rad - nearest * step
-    weights[:] = 0.0
-    if abs(half) < 1e-12:
-        weights[nearest % count] = 1.0
-        return
-    top = math.sin(count * half) / count
-    sine, cosine = math.sin(half), math.cos(half)
-    even = count % 2 == 0
-    turn_sine, turn_cosine = math.sin(step), math.cos(step)
-    at = nearest % count
-    for _ in range(count):  # half the angle to bin `at`; never near a zero of the sine but at the first
-        weights[at] = top * cosine / sine if even else top / sine
-        at = at + 1 if at + 1 < count else 0
-        top = -top
-        sine, cosine = sine * turn_cosine - cosine * turn_sine, cosine * turn_cosine + sine * turn_sine
+    weights, directions = memory
+    bins = weights.size
+    nearest = _nearest_bin(east, north, bins)
+    sine = east * directions[0, nearest] - north * directions[1, nearest]
+    cosine = north * directions[0, nearest] + east * directions[1, nearest]
+    if abs(sine) < 1e-12:
+        weights[:] = 0.0
+        weights[nearest] = 1.0
+    elif bins % 2 == 1:
+        half = 0.5 * math.atan2(sine, cosine)
+        for k in range(bins):
+            angle = half - math.pi * (k - nearest) / bins
+            weights[k] = math.sin(bins * angle) / (bins * math.sin(angle))
+    else:
+        before, chebyshev = 0.0, 1.0
+        for _ in range(bins // 2 - 1):
+            before, chebyshev = chebyshev, 2.0 * cosine * chebyshev - before
+        top = (-sine if nearest % 2 == 1 else sine) * chebyshev / bins
+        for k in range(bins):
+            weights[k] = (
+                top
+                * (east * directions[2, k] - north * directions[3, k])
+                / (1.0 - (north * directions[0, k] + east * directions[1, k]))
+            )
+        weights[nearest] = (1.0 + cosine) * chebyshev / bins
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest_bin(east, north, bins):
+    """The bin nearest to a heading; within a quarter of a degree of the middle of two, either of them."""
+    small, large = min(abs(east), abs(north)), max(abs(east), abs(north))
+    ratio = small / large
+    angle = ratio * (0.25 * math.pi + 0.273 * (1.0 - ratio))  # the arc tangent within 0.004 rad
+    if abs(east) > abs(north):
+        angle = 0.5 * math.pi - angle
+    if north < 0.0:
+        angle = math.pi - angle
+    if east < 0.0:
+        angle = 2.0 * math.pi - angle
+    return int(angle * (0.5 * bins / math.pi) + 0.5) % bins
 
 
 @njit(cache=True)
@@ -75,34 +122,30 @@ def mean_response(t0, tm, t1, regeneration):
     float
         Mean of max(t, 0) + regeneration * min(t, 0) [J/m], t the quadratic through the three.
     """
-    mean = (t0 + 4.0 * tm + t1) / 6.0
-    if t0 >= 0.0 and t1 >= 0.0 and 4.0 * tm >= t0 + t1:  # concave enough to stay above its chord
+    mean, ends = (t0 + 4.0 * tm + t1) / 6.0, t0 + t1
+    if t0 >= 0.0 and t1 >= 0.0 and 4.0 * tm >= ends:  # the Bezier coefficients of the quadratic are not negative
         return mean
-    a = 2.0 * (t0 + t1 - 2.0 * tm)
-    b = 4.0 * tm - 3.0 * t0 - t1
-    low, high = 1.0, 1.0  # where the traction changes its sign
-    if abs(a) < 1e-12 * (abs(b) + 1e-300):
-        if b != 0.0:
-            low = -t0 / b
+    if t0 <= 0.0 and t1 <= 0.0 and 4.0 * tm <= ends:
+        return regeneration * mean
+    a, b = 2.0 * (ends - 2.0 * tm), 4.0 * tm - 3.0 * t0 - t1  # t0 + b s + a s^2 for s from 0 to 1
+    square = b * b - 4.0 * a * t0
+    if square <= 0.0:
+        return mean if ends > 0.0 else regeneration * mean
+    q = -0.5 * (b + math.copysign(math.sqrt(square), b))
+    low = q / a if a != 0.0 else 2.0
+    high = t0 / q if q != 0.0 else 0.0
+    if (t0 < 0.0 < t1) or (t1 < 0.0 < t0):  # one change of sign
+        root = high if 0.0 <= high <= 1.0 else low
+        before = ((a * root / 3.0 + 0.5 * b) * root + t0) * root
+        positive = before if t0 > 0.0 else mean - before
     else:
-        square = b * b - 4.0 * a * t0
-        if square > 0.0:
-            q = -0.5 * (b + math.copysign(math.sqrt(square), b))
-            low = q / a
-            high = t0 / q if q != 0.0 else 0.0
-            if low > high:
-                low, high = high, low
-    low, high = min(max(low, 0.0), 1.0), min(max(high, 0.0), 1.0)
-    positive = 0.0
-    for u, v in ((0.0, low), (low, high), (high, 1.0)):
-        w = 0.5 * (u + v)
-        part = ((a * v / 3.0 + b / 2.0) * v + t0) * v - ((a * u / 3.0 + b / 2.0) * u + t0) * u
-        if v > u and (a * w + b) * w + t0 > 0.0:
-            positive += part
+        low, high = min(max(min(low, high), 0.0), 1.0), min(max(max(low, high), 0.0), 1.0)
+        between = ((a * high / 3.0 + 0.5 * b) * high + t0) * high - ((a * low / 3.0 + 0.5 * b) * low + t0) * low
+        positive = mean - between if ends > 0.0 else between
     return positive + regeneration * (mean - positive)
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, forceinline=True, fastmath={"reassoc", "contract"})
 def _weighted(weights, traction, i, j):
     """Traction of a cell at the heading that the weights are for; reordered sums let the compiler use vectors."""
     total = 0.0
@@ -111,7 +154,7 @@ def _weighted(weights, traction, i, j):
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j):
     """Traction of one cell at the leg's heading, NaN when it is blocked or too steep for it."""
     rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
@@ -145,19 +188,18 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
     float
         Energy [J]; NaN where the leg may not be driven.
     """
-    return leg_energy_with(
-        np.empty(traction.shape[2]), traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf
-    )
+    memory = heading_memory(traction.shape[2])
+    return leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
 
 
-@njit(cache=True)
-def leg_energy_with(weights, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
+@njit(cache=True, error_model="numpy")
+def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
     """Return the energy of a leg as `leg_energy` does, with memory of the caller and a limit.
 
     Parameters
     ----------
-    weights : ndarray of float64, (K,)
-        Memory that is written to.
+    memory : tuple of ndarray
+        As `heading_memory` returned it; it is written to.
     traction, gradient, blocked, terms : ndarray
         As for `leg_energy`.
     row0, col0, row1, col1 : float
@@ -169,6 +211,10 @@ def leg_energy_with(weights, traction, gradient, blocked, terms, row0, col0, row
     -------
     float
         Energy [J]; NaN where the leg may not be driven; above `most`, some number above it or NaN.
+
+    Notes
+    -----
+    The leg is cut where it crosses lines of cell centres (Amanatides & Woo 1987).
     """
     spacing, hotel, regeneration, max_grade, max_cross = terms[0], terms[1], terms[2], terms[3], terms[4]
     rows, cols, _ = traction.shape
@@ -180,83 +226,78 @@ def leg_energy_with(weights, traction, gradient, blocked, terms, row0, col0, row
         and -slack <= col1 <= cols - 1 + slack
     ):
         return math.nan
-    drow = row1 - row0
-    dcol = col1 - col0
-    length = math.hypot(drow, dcol)
+    drow, dcol = row1 - row0, col1 - col0
+    length = math.sqrt(drow * drow + dcol * dcol)
     if length == 0.0:
-        i = int(round(row0))
-        j = int(round(col0))
+        i, j = int(round(row0)), int(round(col0))
         return 0.0 if blocked[min(max(i, 0), rows - 1), min(max(j, 0), cols - 1)] == 0 else math.nan
-    heading = heading_of_step(drow, dcol)
-    east = math.sin(heading)
-    north = math.cos(heading)
-    heading_weights(heading, weights)
+    east, north = dcol / length, -drow / length
+    heading_weights(east, north, memory)
+    weights = memory[0]
     enough = most / (length * spacing)
-    energy = 0.0
-    t = 0.0
-    last_i, last_j = -9, -9
+    same = 1e-9 / max(abs(drow), abs(dcol))  # crossings nearer to each other count as one
+    # the square of four centres that the leg begins in, and the shares of the leg at the next line of rows and columns
+    i = int(math.floor(row0 + 1e-9)) if drow >= 0.0 else int(math.ceil(row0 - 1e-9)) - 1
+    j = int(math.floor(col0 + 1e-9)) if dcol >= 0.0 else int(math.ceil(col0 - 1e-9)) - 1
+    next_row = (i + (drow > 0.0) - row0) / drow if drow != 0.0 else math.inf
+    next_col = (j + (dcol > 0.0) - col0) / dcol if dcol != 0.0 else math.inf
+    energy = t = t0 = 0.0
+    a, b = -9, -9  # the square whose corners are held; at the rim of the map it is not (i, j)
     c00 = c01 = c10 = c11 = 0.0
     known = 0  # bit set of the corners that hold a traction: 1 for 00, 2 for 01, 4 for 10, 8 for 11
-    while t < 1.0:
-        t_next = 1.0
-        if drow != 0.0:
-            row = row0 + t * drow
-            line = math.floor(row + 1e-9) + 1.0 if drow > 0.0 else math.ceil(row - 1e-9) - 1.0
-            t_next = min(t_next, (line - row0) / drow)
-        if dcol != 0.0:
-            col = col0 + t * dcol
-            line = math.floor(col + 1e-9) + 1.0 if dcol > 0.0 else math.ceil(col - 1e-9) - 1.0
-            t_next = min(t_next, (line - col0) / dcol)
-        middle = 0.5 * (t + t_next)
-        i = min(max(int(math.floor(row0 + middle * drow)), 0), rows - 2)
-        j = min(max(int(math.floor(col0 + middle * dcol)), 0), cols - 2)
-        u0 = min(max(row0 + t * drow - i, 0.0), 1.0)
-        u1 = min(max(row0 + t_next * drow - i, 0.0), 1.0)
-        v0 = min(max(col0 + t * dcol - j, 0.0), 1.0)
-        v1 = min(max(col0 + t_next * dcol - j, 0.0), 1.0)
-        if i != last_i or j != last_j:  # two corners are those of the square before
-            if i == last_i and j == last_j + 1:
+    while True:
+        t_next = min(next_row, next_col, 1.0)
+        at_i, at_j = min(max(i, 0), rows - 2), min(max(j, 0), cols - 2)
+        if at_i != a or at_j != b:  # two corners are those of the square before
+            if at_i == a and at_j == b + 1:
                 c00, c10, known = c01, c11, (known & 10) >> 1
-            elif i == last_i and j == last_j - 1:
+            elif at_i == a and at_j == b - 1:
                 c01, c11, known = c00, c10, (known & 5) << 1
-            elif j == last_j and i == last_i + 1:
+            elif at_j == b and at_i == a + 1:
                 c00, c01, known = c10, c11, (known & 12) >> 2
-            elif j == last_j and i == last_i - 1:
+            elif at_j == b and at_i == a - 1:
                 c10, c11, known = c00, c01, (known & 3) << 2
             else:
                 known = 0
-            last_i, last_j = i, j
+            a, b = at_i, at_j
+        u0 = min(max(row0 + t * drow - a, 0.0), 1.0)
+        u1 = min(max(row0 + t_next * drow - a, 0.0), 1.0)
+        v0 = min(max(col0 + t * dcol - b, 0.0), 1.0)
+        v1 = min(max(col0 + t_next * dcol - b, 0.0), 1.0)
         top, bottom = 1.0 - min(u0, u1) > TOUCH, max(u0, u1) > TOUCH
         left, right = 1.0 - min(v0, v1) > TOUCH, max(v0, v1) > TOUCH
-        if top and left and known & 1 == 0:
-            c00 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j)
-        if top and right and known & 2 == 0:
-            c01 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j + 1)
-        if bottom and left and known & 4 == 0:
-            c10 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i + 1, j)
-        if bottom and right and known & 8 == 0:
-            c11 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i + 1, j + 1)
         use = (top and left) * 1 + (top and right) * 2 + (bottom and left) * 4 + (bottom and right) * 8
+        need = use & ~known
+        if need & 1:
+            c00 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a, b)
+        if need & 2:
+            c01 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a, b + 1)
+        if need & 4:
+            c10 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a + 1, b)
+        if need & 8:
+            c11 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a + 1, b + 1)
         known |= use
-        a00 = c00 if use & 1 else 0.0
-        a01 = c01 if use & 2 else 0.0
-        a10 = c10 if use & 4 else 0.0
-        a11 = c11 if use & 8 else 0.0
-        if math.isnan(a00 + a01 + a10 + a11):
+        a00, a01, a10, a11 = c00, c01, c10, c11
+        if use != 15:
+            a00, a01 = c00 if use & 1 else 0.0, c01 if use & 2 else 0.0
+            a10, a11 = c10 if use & 4 else 0.0, c11 if use & 8 else 0.0
+        down, across, twist = a10 - a00, a01 - a00, a00 - a01 - a10 + a11
+        if t == 0.0:
+            t0 = a00 + u0 * down + v0 * (across + u0 * twist)
+        t1 = a00 + u1 * down + v1 * (across + u1 * twist)
+        tm = 0.5 * (t0 + t1) - 0.25 * twist * (u1 - u0) * (v1 - v0)
+        if math.isnan(tm):
             return math.nan
-        t0 = _blend(a00, a01, a10, a11, u0, v0)
-        tm = _blend(a00, a01, a10, a11, 0.5 * (u0 + u1), 0.5 * (v0 + v1))
-        t1 = _blend(a00, a01, a10, a11, u1, v1)
         energy += (t_next - t) * (hotel + mean_response(t0, tm, t1, regeneration))
-        if energy > enough:
-            break
-        t = t_next
-    return energy * length * spacing
-
-
-@njit(cache=True)
-def _blend(c00, c01, c10, c11, u, v):
-    return (1.0 - u) * ((1.0 - v) * c00 + v * c01) + u * ((1.0 - v) * c10 + v * c11)
+        if t_next >= 1.0 - same or energy > enough:
+            return energy * length * spacing
+        if next_row <= t_next + same:
+            i += 1 if drow > 0.0 else -1
+            next_row = (i + (drow > 0.0) - row0) / drow
+        if next_col <= t_next + same:
+            j += 1 if dcol > 0.0 else -1
+            next_col = (j + (dcol > 0.0) - col0) / dcol
+        t, t0 = t_next, t1
 
 
 @njit(cache=True, nogil=True)
@@ -286,10 +327,10 @@ def leg_energies(traction, gradient, blocked, terms, legs):
     On one thread: most questions are a few legs, and on a busy machine waiting for a second thread takes longer.
     """
     out = np.empty(legs.shape[0])
-    weights = np.empty(traction.shape[2])
+    memory = heading_memory(traction.shape[2])
     for k in range(legs.shape[0]):
         out[k] = leg_energy_with(
-            weights,
+            memory,
             traction,
             gradient,
             blocked,
@@ -353,9 +394,19 @@ def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
         Energy [J]; NaN where a leg may not be driven.
     """
     energy = 0.0
+    memory = heading_memory(traction.shape[2])
     for k in range(1, points.shape[0]):
-        energy += leg_energy(
-            traction, gradient, blocked, terms, points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1]
+        energy += leg_energy_with(
+            memory,
+            traction,
+            gradient,
+            blocked,
+            terms,
+            points[k - 1, 0],
+            points[k - 1, 1],
+            points[k, 0],
+            points[k, 1],
+            math.inf,
         )
         if k >= 2 and turn_j_per_rad > 0.0:
             energy += turn_j_per_rad * turn_angle(

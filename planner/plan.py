@@ -16,7 +16,6 @@ from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.edges import Points, path_price
-from joulemap.planner.landmarks import Landmarks, make_landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import check_neighbours
 from joulemap.planner.moves import MoveTable, distance_table, move_table
@@ -176,24 +175,12 @@ class RoutePlanner:
         self.lattice = lattice
         self._distances = distance_lattice(lattice)
         self._tables: dict[tuple[bool, int], MoveTable] = {}
-        self._landmarks: dict[int, Landmarks] = {}
         self._bounds: tuple[BoundTable | None] | None = None
         self._making = threading.RLock()  # what is kept is made once; questions then share it without a lock
 
-    def prepare(self, *, landmarks: bool = False) -> None:
-        """Price the moves of refined routes now, so that the first question does not wait for it.
-
-        Parameters
-        ----------
-        landmarks : bool, default False
-            Whether to make landmarks too. They cost eight energy fields and save every later A* most of its search.
-        """
+    def prepare(self) -> None:
+        """Price the moves of refined routes now, so that the first question does not wait for it."""
         self._table(ANY_ANGLE_NEIGHBOURS, distance=True)
-        if landmarks:
-            with self._making:
-                if ANY_ANGLE_NEIGHBOURS not in self._landmarks:
-                    table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
-                    self._landmarks[ANY_ANGLE_NEIGHBOURS] = make_landmarks(table)
 
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
@@ -284,8 +271,8 @@ class RoutePlanner:
             )
         else:
             shortest = self._shortest(start, goal, neighbours, refine)
-            table, landmarks = self._table(neighbours, distance=False), self._landmarks.get(neighbours)
-            options = Options(time_limit_s, seed, from_grid, landmarks, progress)
+            table = self._table(neighbours, distance=False)
+            options = Options(time_limit_s, seed, from_grid, progress)
             points, found = asked.search(lattice, table, start, goal, options)
             points = refine_path(lattice, points) if refine else points
         if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
@@ -380,7 +367,7 @@ class RoutePlanner:
     def _best(self, start: Points, goal: Points) -> tuple[Points, dict[str, Any]]:
         """The best path of any angles that we find, for every kind of question."""
         table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
-        best = best_path(self.lattice, table, start, goal, landmarks=self._landmarks.get(ANY_ANGLE_NEIGHBOURS))
+        best = best_path(self.lattice, table, start, goal)
         return best.points, {
             "expanded": best.expanded,
             "grid_energy_j": best.grid_energy_j,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from joulemap.planner.deform import bent
 from joulemap.planner.edges import Points, path_price, price_arrays
-from joulemap.planner.kernels import leg_energy_with, turn_angle
+from joulemap.planner.kernels import heading_memory, leg_energy_with, path_energy, turn_angle
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.settle import settled
 from joulemap.planner.stopping import check_stop
@@ -28,9 +28,9 @@ SWEEPS = 24
 COARSE_STEPS = ((4.0, 8), (1.0, 8))
 """Shifts of stretches and the lengths of these [cells]: large shifts of short ones find a zigzag where only one of
 large angles pays."""
-FINE_PROBES = ((4.0, (1.0, 0.5, 0.5, 0.25, 0.125, 0.0625)), (2.0, (0.25, 0.125, 0.0625)))
+FINE_PROBES = ((4.0, (1.0, 0.5, 0.25, 0.0625)), (2.0, (0.25, 0.0625)))
 """Distances of the vertices that settle, and the probes of each step of Newton's method [cells]."""
-LAST_PROBES = (0.25, 0.125, 0.0625)
+LAST_PROBES = (0.25, 0.0625)
 """Probes of vertices a cell apart [cells]."""
 FINE_STEPS = (0.5, 0.25, 0.125, 0.0625, 0.03125)
 """Shifts of single vertices where they are bent [cells]."""
@@ -241,16 +241,8 @@ def shortcuts(lattice: CostLattice, points: Points) -> Points:
     ndarray of float, (m, 2)
         Some of its vertices, both ends among them.
     """
-    arrays, turn = price_arrays(lattice), lattice.robot.turn_j_per_rad
-    energy = path_price(lattice, points)
     never_pays = lattice.robot.regeneration == 0.0
-    while len(points) > 2:
-        fewer = np.ascontiguousarray(points[_cheapest_chain(*arrays, turn, points, SPAN, never_pays)])
-        price = path_price(lattice, fewer)
-        if len(fewer) == len(points) or not price <= energy + 1e-12 * abs(energy):
-            break
-        points, energy = fewer, price
-    return points
+    return _shortened(*price_arrays(lattice), lattice.robot.turn_j_per_rad, points, SPAN, never_pays)
 
 
 STAGES = (shortcuts, refine_coarsely, refine_finely, refine_last)
@@ -258,13 +250,34 @@ STAGES = (shortcuts, refine_coarsely, refine_finely, refine_last)
 
 
 @njit(cache=True, nogil=True)
-def _cheapest_chain(traction, gradient, blocked, terms, turn_j_per_rad, points, span, never_pays):
-    """Which vertices the cheapest chain of legs keeps, none over more than `span` of them.
+def _shortened(traction, gradient, blocked, terms, turn_j_per_rad, points, span, never_pays):
+    """The path after passes of `_cheapest_chain`, while they leave vertices out. never_pays : no price is negative."""
+    arrays = (heading_memory(traction.shape[2]), traction, gradient, blocked, terms)
+    energy = path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points)
+    legs = np.full((points.shape[0], span), np.nan)
+    while points.shape[0] > 2:
+        keep, total = _cheapest_chain(arrays, turn_j_per_rad, points, legs, never_pays)
+        if keep.size == points.shape[0] or not total <= energy + 1e-12 * abs(energy):
+            break
+        known = np.full((keep.size, span), np.nan)  # legs that the next pass need not price again
+        for k in range(keep.size):
+            for s in range(1, min(span, keep.size - 1 - k) + 1):
+                over = keep[k + s] - keep[k]
+                if over <= span:
+                    known[k, s - 1] = legs[keep[k], over - 1]
+        points, legs, energy = points[keep], known, total
+    return points
 
-    The turn at a vertex counts from its best chain. never_pays : whether no price is negative.
+
+@njit(cache=True)
+def _cheapest_chain(arrays, turn_j_per_rad, points, legs, never_pays):
+    """The vertices that the cheapest chain of legs keeps, and its energy [J].
+
+    The turn at a vertex counts from its best chain. legs : (n, span) energy of the leg from a vertex over 1 to `span`
+    vertices [J], NaN where it is not known yet, infinite where it may not be driven or is too dear; it is filled.
     """
-    n = points.shape[0]
-    weights = np.empty(traction.shape[2])
+    memory, traction, gradient, blocked, terms = arrays
+    n, span = legs.shape
     best = np.full(n, np.inf)
     parent = np.zeros(n, dtype=np.int64)
     best[0] = 0.0
@@ -276,30 +289,23 @@ def _cheapest_chain(traction, gradient, blocked, terms, turn_j_per_rad, points, 
                 turn = turn_j_per_rad * turn_angle(
                     points[p, 0], points[p, 1], points[i, 0], points[i, 1], points[j, 0], points[j, 1]
                 )
-            most = best[j] - best[i] - turn if never_pays else np.inf
-            total = (
-                best[i]
-                + turn
-                + leg_energy_with(
-                    weights,
-                    traction,
-                    gradient,
-                    blocked,
-                    terms,
-                    points[i, 0],
-                    points[i, 1],
-                    points[j, 0],
-                    points[j, 1],
-                    most,
-                )
-            )
+            price = legs[i, j - i - 1]
+            if math.isnan(price):
+                most = best[j] - best[i] if never_pays else np.inf
+                r0, c0, r1, c1 = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
+                price = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, most)
+                if not price <= most:
+                    price = np.inf
+                legs[i, j - i - 1] = price
+            total = best[i] + turn + price
             if total < best[j] - 1e-13 * abs(total):  # of equal ones the first, which is the longest leg
                 best[j] = total
                 parent[j] = i
-    keep = np.zeros(n, dtype=np.bool_)
-    j = n - 1
+    chain = np.empty(n, dtype=np.int64)
+    j, first = n - 1, n - 1
+    chain[first] = j
     while j > 0:
-        keep[j] = True
         j = parent[j]
-    keep[0] = True
-    return keep
+        first -= 1
+        chain[first] = j
+    return chain[first:], best[n - 1]

@@ -12,7 +12,6 @@ from joulemap.model.errors import InputError, NoRouteError
 from joulemap.planner.edges import Points, leg_prices_between
 from joulemap.planner.heuristics import dijkstra_bounds, energy_bounds, guide_towards
 from joulemap.planner.kernels import turn_angle
-from joulemap.planner.landmarks import Landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.states import layer_count, new_search, run_search
@@ -76,7 +75,6 @@ def grid_search(
     goal: Points,
     *,
     planner: str = "astar",
-    landmarks: Landmarks | None = None,
 ) -> GridPath:
     """Return the path of least energy from start to goal over grid moves, exactly.
 
@@ -93,8 +91,6 @@ def grid_search(
         Fractional (row, col), joined to the cell centres around them by straight legs.
     planner : {"astar", "dijkstra"}, default "astar"
         Whether lower bounds of the energy to come lead the search.
-    landmarks : Landmarks, optional
-        Made of this table, for fewer expansions.
 
     Returns
     -------
@@ -115,11 +111,8 @@ def grid_search(
     layers = layer_count(lattice, table)
     cells, cost = terminals(lattice, table, start, layers, outward=True)
     targets, rest = terminals(lattice, table, goal, layers, outward=False)
-    marks, slack_j = (landmarks.marks, landmarks.slack_j) if landmarks is not None else (None, 0.0)
     bounds = energy_bounds(table) if planner == "astar" else dijkstra_bounds(table)
-    guide = guide_towards(
-        table, bounds, goal, targets, rest.min(axis=1), lattice.frame.resolution_m, marks=marks, slack_j=slack_j
-    )
+    guide = guide_towards(table, bounds, goal, targets, rest.min(axis=1), lattice.frame.resolution_m)
     search = new_search(table, layers, cells, cost, backward=False)
     last, total, expanded = run_search(search, table, np.unique(cells), guide, targets, rest)
     direct = direct_energy(lattice, start, goal)

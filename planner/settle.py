@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from joulemap.planner.deform import turn_sides
-from joulemap.planner.kernels import leg_energy_with
+from joulemap.planner.kernels import heading_memory, leg_energy_with
 
 DAMPING = 1e-3
 """Added to the diagonal of the Hessian, as a share of its largest entry, where a stretch has no curvature at all."""
@@ -53,14 +53,15 @@ def settled(traction, gradient, blocked, terms, points, probes, hindered):
     """
     points = points.copy()
     n = points.shape[0]
-    weights = np.empty(traction.shape[2])
-    arrays = (weights, traction, gradient, blocked, terms)
+    memory = heading_memory(traction.shape[2])
+    arrays = (memory, traction, gradient, blocked, terms)
     side = np.zeros((n, 2))
     slope, curve, mixed, shift = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     ahead = np.empty((n, 2))  # what a probe of the vertex to either side costs more
     energy = np.empty(n - 1)
     for k in range(n - 1):
-        energy[k] = _price(arrays, points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1])
+        r0, c0, r1, c1 = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
+        energy[k] = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, math.inf)
     for r in range(probes.size):
         probe = probes[r]
         turn_sides(points, side, 0.0, 0, n)
@@ -77,15 +78,12 @@ def settled(traction, gradient, blocked, terms, points, probes, hindered):
 
 
 @njit(cache=True)
-def _price(arrays, row0, col0, row1, col1):
-    """Energy of a leg [J]. arrays : what pricing needs, with memory for weights first."""
-    weights, traction, gradient, blocked, terms = arrays
-    return leg_energy_with(weights, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
-
-
-@njit(cache=True)
 def _probe(arrays, points, side, probe, energy, slope, curve, mixed, ahead):
-    """Fill the derivatives of the energy by the offsets; the second ones of each leg are made positive semidefinite."""
+    """Fill the derivatives of the energy by the offsets; the second ones of each leg are made positive semidefinite.
+
+    arrays : what pricing needs, with memory first.
+    """
+    memory, traction, gradient, blocked, terms = arrays
     n = points.shape[0]
     slope[:], curve[:], mixed[:], ahead[:] = 0.0, 0.0, 0.0, 0.0
     for k in range(n - 1):
@@ -95,13 +93,13 @@ def _probe(arrays, points, side, probe, energy, slope, curve, mixed, ahead):
         a, b = probe * side[k, 0], probe * side[k, 1]
         c, d = probe * side[k + 1, 0], probe * side[k + 1, 1]
         if k > 0:
-            left = _price(arrays, r0 + a, c0 + b, r1, c1)
-            right = _price(arrays, r0 - a, c0 - b, r1, c1)
+            left = leg_energy_with(memory, traction, gradient, blocked, terms, r0 + a, c0 + b, r1, c1, math.inf)
+            right = leg_energy_with(memory, traction, gradient, blocked, terms, r0 - a, c0 - b, r1, c1, math.inf)
             ahead[k, 0] += left - here
             ahead[k, 1] += right - here
         if k < n - 2:
-            other_left = _price(arrays, r0, c0, r1 + c, c1 + d)
-            other_right = _price(arrays, r0, c0, r1 - c, c1 - d)
+            other_left = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1 + c, c1 + d, math.inf)
+            other_right = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1 - c, c1 - d, math.inf)
             ahead[k + 1, 0] += other_left - here
             ahead[k + 1, 1] += other_right - here
         first, last = left + right - 2.0 * here, other_left + other_right - 2.0 * here
@@ -109,8 +107,10 @@ def _probe(arrays, points, side, probe, energy, slope, curve, mixed, ahead):
             continue
         cross = 0.0
         if 0 < k < n - 2:
-            both = _price(arrays, r0 + a, c0 + b, r1 + c, c1 + d)
-            neither = _price(arrays, r0 - a, c0 - b, r1 - c, c1 - d)
+            both = leg_energy_with(memory, traction, gradient, blocked, terms, r0 + a, c0 + b, r1 + c, c1 + d, math.inf)
+            neither = leg_energy_with(
+                memory, traction, gradient, blocked, terms, r0 - a, c0 - b, r1 - c, c1 - d, math.inf
+            )
             cross = 0.5 * (both + neither - 2.0 * here - first - last)
             if math.isnan(cross):
                 cross = 0.0
@@ -151,6 +151,7 @@ def _newton(slope, curve, mixed, hindered, shift):
 @njit(cache=True)
 def _move(arrays, points, side, shift, energy):
     """Shift those vertices whose shifts together cost least (dynamic programming), and fill the new energies."""
+    memory, traction, gradient, blocked, terms = arrays
     n = points.shape[0]
     cost = np.full((n - 1, 2, 2), np.inf)
     came = np.zeros((n, 2), dtype=np.int8)
@@ -162,12 +163,17 @@ def _move(arrays, points, side, shift, energy):
                 if a + b == 0 or (a == 1 and shift[k] == 0.0) or (b == 1 and shift[k + 1] == 0.0):
                     continue
                 here, there = a * shift[k], b * shift[k + 1]
-                price = _price(
-                    arrays,
+                price = leg_energy_with(
+                    memory,
+                    traction,
+                    gradient,
+                    blocked,
+                    terms,
                     points[k, 0] + here * side[k, 0],
                     points[k, 1] + here * side[k, 1],
                     points[k + 1, 0] + there * side[k + 1, 0],
                     points[k + 1, 1] + there * side[k + 1, 1],
+                    math.inf,
                 )
                 if not math.isnan(price):
                     cost[k, a, b] = price

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from joulemap.planner.edges import Points
-from joulemap.planner.landmarks import Landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 
@@ -24,8 +23,6 @@ class Options:
         Seed of planners that draw random numbers.
     from_grid : bool
         Whether a sampling planner starts from the path of the grid search.
-    landmarks : Landmarks or None
-        Energies to and from some places of this move table, which shorten an A* search.
     progress : callable or None
         Called with the share of the time limit that is over, 0..1.
     """
@@ -33,7 +30,6 @@ class Options:
     time_limit_s: float = 5.0
     seed: int = 0
     from_grid: bool = False
-    landmarks: Landmarks | None = None
     progress: Callable[[float], None] | None = None
 
 

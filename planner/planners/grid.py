@@ -14,7 +14,7 @@ from joulemap.planner.search import GridPath, grid_search
 def _astar(
     lattice: CostLattice, table: MoveTable, start: Points, goal: Points, options: Options
 ) -> tuple[Points, dict[str, Any]]:
-    return _answer(grid_search(lattice, table, start, goal, planner="astar", landmarks=options.landmarks))
+    return _answer(grid_search(lattice, table, start, goal, planner="astar"))
 
 
 def _dijkstra(

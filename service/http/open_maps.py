@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -14,8 +12,6 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 
-_NICE = 10  # of threads that make landmarks
-
 
 class _Entry:
     def __init__(self) -> None:
@@ -24,7 +20,6 @@ class _Entry:
         self.stored: StoredPlanner | None = None
         self.pricer: StoredPlanner | None = None  # for given paths, which are not to wait for a search
         self.searching, self.pricing = threading.Lock(), threading.Lock()
-        self.sharpening = False
 
 
 class OpenMaps:
@@ -105,15 +100,13 @@ class OpenMaps:
             return self._loaded(entry, costmap_id)
 
     @contextmanager
-    def for_routes(self, costmap_id: str, *, landmarks: bool = True) -> Iterator[RoutePlanner | StoredPlanner]:
+    def for_routes(self, costmap_id: str) -> Iterator[RoutePlanner | StoredPlanner]:
         """Lend a planner of a cost map; of a large map, to this thread alone, one that leaves the map on disk.
 
         Parameters
         ----------
         costmap_id : str
             Id of a cost map that is done.
-        landmarks : bool, default True
-            Whether to begin to make landmarks afterwards, where there are none.
 
         Yields
         ------
@@ -130,8 +123,6 @@ class OpenMaps:
                 self._loaded(entry, costmap_id)
         if entry.planner is not None:
             yield entry.planner
-            if landmarks:
-                self._sharpen(entry.planner, entry)
             return
         assert entry.stored is not None
         with entry.searching:
@@ -160,13 +151,6 @@ class OpenMaps:
                     yield entry.pricer
                     return
         yield self.planner(costmap_id)
-
-    def _sharpen(self, planner: RoutePlanner, entry: _Entry) -> None:
-        """After the first answer, make landmarks on another thread: searches of later questions settle fewer cells."""
-        with self._lock:
-            begun, entry.sharpening = entry.sharpening, True
-        if not begun:
-            threading.Thread(target=_make_landmarks, args=(planner,), name="landmarks", daemon=True).start()
 
     def _loaded(self, entry: _Entry, costmap_id: str) -> RoutePlanner:
         """The planner of an entry whose lock `loading` this thread holds."""
@@ -215,10 +199,3 @@ class OpenMaps:
     def _let_go(self) -> None:
         while len(self._entries) > self._size:
             self._entries.popitem(last=False)
-
-
-def _make_landmarks(planner: RoutePlanner) -> None:
-    """Make landmarks while questions go first."""
-    if sys.platform == "linux":  # where a priority is one of this thread and of those that it starts
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
-    planner.prepare(landmarks=True)

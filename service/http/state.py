@@ -67,14 +67,14 @@ class Service:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.version = version("joulemap")
-        self.store = Store(settings.data_dir, settings.resolved_database_url)
+        self.store = Store(settings.data_dir, settings.resolved_database_url, objects=settings.store)
         self.retention = Retention(
             settings, self.store, {CostmapRow: self.delete_costmap, CalibrationRow: self.delete_calibration}
         )
         self.maps = OpenMaps(
             self.store.load_lattice,
             size=settings.open_costmaps,
-            place=self.store.lattice_path,
+            place=lambda costmap_id: self.store.here(self.store.lattice_path(costmap_id)),
             most_cells=settings.max_cells_in_memory,
             memory_bytes=int(1e9 * settings.route_memory_gb),
         )
@@ -86,6 +86,8 @@ class Service:
         watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=queues)
         self.jobs = Jobs(self.store, settings, on_done=self._open_made)
         self.health.add("workers", self._check_workers)
+        if settings.store is not None:
+            self.health.add("object store", self.store.vault.check)
         self.readers = Readers(
             processes=settings.read_processes,
             queue=settings.read_queue_size,
@@ -139,6 +141,7 @@ class Service:
         ModelError
             If there is no such model, or if it belongs to another owner.
         """
+        self.store.model_here(model, self.settings.resolved_models_dir)
         return find_predictor(model, models_dir=self.settings.resolved_models_dir, hidden=self.store.hidden_models())
 
     def start(self) -> None:
@@ -413,7 +416,7 @@ class Service:
     def _open_made(self, job_id: str) -> None:
         """Have a new cost map in memory before the first question."""
         if kind_of(job_id) == COSTMAP:
-            with suppress(JoulemapError), self.maps.for_routes(job_id, landmarks=False) as planner:
+            with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
                 if isinstance(planner, RoutePlanner):
                     planner.prepare()
 

@@ -18,7 +18,6 @@ from joulemap.model.terrain.synthesis import sample_terrain
 from joulemap.planner.bound import bound_table, energy_bound
 from joulemap.planner.edges import leg_prices_between, path_price
 from joulemap.planner.heuristics import guide_everywhere
-from joulemap.planner.landmarks import make_landmarks
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.move_prices import move_offsets
@@ -97,11 +96,10 @@ def compare_peers(cells: int, resolution_m: float) -> Table:
     build = time.perf_counter() - began
     rows = ask_peers(Question(lattice, table, graph, *(tuple(int(v) for v in end) for end in (start, goal))))
     rows[0] = replace(rows[0], build_s=build)
-    landmarks = make_landmarks(table)
-    for name, options in (("ours, A*, 16", {}), ("ours, A* with landmarks, 16", {"landmarks": landmarks})):
-        took = seconds(lambda: grid_search(lattice, table, start, goal, **options))  # noqa: B023
-        rows.append(PeerRow(name, took, energy_j=grid_search(lattice, table, start, goal, **options).energy_j))
-    grid = grid_search(lattice, table, start, goal, landmarks=landmarks).points
+    took = seconds(lambda: grid_search(lattice, table, start, goal))
+    found = grid_search(lattice, table, start, goal)
+    rows.append(PeerRow("ours, A*, 16", took, energy_j=found.energy_j))
+    grid = found.points
     took = seconds(lambda: refine_path(lattice, grid), repeats=1)
     best = path_price(lattice, refine_path(lattice, grid))
     rows.append(PeerRow("ours, any-angle after it", took, energy_j=best))

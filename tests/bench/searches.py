@@ -11,7 +11,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from joulemap.planner.fields import field_from, field_towards
-from joulemap.planner.landmarks import make_landmarks
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.moves import MoveTable, move_table
 from joulemap.planner.replan import Replanner
@@ -60,7 +59,6 @@ def search_rows(
         (f"pricing the moves, {name}", build, "building SciPy's graph", build / graph_build)
     ]
     towards = field_towards(lattice, table, goal[None])
-    landmarks = make_landmarks(table)
     rng = np.random.default_rng(2)
     free = np.argwhere(lattice.blocked == 0).astype(float)
     pairs = free[rng.integers(len(free), size=(10, 2))]
@@ -68,24 +66,14 @@ def search_rows(
         "scipy dijkstra, search alone": lambda: dijkstra(graph, indices=source),
         "energy field": lambda: field_from(lattice, table, start),
         "A* corner to corner": lambda: grid_search(lattice, table, start, goal),
-        "A* with landmarks, corner to corner": lambda: grid_search(lattice, table, start, goal, landmarks=landmarks),
         "10 A* between random places": lambda: [grid_search(lattice, table, *pair) for pair in pairs],
-        "10 A* with landmarks, random places": lambda: [
-            grid_search(lattice, table, *pair, landmarks=landmarks) for pair in pairs
-        ],
         "a further start to the same goal": lambda: towards.path_from(start),
     }
     peer, *mine = raced(works).items()
     rows.append((f"{peer[0]}, {name}", peer[1][0], "", None))
     rows += [(f"{stage}, {name}", took, peer[0], ratio) for stage, (took, ratio) in mine]
-    rows.append(
-        (f"making 4 landmarks, once per map, {name}", seconds(lambda: make_landmarks(table), repeats=1), "", None)
-    )
-    expanded = [
-        grid_search(lattice, table, start, goal, planner=planner, landmarks=marks).expanded
-        for planner, marks in (("dijkstra", None), ("astar", None), ("astar", landmarks))
-    ]
-    words = "states settled by Dijkstra {:,}, A* {:,}, A* with landmarks {:,}".format(*expanded)
+    expanded = [grid_search(lattice, table, start, goal, planner=name).expanded for name in ("dijkstra", "astar")]
+    words = "states settled by Dijkstra {:,}, A* {:,}".format(*expanded)
     rows.append((f"{words}, {name}", np.nan, "", None))
     if neighbours == 16:
         turning = replace(lattice, robot=replace(lattice.robot, turn_j_per_rad=TURN_J_PER_RAD))

@@ -17,7 +17,7 @@ from joulemap.service.jobs.costmaps import make
 from joulemap.service.work.tiles import MapOrder
 from tests.bench.maps import ROBOT, terrain
 from tests.bench.timing import Row
-from tests.service.test_restart import free_port
+from tests.service.clusters import free_port
 
 CELLS = 2304
 WORKERS = (1, 2)

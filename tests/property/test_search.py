@@ -12,7 +12,6 @@ from joulemap.model.errors import BlockedError, NegativeCycleError, NoRouteError
 from joulemap.planner.edges import path_price
 from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.graph import lattice_graph
-from joulemap.planner.landmarks import make_landmarks
 from joulemap.planner.moves import move_table
 from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
@@ -68,8 +67,6 @@ def test_astar_equals_dijkstra_equals_networkx(seed, neighbours, regeneration, t
     assert found.energy_j == pytest.approx(slow, rel=1e-6, abs=1e-4)
     other = grid_search(lattice, table, start.astype(float), goal.astype(float), planner="dijkstra")
     assert other.energy_j == pytest.approx(found.energy_j, rel=1e-9, abs=1e-6)
-    guided = grid_search(lattice, table, start.astype(float), goal.astype(float), landmarks=make_landmarks(table))
-    assert guided.energy_j == pytest.approx(found.energy_j, rel=1e-9, abs=1e-6)
     assert path_price(lattice, found.points) == pytest.approx(found.energy_j, rel=1e-6, abs=1e-3)
     refined = refine_path(lattice, found.points)
     assert path_price(lattice, refined) <= path_price(lattice, found.points) + 1e-9

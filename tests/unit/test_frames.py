@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from joulemap.model.errors import HeightmapError, PointError
-from joulemap.model.frames import GridFrame, heading_bins, heading_of, heading_of_step, heading_vector, wrap_angle
+from joulemap.model.frames import GridFrame, heading_bins, heading_of, heading_vector, wrap_angle
 
 finite = st.floats(-1e6, 1e6)
 headings = st.floats(-20.0, 20.0)
@@ -30,11 +30,6 @@ def test_compass_points_move_as_on_a_map() -> None:
 
 def test_bins_start_north_and_go_clockwise() -> None:
     np.testing.assert_allclose(np.rad2deg(heading_bins(8)), [0, 45, 90, 135, 180, 225, 270, 315])
-
-
-@pytest.mark.parametrize(("drow", "dcol", "degrees"), [(-1, 0, 0), (0, 1, 90), (1, 0, 180), (0, -1, -90), (-1, 1, 45)])
-def test_raster_steps(drow: int, dcol: int, degrees: float) -> None:
-    assert math.degrees(heading_of_step(drow, dcol)) == pytest.approx(degrees)
 
 
 @given(headings)

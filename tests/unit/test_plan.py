@@ -50,15 +50,6 @@ def test_a_sampling_planner_started_from_the_grid_is_no_dearer_than_it_and_repor
     assert energies == sorted(energies, reverse=True)
 
 
-def test_a_planner_prepared_with_landmarks_answers_the_same_with_less_search():
-    lattice = plane_lattice(60, 60, 0.05, 0.1, robot=Robot())
-    bare, prepared = RoutePlanner(lattice), RoutePlanner(lattice)
-    prepared.prepare(landmarks=True)
-    slow, fast = (planner.plan((20.3, 11.2), (50.1, 40.9)) for planner in (bare, prepared))
-    assert fast.details["grid_energy_j"] == pytest.approx(slow.details["grid_energy_j"], rel=1e-12)
-    assert fast.details["expanded"] <= slow.details["expanded"]
-
-
 def test_what_cannot_be_asked_is_refused_by_name():
     lattice, at = ascii_lattice(ROOM)
     planner = RoutePlanner(lattice)

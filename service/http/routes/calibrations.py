@@ -71,7 +71,8 @@ def get_calibration(calibration_id: str, service: ServiceDep) -> CalibrationOut:
 def get_report(calibration_id: str, service: ServiceDep) -> HTMLResponse:
     """The report with its figures, in one file that loads nothing else."""
     row = service.done_calibration(calibration_id)
-    return HTMLResponse((service.store.calibration_folder(row.id) / PAGE).read_bytes())
+    folder = service.store.here(service.store.calibration_folder(row.id))
+    return HTMLResponse((folder / PAGE).read_bytes())
 
 
 @router.delete("/{calibration_id}", status_code=204, responses=problems(404, 409))

@@ -52,7 +52,7 @@ async def get_data(
     """The whole cost map as a file."""
     await run_sync(service.done_costmap, costmap_id)
     if format == "zarr":
-        folder = service.store.lattice_path(costmap_id)
+        folder = await run_sync(service.store.here, service.store.lattice_path(costmap_id))
         return _file(zip_folder(folder), "application/zip", f"{costmap_id}.zarr.zip")
 
     def _export() -> Response:
