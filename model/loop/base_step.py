@@ -14,7 +14,7 @@ from joulemap.model.loop.forms import NOT_OF_SLOPE
 from joulemap.model.loop.forms.base_parameters import SCALE, BaseParameters, with_base_parameters
 from joulemap.model.loop.residuals import Residuals
 from joulemap.model.loop.terms import Term
-from joulemap.model.loop.variation import HUBER
+from joulemap.model.loop.variation import HUBER, spread_of
 
 FloatArray = NDArray[np.float64]
 
@@ -23,6 +23,8 @@ _MOST_LOST = 0.6
 an efficiency of 40 %, about that of a small gear motor."""
 _STEEPEST = 0.3
 """Largest tangent on which a robot coasts beyond the declared one: sand (Wong 2008, table 4.1)."""
+_ROUNDS = 6
+_ROUNDING = 1e-9
 
 
 def drives_of(residuals: Residuals) -> Drives:
@@ -36,43 +38,51 @@ def drives_of(residuals: Residuals) -> Drives:
     Returns
     -------
     Drives
-        With the largest likelihood of the base parameters beside effects that say nothing of the slope, with Huber's
-        density and a scale in proportion to the energy. As declared where the Bayesian information criterion says so.
+        With the largest posterior density: the likelihood of the base parameters beside effects that say nothing of the
+        slope and beside levels of the runs, with Huber's density; and a normal prior around the declared rolling
+        resistance, as wide as that is large, which decides where no run coasts.
 
     Notes
     -----
-    A point that the runs show but the model lacks bends the prediction, and the bend looks like an effect of the square
-    of the force. The criterion is that of a prior worth one row, as of every coefficient (Kass & Wasserman 1995).
+    A point that is not found bends the prediction, and the bend looks like an effect of the square of the force.
+    Levels are shares of the prediction with the point that is tried: shares of another would know that one too.
     """
-    scale = np.maximum(np.abs(residuals.said), float(np.median(np.abs(residuals.measured))))
-    levels = [(residuals.unit == u) * np.maximum(residuals.said, 0.0) for u in np.unique(residuals.unit)]
+    declared, width = residuals.features.drives, max(residuals.features.robot.rolling_resistance, _ROUNDING)
 
-    def _rest(drives: Drives) -> FloatArray:
+    def _rest(drives: Drives, scale: FloatArray, limit: float | None = None) -> tuple[FloatArray, FloatArray]:
         moved = residuals.driven_by(drives)
         forms = (next(kind.variants(moved.features), None) for kind in NOT_OF_SLOPE)
         others = [form.columns(moved.features) for form in forms if form is not None]
+        rows = moved.features
+        of_run = np.stack([np.maximum(rows.predicted, 0.0), rows.weight_length * rows.pulling], axis=1)
+        levels = [(moved.unit == u)[:, None] * of_run for u in np.unique(moved.unit)]
         base = BaseParameters.of(charge=moved.charge, motors=moved.motors)
-        x = np.column_stack([base.columns(moved.features), *others, *levels]) / scale[:, None]
+        x = np.column_stack([base.columns(rows), *others, *levels]) / scale[:, None]
+        x /= np.maximum(np.sqrt((x**2).mean(axis=0)), _ROUNDING)
         z = (moved.measured - moved.said) / scale
-        return np.abs(z - x @ np.linalg.solve(x.T @ x + 1e-9 * len(z) * np.eye(x.shape[1]), x.T @ z))
+        weight = np.ones(len(z))
+        for _ in range(_ROUNDS):  # iteratively reweighted least squares
+            normal = (x.T * weight) @ x + _ROUNDING * len(z) * np.eye(x.shape[1])
+            rest = z - x @ np.linalg.solve(normal, x.T @ (weight * z))
+            size = limit or HUBER * 1.4826 * float(np.median(np.abs(rest)))
+            weight = np.minimum(1.0, size / np.maximum(np.abs(rest), _ROUNDING))
+        return rest * scale, weight
 
-    declared = residuals.features.drives
-    limit = max(HUBER * 1.4826 * float(np.median(_rest(declared))), 1e-12)
+    usual = float(np.median(np.abs(residuals.measured)))
+    rest, _ = _rest(declared, np.maximum(np.abs(residuals.said), usual))
+    scale = spread_of(residuals.measured - rest, rest, residuals.moving)
+    noise = 1.4826 * float(np.median(np.abs(_rest(declared, scale)[0] / scale)))
 
-    def _error(drives: Drives) -> float:
-        away = _rest(drives) / limit
-        return float(np.where(away < 1.0, away**2, 2.0 * away - 1.0).sum())
+    def _loss(shift: float) -> float:
+        rest, weight = _rest(replace(declared, coasting_shift=shift), noise * scale, HUBER)
+        away = rest / (noise * scale)
+        return float((weight * (2.0 - weight) * away**2).sum()) + (shift / width) ** 2  # -2 log density
 
     tried = np.linspace(-_MOST_LOST * residuals.features.robot.rolling_resistance, _STEEPEST, 17)
-    k = int(np.argmin([_error(replace(declared, coasting_shift=float(shift))) for shift in tried]))
-    found = minimize_scalar(
-        lambda shift: _error(replace(declared, coasting_shift=float(shift))),
-        bounds=(tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]),
-        method="bounded",
-        options={"xatol": 1e-3},
-    )
-    ratio = HUBER**2 * (_error(declared) - float(found.fun))  # minus two log likelihoods
-    return replace(declared, coasting_shift=float(found.x)) if ratio > np.log(len(scale)) else declared
+    k = int(np.argmin([_loss(float(shift)) for shift in tried]))
+    bounds = (tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)])
+    found = minimize_scalar(_loss, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    return replace(declared, coasting_shift=float(found.x))
 
 
 def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:

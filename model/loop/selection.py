@@ -142,9 +142,25 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
             if verdict.p_value > ALPHA or rival.form.name in names or rival.form.name in known:
                 continue
             more = model.left_out(np.append(others, rival.both), tau2) - error
-            if float(more.sum()) <= float(more.std(ddof=1)) * np.sqrt(more.size):
+            if within_one_error(more):
                 out.setdefault(effect.form.name, []).append(rival.form.name)
     return out
+
+
+def within_one_error(gains: FloatArray) -> bool:
+    """Return whether a difference is within one standard error of none.
+
+    Parameters
+    ----------
+    gains : ndarray of float, (units,)
+        By unit.
+
+    Returns
+    -------
+    bool
+        Whether their sum is at most the standard error of the sum.
+    """
+    return float(gains.sum()) <= float(gains.std(ddof=1)) * np.sqrt(gains.size)
 
 
 def select(design: Design, *, progress: Callable[[float], None] | None = None) -> Selection:
@@ -236,12 +252,12 @@ def _verdict(
     both = np.append(beside, tested)
     without = model.left_out(now, tau2)
     gains = without - model.left_out(both, tau2)
-    total, gain = float(gains.sum()), float(gains.sum()) / max(float(without.sum()), 1e-12)
+    gain = float(gains.sum()) / max(float(without.sum()), 1e-12)
     if whole:  # a level hides what an effect explains of it
         error = float(model.left_out(now, tau2, whole=True).sum())
         gain = max(gain, 1.0 - float(model.left_out(both, tau2, whole=True).sum()) / max(error, 1e-12))
     why_not = ""
-    if total <= float(gains.std(ddof=1)) * np.sqrt(gains.size):
+    if within_one_error(gains):
         why_not = "its gain on left-out runs is within one standard error of none"
     elif gain < LEAST_GAIN and not replaced:
         why_not = f"it explains less than {LEAST_GAIN:.0%} of the error on left-out runs"
@@ -282,12 +298,7 @@ def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Cand
     if not able:
         return None
     top = verdicts[max(able, key=lambda k: verdicts[k].gain)]
-
-    def near(k: int) -> bool:
-        less = top.gains - verdicts[k].gains
-        return float(less.sum()) <= float(less.std(ddof=1)) * np.sqrt(less.size)
-
-    close = [k for k in able if near(k)]
+    close = [k for k in able if within_one_error(top.gains - verdicts[k].gains)]
 
     def _complexity(k: int) -> tuple[bool, int]:
         unnamed, count = design.candidates[k].complexity

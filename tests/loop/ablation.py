@@ -1,4 +1,4 @@
-"""Which rules of the calibration pay? Each is taken away in turn: `python -m tests.loop.ablation --seeds 1 --nulls 22`.
+"""Which rules of the calibration pay? Each is taken away in turn: `python -m tests.loop.ablation`.
 
 The cases are those of `tests.loop.blind` and `tests.loop.nulls`, whose sites, robots, drives and effects share no
 formula with the calibration. A rule stays if taking it away costs right answers, adds wrong ones, names something where
@@ -17,12 +17,17 @@ from unittest.mock import patch
 
 import numpy as np
 
+from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.loop import base_step, design, mixed_model, selection, variation
+from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.loop.residuals import Residuals
+from joulemap.model.loop.residuals_of_runs import residuals_on
 from tests.loop import blind, nulls
-from tests.loop.calibrator import joulemap
+from tests.loop.calibrator import answer_of, segments_of
 from tests.loop.document import wrapped
 from tests.loop.generators.case import make_case
 from tests.loop.generators.hidden import KINDS, PAIRS, drawn_effects
+from tests.loop.generators.logs import Log
 from tests.loop.parallel import Row, rows_of
 
 
@@ -58,6 +63,7 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "Huber's weights": lambda: patch.object(variation, "HUBER", 1e9),
     "serial correlation": lambda: patch.object(variation, "_correlated", _white),
     "the variation around the largest model": lambda: patch.object(selection, "_largest", lambda columns: []),
+    "the prior of what differs between runs": lambda: patch.object(mixed_model, "RUN_SPREAD", 1e6),
     "tests inside runs": lambda: patch.object(
         mixed_model.MixedModel, "test_within", lambda *_given: mixed_model._NO_TEST
     ),
@@ -65,7 +71,10 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
         mixed_model.MixedModel, "test_between", lambda *_given: mixed_model._NO_TEST
     ),
     "the least gain on left-out runs": lambda: patch.object(selection, "LEAST_GAIN", 0.0),
-    "the one-standard-error rule": lambda: patch.object(selection, "_simplest", _largest_gain),
+    "the standard error of a gain": lambda: patch.object(
+        selection, "within_one_error", lambda gains: gains.sum() <= 0.0
+    ),
+    "the simplest within one standard error": lambda: patch.object(selection, "_simplest", _largest_gain),
     "forms with a name first": _together,
     "structure without a name": lambda: patch.object(design, "UNNAMED", ()),
     "limits of sign and size": lambda: patch.object(selection, "_physical", lambda *_given: True),
@@ -74,24 +83,35 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
 
 
 def try_without(key: str) -> Row:
-    """One case under every rule: "blind|kinds:number:seed" or "null|cell:number:seed:declared"."""
+    """One case under every rule: "blind|kinds:number:seed:runs", with so many baseline runs, or
+    "null|cell:number:seed:declared".
+    """
     group, case_key = key.split("|")
-    name, number, seed, *declared = case_key.split(":")
+    name, number, seed, rest = case_key.split(":")
     if group == "null":
-        case = make_case(nulls.config_of(name, int(number), *declared), int(seed))
+        case = make_case(nulls.config_of(name, int(number), rest), int(seed))
     else:
-        case = make_case(blind.config_of(int(number)), int(seed), drawn_effects(name, int(seed)))
+        config = replace(blind.config_of(int(number)), base_runs=int(rest), other_runs=0)
+        case = make_case(config, int(seed), drawn_effects(name, int(seed)))
+
+    def _rows(logs: Sequence[Log]) -> tuple[Residuals, dict[str, Any]]:
+        segments = segments_of(logs, case.declared)
+        return residuals_on(PhysicsPredictor(), case.new.site.heightmap, case.declared, segments)[:2]
+
+    measured, electric = _rows(case.new.logs)
+    base = _rows(case.base)[0] if case.base else None
+    further = _rows(case.test.logs)[0] if case.test.logs else None
     out: Row = {}
     for rule, without in RULES.items():
         with without():
-            found = joulemap(case.new.site, case.declared, case.new.logs, case.base)
-        right = [[effect.is_named_by(answer.words) for effect in case.effects] for answer in found.answers]
+            found = calibrate(measured, electric=electric, base=base, cross_validate=False)
+        right = [[effect.is_named_by(answer_of(e).words) for effect in case.effects] for e in found.effects]
         out[rule] = {
-            "named": [answer.name for answer in found.answers],
+            "named": [effect.term.form.name for effect in found.effects],
             "first": bool(right) and any(right[0]),
             "all": all(any(of_answer[k] for of_answer in right) for k in range(len(case.effects))),
             "wrong": any(not any(of_answer) for of_answer in right),
-            "after": found.error_on(case.test.site, case.test.logs) if group == "blind" else None,
+            "after": None if further is None else found.errors_on(further)["after"]["mean_relative"],
         }
     return {"rules": out, "said": ", ".join(out["nothing"]["named"]) or "nothing"}
 
@@ -117,23 +137,30 @@ def table_of(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def _on_hills(key: str) -> bool:
+    """Whether a null case is hilly: every second one, where a cell has both kinds of ground."""
+    return int(key.split(":")[1]) % 2 == 1
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.loop.ablation", description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=1, help="cases of each hidden effect [default: 1]")
-    parser.add_argument("--nulls", type=int, default=22, help="cases without an effect [default: 22]")
+    parser.add_argument("--nulls", type=int, default=1, help="cases of each hilly cell without an effect [default: 1]")
+    parser.add_argument("--base", type=int, default=0, help="baseline runs; 0 takes an eighth of the time [default: 0]")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--kept", type=Path, help="file of finished cases, to continue")
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the table with its command")
     options = parser.parse_args(arguments)
     keys = [
-        f"blind|{name}:{k}:{blind.seed_of(name, options.first_seed + k)}"
+        f"blind|{name}:{k}:{blind.seed_of(name, options.first_seed + k)}:{options.base}"
         for k in range(options.seeds)
         for name in (*KINDS, *PAIRS)
     ]
-    cells = nulls.cells()[:: max(1, len(nulls.cells()) // max(options.nulls, 1))][: options.nulls]
-    keys += [f"null|{key}" for key in nulls.keys_of(cells, 1, options.first_seed, "mixed")]
+    cells = [cell for cell in nulls.cells() if ("nobase" in cell) == (options.base == 0) and "flat" not in cell]
+    seeds = 1000 * options.first_seed
+    keys += [f"null|{key}" for key in nulls.keys_of(cells, 2 * options.nulls, seeds, "mixed") if _on_hills(key)]
     text = table_of(rows_of(try_without, keys, jobs=options.jobs, kept=options.kept))
     print(text)
     if options.write is not None:

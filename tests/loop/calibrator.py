@@ -114,7 +114,7 @@ class _Found:
 
     @property
     def answers(self) -> tuple[Answer, ...]:
-        return tuple(_answer(effect) for effect in self.found.effects)
+        return tuple(answer_of(effect) for effect in self.found.effects)
 
     @property
     def stated(self) -> float:
@@ -153,7 +153,8 @@ def joulemap(
     return _Found(calibrate(measured, electric=electric, base=before, cross_validate=cross_validate), robot, site)
 
 
-def _answer(effect: Effect) -> Answer:
+def answer_of(effect: Effect) -> Answer:
+    """What a calibration says of an effect."""
     term = effect.term
     stated = tuple(
         Stated(float(value), float(low), float(high), unit)
