@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -118,6 +118,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     compared = not new.all()
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
     parameters = base.columns(rows)
+    coverage = _coverage(residuals, parameters, new) if compared else None
     blocks, candidates, count = [parameters], [], len(base.names)
 
     def _add(form: Form, columns: FloatArray, every: FloatArray, shared: IntArray) -> None:
@@ -141,29 +142,35 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
             _add(form, columns, columns, nothing)
         if compared and isinstance(form, CHANGES):
             _add(form, columns * new[:, None], columns, nothing)
-        elif compared:
+        elif coverage is not None:
             form = form.against_baseline()
             columns = form.columns(rows)
-            covered = np.flatnonzero(_covered(residuals, columns, parameters, new))
+            covered = np.flatnonzero(coverage(columns))
             _add(form, columns * new[:, None], columns, covered)
     every = np.concatenate(blocks, axis=1)
     return Design(residuals, new, every, base, tuple(candidates), np.asarray(first.coefficients))
 
 
-def _covered(
-    residuals: Residuals, columns: FloatArray, parameters: FloatArray, new: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Which columns, (k,), the baseline runs say as much about as ten rows of the new runs (Harrell 2015, section 4.4);
-    of the others they say nothing.
+def _coverage(
+    residuals: Residuals, parameters: FloatArray, new: NDArray[np.bool_]
+) -> Callable[[FloatArray], NDArray[np.bool_]]:
+    """How to say which columns, (k,), the baseline runs say as much about as ten rows of the new runs (Harrell 2015,
+    section 4.4); of the others they say nothing.
     """
-    left = []
-    for part in (~new, new):
-        run = residuals.run[part]
-        levels = np.stack([(run == k) * residuals.said[part] for k in np.unique(run)], axis=1)
-        beside = np.concatenate([parameters[part], levels], axis=1)
-        fit = np.linalg.lstsq(beside, columns[part], rcond=None)[0]
-        left.append(((columns[part] - beside @ fit) ** 2).sum(axis=0))
-    return np.asarray(left[0] >= 10.0 * left[1] / max(int(new.sum()), 1))
+    said = residuals.said
+
+    def _basis(part: NDArray[np.bool_]) -> FloatArray:
+        levels = np.stack([(residuals.run[part] == k) * said[part] for k in np.unique(residuals.run[part])], axis=1)
+        left, size, _ = np.linalg.svd(np.concatenate([parameters[part], levels], axis=1), full_matrices=False)
+        return left[:, size > np.finfo(float).eps * len(left) * size[0]]
+
+    bases = [(part, _basis(part)) for part in (~new, new)]
+
+    def _covered(columns: FloatArray) -> NDArray[np.bool_]:
+        left = [((columns[part] - q @ (q.T @ columns[part])) ** 2).sum(axis=0) for part, q in bases]
+        return np.asarray(left[0] >= 10.0 * left[1] / max(int(new.sum()), 1))
+
+    return _covered
 
 
 def fit_model(
