@@ -216,6 +216,8 @@ def _outside(error: BaseException) -> JoulemapError | None:
         return BusyError("the database does not answer", retry_after_s=_RETRY_S)
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return StorageFullError("the disk is full: nothing more can be kept")
+    if isinstance(error, OSError) and error.errno == errno.EHOSTUNREACH:
+        return BusyError(str(error.strerror), retry_after_s=_RETRY_S)
     return None
 
 

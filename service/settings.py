@@ -23,6 +23,12 @@ class Settings(BaseSettings):
         default=Path("data"), description="folder of everything that is kept: a path or a file:// URL"
     )
     database_url: str | None = Field(default=None, description="SQLAlchemy URL; default: SQLite in the data directory")
+    store: str | None = Field(
+        default=None,
+        pattern=r"^[a-z][a-z0-9+.-]*://.+$",
+        description="URL of an object store in which everything is kept, `s3://BUCKET/PREFIX`; the data folder has "
+        "copies then; default: the data folder",
+    )
     models_dir: Path | None = Field(default=None, description="folder of trained models; default: `models` in data_dir")
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="port to listen on")
@@ -118,7 +124,7 @@ class Settings(BaseSettings):
         if not colon or len(scheme) < 2:
             return Path(value)
         if scheme != "file":
-            raise ValueError(f"data is kept in a folder: give its path or a file:// URL, not {scheme}:")
+            raise ValueError(f"this is a folder: give its path or a file:// URL, and {scheme}: as JOULEMAP_STORE")
         return Path(unquote(rest if not rest.startswith("//") else "/" + rest.lstrip("/")))
 
     @property

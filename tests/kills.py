@@ -23,8 +23,9 @@ import httpx
 
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.storage.store import Store
+from tests.service.clusters import free_port
 from tests.service.preload import disturb, disturbed
-from tests.service.test_restart import SERVE, free_port, workers_of
+from tests.service.test_restart import SERVE, workers_of
 from tests.service.workers import ROOT, asked, fingerprint, made_here, postgres_server, rolling
 
 TILE_CELLS, PAUSE_S = 48, 0.05

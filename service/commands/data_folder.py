@@ -56,7 +56,7 @@ def opened_store(settings: Settings, *, alone: bool = False) -> Iterator[Store]:
 
     from joulemap.service.storage.store import Store
 
-    store = Store(settings.data_dir, settings.resolved_database_url)
+    store = Store(settings.data_dir, settings.resolved_database_url, objects=settings.store)
     try:
         store.open(as_service=alone, alone=alone)
         yield store

@@ -13,6 +13,7 @@ from joulemap.model.robot import Robot
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import named_test_runs
 from joulemap.service.work.calibrations import calibrate
+from joulemap.service.work.vaulted import calibrate as calibrate_vaulted
 
 if TYPE_CHECKING:  # which takes half a second to load
     from distributed import Client
@@ -66,7 +67,9 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
     }
 
 
-async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> AsyncGenerator[float | dict[str, Any]]:
+async def make(
+    client: Client, order: Mapping[str, Any], *, priority: float, vaulted: Mapping[str, Any] | None = None
+) -> AsyncGenerator[float | dict[str, Any]]:
     """Calibrate on a cluster.
 
     Parameters
@@ -77,6 +80,8 @@ async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> 
         As of `order_of`.
     priority : float
         Tasks with a higher one come first.
+    vaulted : mapping, optional
+        Object store and data folder, as `work.vaulted.calibrate` takes them, where workers share no file system.
 
     Yields
     ------
@@ -95,7 +100,8 @@ async def make(client: Client, order: Mapping[str, Any], *, priority: float) -> 
         share = event[1]
 
     client.subscribe_topic(topic, _take)
-    task = client.submit(calibrate, dict(order), topic, key=order["id"], priority=priority)
+    work, more = (calibrate, {}) if vaulted is None else (calibrate_vaulted, dict(vaulted))
+    task = client.submit(work, dict(order), topic, key=order["id"], priority=priority, **more)
     ended = asyncio.ensure_future(task)
     try:
         while not (await asyncio.wait([ended], timeout=_LOOK_S))[0]:

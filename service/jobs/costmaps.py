@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.service.storage.store import Store
-from joulemap.service.work.tiles import MapOrder, build, finish, lay_out
+from joulemap.service.storage.vault import ObjectVault
+from joulemap.service.work import tiles, vaulted
+from joulemap.service.work.tiles import MapOrder
+from joulemap.service.work.vaulted import VaultedOrder
 
 if TYPE_CHECKING:  # which takes half a second to load
     from distributed import Client
 
 
-def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder:
+def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | VaultedOrder:
     """Return what a worker is told of a cost map.
 
     Parameters
@@ -27,12 +31,12 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder:
 
     Returns
     -------
-    MapOrder
+    MapOrder or VaultedOrder
         With places that do not depend on where a worker runs.
     """
     row = store.costmap(costmap_id)
     asked = row.request
-    return MapOrder(
+    order = MapOrder(
         place=store.lattice_path(row.id).resolve(),
         heightmap=store.heightmap_path(row.heightmap_id).resolve(),
         reading={"filename": store.heightmap(row.heightmap_id).name},
@@ -43,10 +47,13 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder:
         models_dir=models_dir,
         finished=tuple(store.lattice_path(found).resolve() for found in store.alike(row)),
     )
+    if isinstance(store.vault, ObjectVault):  # what other machines have finished is no file here
+        return VaultedOrder(store.vault.url, store.folder.resolve(), replace(order, finished=()))
+    return order
 
 
 async def make(
-    client: Client, order: MapOrder, *, key: str, priority: float = 0.0
+    client: Client, order: MapOrder | VaultedOrder, *, key: str, priority: float = 0.0
 ) -> AsyncGenerator[float | dict[str, Any]]:
     """Make a cost map on a cluster.
 
@@ -54,7 +61,7 @@ async def make(
     ----------
     client : Client
         Of the cluster, in the loop that runs.
-    order : MapOrder
+    order : MapOrder or VaultedOrder
         What is to be made.
     key : str
         Beginning of the keys of its tasks. A task that two clients ask for is done once.
@@ -68,12 +75,14 @@ async def make(
     """
     from distributed import as_completed
 
+    work: Any = vaulted if isinstance(order, VaultedOrder) else tiles
+
     def _submit(function: Any, *arguments: Any, name: str | tuple[str, int]) -> Any:
         return client.submit(function, order, *arguments, key=name, priority=priority)
 
-    count, missing = await _submit(lay_out, name=f"{key}-layout")
+    count, missing = await _submit(work.lay_out, name=f"{key}-layout")
     yield (count - len(missing)) / (count + 1)
-    building = [_submit(build, number, name=(f"{key}-tile", number)) for number in missing]
+    building = [_submit(work.build, number, name=(f"{key}-tile", number)) for number in missing]
     try:
         left = len(missing)
         async for tile in as_completed(building, loop=client.loop):
@@ -81,7 +90,7 @@ async def make(
             tile.release()
             left -= 1
             yield (count - left) / (count + 1)
-        yield await _submit(finish, name=f"{key}-finish")
+        yield await _submit(work.finish, name=f"{key}-finish")
     finally:
         for tile in building:
             tile.release()

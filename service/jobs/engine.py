@@ -24,6 +24,7 @@ from joulemap.service.problems import problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import CALIBRATION, COSTMAP, WORDS, kind_of
+from joulemap.service.storage.vault import ObjectVault
 from joulemap.service.work.calibrations import Refused
 
 if TYPE_CHECKING:  # which takes half a second to load
@@ -34,7 +35,7 @@ _LOOK_S = 2.0  # between looks for what another service added, deleted or left b
 _REPORT_S = 0.5  # between reports of the progress of a job
 _STOP_S = 6.0  # until the cluster has stopped; its processes end with this one in any case
 _TRIES = 3  # of a job that ends with an error of ours
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+_LATER = (errno.ENOSPC, errno.EDQUOT, errno.EHOSTUNREACH)  # a full disk, an object store that does not answer
 
 
 class Jobs:
@@ -182,7 +183,9 @@ class Jobs:
         models_dir = self._settings.resolved_models_dir.resolve()
         if kind_of(job_id) == CALIBRATION:
             told = await asyncio.to_thread(calibrations.order_of, self._store, job_id, models_dir)
-            return calibrations.make(client, told, priority=priority)
+            vault, folder = self._store.vault, self._store.folder.resolve()
+            vaulted = {"url": vault.url, "folder": folder} if isinstance(vault, ObjectVault) else None
+            return calibrations.make(client, told, priority=priority, vaulted=vaulted)
         order = await asyncio.to_thread(costmaps.order_of, self._store, job_id, models_dir)
         return costmaps.make(client, order, key=job_id, priority=priority)
 
@@ -200,7 +203,7 @@ class Jobs:
 
     def _failed(self, job_id: str, error: Exception, *, lost: bool) -> None:
         """Leave a job for the next look where it is not its fault. lost : whether the scheduler was."""
-        if lost or isinstance(error, (OperationalError, CancelledError)) or getattr(error, "errno", None) in _FULL:
+        if lost or isinstance(error, (OperationalError, CancelledError)) or getattr(error, "errno", None) in _LATER:
             _LOG.warning("job %s waits and is tried again: %s", job_id, error)
             return
         problem = error.problem if isinstance(error, Refused) else problem_of(error, job_id)

@@ -14,7 +14,7 @@ import os
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -82,6 +82,8 @@ def back_up(
             gone = set()
             for number, (table, row_id, source, place) in enumerate(wanted):
                 try:
+                    with suppress(FileNotFoundError):  # it is told below
+                        store.vault.fetch(place, source)
                     found = _copy_all(source, partial, place)
                     deleted = table is not None and not _is_there(store, table, row_id)
                 except FileNotFoundError:
@@ -166,6 +168,9 @@ def restore(
             raise InputError(f"{source / place} changed while it was read: it is damaged", file=place)
         progress((number + 1) / len(files))
     copied = create_engine(f"sqlite:///{source / DATABASE}")
+    with Session(copied) as session:
+        for _, _, place, key in _rows(session, store, models_dir):
+            store.vault.put(key, place)
     with copied.connect() as here, store.engine.begin() as there:  # last: what has a row has its files
         _copy_rows(here, there)
     copied.dispose()

@@ -29,12 +29,14 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     RunsRow,
 )
+from joulemap.service.storage.vault import ObjectVault
 
 REMOVED = "removed"
 """Folder of the data directory into which a repair moves what belongs to nothing; nothing reads it."""
 
 LEFT_BY_KILLED = "left by a process that was killed"
 _TABLES: tuple[Any, ...] = (HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
+_SENDING = dt.timedelta(days=1)  # longer than sending anything takes
 _FOLDERS = {HeightmapRow: "heightmaps", RunsRow: "runs", CostmapRow: "costmaps", CalibrationRow: "calibrations"}
 
 
@@ -187,7 +189,9 @@ class Check:
         except (JoulemapError, OSError, ValueError) as error:
             wrong = f"{place.relative_to(self._dir)}: {_short(error)}"
         else:
-            if row.bytes is not None and size < row.bytes:
+            if self._store.vault.size(str(place.relative_to(self._dir)), place) == 0:
+                wrong = f"{place.relative_to(self._dir)} is not in the object store"
+            elif row.bytes is not None and size < row.bytes:
                 wrong = f"{place.relative_to(self._dir)} has {size} bytes, {row.bytes} were kept"
         if wrong is not None:
             if table in (CostmapRow, CalibrationRow):
@@ -210,6 +214,7 @@ class Check:
         else:
             json.loads((place / "report.json").read_text(encoding="utf-8"))
             model = self._models / row.id
+            self._store.model_here(row.id, self._models)
             if not model.is_dir() or not any(model.iterdir()):
                 raise FileNotFoundError(f"its model is not in {self._models}")
         return bytes_of(place)
@@ -227,6 +232,22 @@ class Check:
             for path in sorted(self._models.glob(f"{CALIBRATION}-*")):
                 if path.name not in known:
                     yield self._orphan(path, f"models/{path.name}")
+        yield from self._strange_objects(known)
+
+    def _strange_objects(self, known: set[str]) -> Iterator[Finding]:
+        """Objects that belong to no row; other services may be sending those of the last day."""
+        vault = self._store.vault
+        if not isinstance(vault, ObjectVault):
+            return
+        found = set()
+        for name in vault.names("", before=dt.datetime.now(dt.UTC) - _SENDING):
+            kind, _, rest = name.removeprefix("records/").partition("/")
+            owner = rest.split("/")[0].removesuffix(".json")
+            if owner.partition(".")[0] not in known:
+                found.add(f"{kind}/{owner}")
+        for key in sorted(found):
+            words = "it belongs to no row"
+            yield Finding("orphan", f"object {key}", words, "delete it", partial(vault.remove, key))
 
     def _orphan(self, path: Path, what: str) -> Finding:
         return Finding(
@@ -267,13 +288,14 @@ class Check:
         shutil.move(path, place)
 
     def _place(self, table: Any, row_id: str) -> Path:
-        if table is HeightmapRow:
-            return self._store.heightmap_path(row_id)
-        if table is RunsRow:
-            return self._store.runs_folder(row_id)
-        if table is CostmapRow:
-            return self._store.lattice_path(row_id)
-        return self._store.calibration_folder(row_id)
+        """Where the files of a row are, once what is kept elsewhere is there."""
+        places = {
+            HeightmapRow: self._store.heightmap_path,
+            RunsRow: self._store.runs_folder,
+            CostmapRow: self._store.lattice_path,
+            CalibrationRow: self._store.calibration_folder,
+        }
+        return self._store.here(places[table](row_id))
 
 
 _ASKED_AGAIN: dict[str, Any] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import datetime as dt
+import logging
 import re
 import secrets
 import shutil
@@ -50,10 +51,14 @@ from joulemap.service.storage.tables import (
     kind_of,
     named_test_runs,
 )
+from joulemap.service.storage.vault import vault_of
 
 Row = TypeVar("Row", bound=Base)
 
+_LOG = logging.getLogger("joulemap.service")
+
 _TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
+_CONNECT_S = 5  # until a PostgreSQL that does not answer is given up; libpq waits for minutes
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -68,10 +73,13 @@ class Store:
         Folder of all files.
     database_url : str
         SQLAlchemy URL.
+    objects : str, optional
+        URL of an object store in which everything is kept; the folder has copies then.
     """
 
-    def __init__(self, data_dir: Path, database_url: str) -> None:
+    def __init__(self, data_dir: Path, database_url: str, *, objects: str | None = None) -> None:
         self._dir = data_dir
+        self.vault = vault_of(objects)
         self._url = database_url
         self._engine: Engine | None = None
         self._folder = DataFolder(data_dir)
@@ -113,7 +121,8 @@ class Store:
         self._folder.make()
         if as_service:
             self._folder.use(alone=alone)
-        self._engine = create_engine(self._url, pool_pre_ping=True, json_serializer=dumps)
+        timeout = {"connect_timeout": _CONNECT_S} if self._url.startswith("postgresql") else {}
+        self._engine = create_engine(self._url, pool_pre_ping=True, json_serializer=dumps, connect_args=timeout)
         if self._engine.dialect.name == "sqlite":
             event.listen(self._engine, "connect", _set_up_sqlite)
         with self._engine.begin() as connection:
@@ -132,6 +141,11 @@ class Store:
         """The database of an open store."""
         assert self._engine is not None
         return self._engine
+
+    @property
+    def folder(self) -> Path:
+        """The data folder."""
+        return self._dir
 
     @property
     def sessions(self) -> sessionmaker[Session]:
@@ -168,8 +182,79 @@ class Store:
         finally:
             path.unlink(missing_ok=True)
 
-    def _keep(self, row: Any, size: int, files: tuple[Path, Path] | None = None) -> None:
-        """Add a row with its owner, and move its files into place with it. files : where they are, and their place.
+    def here(self, place: Path) -> Path:
+        """Have a file or a folder that is kept in the data folder.
+
+        Parameters
+        ----------
+        place : Path
+            As `heightmap_path`, `lattice_path`, `runs_folder` or `calibration_folder` say it.
+
+        Returns
+        -------
+        Path
+            The same; what is not kept is not there.
+
+        Raises
+        ------
+        OSError
+            If the object store does not answer.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            self.vault.fetch(self._key(place), place)
+        return place
+
+    def model_here(self, model: str, models_dir: Path) -> None:
+        """Have the model of a calibration in the folder of models; others are there or not.
+
+        Parameters
+        ----------
+        model : str
+            Its name.
+        models_dir : Path
+            Folder of trained models.
+
+        Raises
+        ------
+        OSError
+            If the object store does not answer.
+        """
+        if model.startswith(f"{CALIBRATION}-"):
+            with contextlib.suppress(FileNotFoundError):
+                self.vault.fetch(f"models/{model}", models_dir / model)
+
+    def _key(self, place: Path) -> str:
+        """What the vault calls a place in the data folder."""
+        return place.relative_to(self._dir).as_posix()
+
+    def _forget(self, place: Path) -> None:
+        """Keep a file or a folder no longer. What the object store does not remove now, `joulemap check` finds."""
+        try:
+            self.vault.remove(self._key(place))
+        except OSError as error:
+            _LOG.warning("%s is left in the object store: %s", self._key(place), error)
+        if place.is_dir():
+            shutil.rmtree(place, ignore_errors=True)
+        else:
+            place.unlink(missing_ok=True)
+
+    def _keep_with(self, row: Any, begun: Path, place: Path) -> None:
+        """Keep files, then add their row, so that no row is ever without its files.
+        Raises StorageFullError if the owner would keep too much.
+        """
+        size = bytes_of(begun)
+        with self._sessions() as session:
+            self._caller.check_room(session, size)
+        begun.rename(place)
+        try:
+            self.vault.put(self._key(place), place)
+            self._keep(row, size)
+        except BaseException:
+            self._forget(place)
+            raise
+
+    def _keep(self, row: Any, size: int) -> None:
+        """Add a row with its owner.
         Raises StorageFullError if the owner would keep too much, RateError if a job is one too many.
         """
         caller = self._caller
@@ -182,8 +267,6 @@ class Store:
             session.flush()
             for table, ids in _sources(row):
                 session.execute(update(table).where(table.id.in_(ids)).values(used_at=_now()))
-            if files is not None:
-                files[0].rename(files[1])
 
     # heightmaps
 
@@ -210,7 +293,7 @@ class Store:
                 heightmap.replace(begun)
             else:
                 write_geotiff(begun, heightmap)
-            self._keep(row, bytes_of(begun), (begun, self.heightmap_path(row.id)))
+            self._keep_with(row, begun, self.heightmap_path(row.id))
         return row
 
     def heightmap(self, heightmap_id: str) -> HeightmapRow:
@@ -251,7 +334,8 @@ class Store:
         NotFoundError
             If there is none.
         """
-        return open_ground(self.heightmap_path(heightmap_id), filename=self.heightmap(heightmap_id).name)
+        name = self.heightmap(heightmap_id).name
+        return open_ground(self.here(self.heightmap_path(heightmap_id)), filename=name)
 
     def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
         """Return one page of the heightmaps, newest first.
@@ -304,7 +388,7 @@ class Store:
                 costmap_ids=users[COSTMAP],
                 calibration_ids=users[CALIBRATION],
             ) from error
-        self.heightmap_path(heightmap_id).unlink(missing_ok=True)
+        self._forget(self.heightmap_path(heightmap_id))
 
     # runs
 
@@ -329,7 +413,7 @@ class Store:
         try:
             for name, file in files:
                 shutil.copyfile(file, begun / safe_name(name))
-            self._keep(row, bytes_of(begun), (begun, self.runs_folder(row.id)))
+            self._keep_with(row, begun, self.runs_folder(row.id))
         finally:
             shutil.rmtree(begun, ignore_errors=True)
         return row
@@ -372,7 +456,7 @@ class Store:
         NotFoundError
             If there is none.
         """
-        return sorted(self.runs_folder(self.runs(runs_id).id).iterdir())
+        return sorted(self.here(self.runs_folder(self.runs(runs_id).id)).iterdir())
 
     def all_runs(self, *, limit: int, offset: int) -> tuple[list[RunsRow], int]:
         """Return one page of the uploads of runs, newest first.
@@ -423,7 +507,7 @@ class Store:
                     calibration_ids=users,
                 )
             session.delete(row)
-        shutil.rmtree(self.runs_folder(runs_id), ignore_errors=True)
+        self._forget(self.runs_folder(runs_id))
 
     # jobs: cost maps and calibrations
 
@@ -703,7 +787,8 @@ class Store:
 
     def _end(self, job_id: str, **values: Any) -> bool:
         table = JOBS[kind_of(job_id)]
-        values["bytes"] = bytes_of(self._place(job_id)) if values["status"] == DONE else 0
+        place = self._place(job_id)
+        values["bytes"] = self.vault.size(self._key(place), place) if values["status"] == DONE else 0
         with self._sessions.begin() as session:
             at_work = table.status.in_([QUEUED, RUNNING])
             ended = update(table).where(table.id == job_id, at_work).values(finished_at=_now(), **values)
@@ -722,7 +807,7 @@ class Store:
         CostLattice
             In memory.
         """
-        return load_lattice(self.lattice_path(costmap_id))
+        return load_lattice(self.here(self.lattice_path(costmap_id)))
 
     def delete_costmap(self, costmap_id: str) -> None:
         """Delete a cost map: the row first, so that a job that still makes it stops.
@@ -810,12 +895,18 @@ class Store:
         self._remove_all(job_id)
         if kind_of(job_id) == CALIBRATION:
             shutil.rmtree(models_dir / job_id, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                self.vault.remove(f"models/{job_id}")
 
     def _remove_all(self, job_id: str, but: Path | None = None) -> None:
-        folder = self._place(job_id).parent
+        made = self._place(job_id)
+        folder = made.parent
         for place in (folder / job_id, *folder.glob(f"{job_id}.*")):
             if place != but:
                 shutil.rmtree(place, ignore_errors=True)
+        self._forget(made.with_name(f"{made.name}.tiles"))
+        if made != but:
+            self._forget(made)
 
     def lattice_path(self, costmap_id: str) -> Path:
         """Return the folder of a cost map's lattice.

@@ -14,6 +14,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
 from joulemap.service.settings import Settings
+from tests.service.clusters import shared_scheduler
 
 WEST, NORTH = 500_000.0, 4_000_030.0
 START, GOAL = [WEST + 3.5, NORTH - 15.5], [WEST + 36.5, NORTH - 14.5]
@@ -30,6 +31,9 @@ def hill() -> Heightmap:
 
 
 def settings_for(folder: Path, **values: object) -> Settings:
+    """Settings of a service whose jobs are done by the workers that all tests share, unless `values` say otherwise."""
+    if "workers" not in values:
+        values.setdefault("scheduler", shared_scheduler())
     return Settings(data_dir=folder, warm_models=("physics",), **values)  # type: ignore[arg-type]
 
 

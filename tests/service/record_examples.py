@@ -122,7 +122,7 @@ def shortened(value: Any) -> Any:
 if __name__ == "__main__":
     with (
         tempfile.TemporaryDirectory() as folder,
-        TestClient(create_app(settings_for(Path(folder))), base_url="http://localhost") as app,
+        TestClient(create_app(settings_for(Path(folder), workers=1)), base_url="http://localhost") as app,
     ):
         recorded = record(app)
     FILE.write_text(json.dumps(recorded, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -26,9 +26,10 @@ from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
 from joulemap.service.models import load_model
 from tests.reference.drives import wheel_logs
+from tests.service.clusters import free_port
 from tests.service.conftest import settings_for
 from tests.service.test_bad_input import check_problem
-from tests.service.test_restart import SERVE, answers, free_port, wait_until
+from tests.service.test_restart import SERVE, answers, wait_until
 
 ROBOT = {"mass_kg": 40.0, "rolling_resistance": 0.05, "idle_power_w": 10.0}
 TURN_J = 150.0  # J/rad, which equation 5 does not know

@@ -6,6 +6,7 @@ import contextlib
 import datetime as dt
 import io
 import json
+import os
 import random
 import shutil
 import sqlite3
@@ -507,3 +508,35 @@ def test_a_service_sweeps_by_itself(kept: dict[str, Any], tmp_path: Path) -> Non
             assert time.monotonic() < deadline
             time.sleep(0.1)
         assert client.get("/v1/calibrations").json()["total"] == 1
+
+
+def test_a_copy_is_restored_into_an_object_store(
+    kept: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which is all that is needed: the data folder has nothing but copies."""
+    assert joulemap("backup", tmp_path / "copy", "--data-dir", kept["folder"])[0] == 0
+    monkeypatch.setenv("JOULEMAP_STORE", f"file://{tmp_path / 'objects'}")
+    folder = tmp_path / "data"
+    assert joulemap("restore", tmp_path / "copy", "--data-dir", folder)[0] == 0
+    for name in ("heightmaps", "costmaps", "runs", "calibrations", "models"):
+        shutil.rmtree(folder / name)
+    assert joulemap("check", "--data-dir", folder) == (0, {"findings": [], "left": 0})
+    lattice = Path("costmaps") / f"{kept['costmap']}.zarr"
+    assert fingerprint(folder / lattice) == fingerprint(kept["folder"] / lattice)
+    shutil.rmtree(folder / "heightmaps")
+    assert joulemap("backup", tmp_path / "again", "--data-dir", folder)[0] == 0
+    assert (tmp_path / "again" / "heightmaps" / f"{kept['heightmap']}.tif").read_bytes() == (
+        kept["folder"] / "heightmaps" / f"{kept['heightmap']}.tif"
+    ).read_bytes()
+    (tmp_path / "objects" / "records" / "heightmaps" / f"{kept['heightmap']}.tif.json").unlink()
+    stray = tmp_path / "objects" / "runs" / "runs-999999999999" / "run.csv"
+    stray.parent.mkdir(parents=True)
+    stray.write_text("t,x\n")
+    two_days_ago = time.time() - 2 * 86_400
+    os.utime(stray, (two_days_ago, two_days_ago))
+    code, found = joulemap("check", "--data-dir", folder)
+    assert code == 1
+    assert {(one["kind"], one["what"]) for one in found["findings"]} == {
+        ("damaged", kept["heightmap"]),
+        ("orphan", "object runs/runs-999999999999"),
+    }

@@ -25,7 +25,7 @@ def compiled():
     return {f"{d.py_func.__module__}.{d.py_func.__name__}": sorted(map(str, d.signatures)) for d in own}
 
 folder = tempfile.mkdtemp()
-settings = settings_for(Path(folder)).model_copy(update={"warm_models": ("physics", "default")})
+settings = settings_for(Path(folder), workers=1).model_copy(update={"warm_models": ("physics", "default")})
 with TestClient(create_app(settings)) as client:
     service = client.app.state.service
     while True:

@@ -19,6 +19,7 @@ from fastapi.testclient import TestClient
 from joulemap.model.errors import ConflictError
 from joulemap.service.http.app import create_app
 from joulemap.service.storage.store import Store
+from tests.service.clusters import free_port
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.preload import disturbed
 
@@ -87,14 +88,6 @@ from joulemap.service.settings import Settings
 settings = Settings(data_dir=Path(sys.argv[1]), warm_models=("physics",))
 uvicorn.run(create_app(settings), host="127.0.0.1", port=int(sys.argv[3]), log_level="warning")
 """
-
-
-def free_port() -> int:
-    import socket
-
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
 
 
 @contextmanager

@@ -7,8 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -20,39 +19,13 @@ from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
 from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.store import Store
+from tests.service.clusters import ROOT, cluster, free_port
 from tests.service.conftest import settings_for
 from tests.service.preload import disturbed
-from tests.service.test_restart import ask, free_port, serving, status, wait_until
-from tests.service.workers import ROOT, asked, fingerprint, made_here, postgres_programs, postgres_server, rolling
+from tests.service.test_restart import ask, serving, status, wait_until
+from tests.service.workers import asked, fingerprint, made_here, postgres_programs, postgres_server, rolling
 
 needs_postgres = pytest.mark.skipif(postgres_programs() is None, reason="PostgreSQL is not installed")
-
-
-@contextmanager
-def dask(*arguments: str, **env: str) -> Iterator[subprocess.Popen[bytes]]:
-    """`dask scheduler` or `dask worker`, killed in the end."""
-    command = [sys.executable, "-m", "dask", *arguments]
-    with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(ROOT), **env}) as process:
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGKILL)
-
-
-@contextmanager
-def cluster(workers: int, port: int = 0, **env: str) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """The address of a scheduler; the scheduler and its workers."""
-    port = port or free_port()
-    address = f"tcp://127.0.0.1:{port}"
-    with ExitStack() as stack:
-        scheduler = dask("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--no-show")
-        begun = [stack.enter_context(scheduler)]
-        for _ in range(workers):
-            one = dask(
-                "worker", address, "--host", "127.0.0.1", "--no-dashboard", "--nthreads", "1", "--no-nanny", **env
-            )
-            begun.append(stack.enter_context(one))
-        yield address, begun
 
 
 def of_rolling(client: Any) -> str:
