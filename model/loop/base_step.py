@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from joulemap.model.loop.design import Design, fit_model, limits_of
-from joulemap.model.loop.features import Drives
 from joulemap.model.loop.forms import NOT_OF_SLOPE
 from joulemap.model.loop.forms.base_parameters import SCALE, BaseParameters, with_base_parameters
-from joulemap.model.loop.residuals import Residuals
 from joulemap.model.loop.terms import Term
 from joulemap.model.loop.variation import HUBER, spread_of
+from joulemap.model.runs.features import Drives
+from joulemap.model.runs.residuals import Residuals
 
 FloatArray = NDArray[np.float64]
 

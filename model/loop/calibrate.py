@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.loop.base_step import base_step, scale_of
 from joulemap.model.loop.design import make_design
-from joulemap.model.loop.features import Drives, driven_ranges
 from joulemap.model.loop.forms import Form
 from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, BaseParameters
 from joulemap.model.loop.refused_columns import refused_columns
-from joulemap.model.loop.residuals import Residuals, joined
 from joulemap.model.loop.selection import Selection, rivals_of, select
 from joulemap.model.loop.terms import Term, prepared, total_energy
+from joulemap.model.runs.features import Drives, driven_ranges
+from joulemap.model.runs.residuals import Residuals, joined
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]

@@ -16,11 +16,11 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.features import Drives, Features, describe_segments, planned_features, quantity
 from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.loop.terms import Term, prepared, total_energy
 from joulemap.model.loop.words import quantity_name, quantity_value
 from joulemap.model.robot import Robot
+from joulemap.model.runs.features import Drives, Features, describe_segments, planned_features, quantity
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 

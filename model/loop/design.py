@@ -12,9 +12,9 @@ from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
 from joulemap.model.loop.forms.base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.mixed_model import MixedModel, columns_of
-from joulemap.model.loop.residuals import Residuals
 from joulemap.model.loop.terms import Term
 from joulemap.model.loop.variation import Variation, fit_variation, starts_of
+from joulemap.model.runs.residuals import Residuals
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.loop.features import Features
-from joulemap.model.loop.residuals import Residuals
+from joulemap.model.runs.features import Features
+from joulemap.model.runs.residuals import Residuals
 
 FloatArray = NDArray[np.float64]
 

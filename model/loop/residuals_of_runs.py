@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import RunsError
 from joulemap.model.loop.calibrated import assumed_std
-from joulemap.model.loop.features import describe_segments
 from joulemap.model.loop.prediction import predict_segments
-from joulemap.model.loop.record import read_record, save_record
-from joulemap.model.loop.residuals import LEAST_SEGMENTS, Residuals, residuals_of
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
+from joulemap.model.runs.features import describe_segments
+from joulemap.model.runs.record import read_record, save_record
+from joulemap.model.runs.residuals import LEAST_SEGMENTS, Residuals, residuals_of
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 

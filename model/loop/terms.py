@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import ModelError
-from joulemap.model.loop.features import Features
 from joulemap.model.loop.forms import Form, form_from_dict
 from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
+from joulemap.model.runs.features import Features
 
 FloatArray = NDArray[np.float64]
 

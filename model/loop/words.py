@@ -130,7 +130,7 @@ def quantity_name(key: str) -> str:
     Parameters
     ----------
     key : str
-        As `joulemap.model.loop.features.quantity` takes it.
+        As `joulemap.model.runs.features.quantity` takes it.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def quantity_value(key: str, value: float) -> str:
     Parameters
     ----------
     key : str
-        As `joulemap.model.loop.features.quantity` takes it.
+        As `joulemap.model.runs.features.quantity` takes it.
     value : float
         As that function returns it.
 

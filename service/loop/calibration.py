@@ -22,10 +22,10 @@ from joulemap.model.loop.calibrated import (
     save_calibrated,
 )
 from joulemap.model.loop.report import report_document
-from joulemap.model.loop.residuals import Residuals
 from joulemap.model.loop.terms import turning_per_rad
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns
+from joulemap.model.runs.residuals import Residuals
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.deprecated_keys import with_former_keys

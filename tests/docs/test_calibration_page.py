@@ -23,17 +23,23 @@ DECIDES = (
     "variation",
     "mixed_model",
     "refused_columns",
-    "forms/structure",
-    "forms/turning",
-    "forms/warming_up",
+    "structure",
+    "turning",
+    "warming_up",
 )
 """Modules whose constants decide what is named."""
 NO_THRESHOLDS = {"variation._STARTS"}
 """Where a search starts, which changes no answer."""
 
 
+def source_of(name: str) -> Path:
+    """File of a module of the loop, of its forms, or of the runs that it works on."""
+    folders = ("model/loop", "model/loop/forms", "model/runs")
+    return next(path for folder in folders if (path := ROOT / folder / f"{name}.py").is_file())
+
+
 def module_of(name: str) -> str:
-    return f"joulemap.model.loop.{'forms.' if (ROOT / f'model/loop/forms/{name}.py').is_file() else ''}{name}"
+    return ".".join(("joulemap", *source_of(name).relative_to(ROOT).with_suffix("").parts))
 
 
 def numbers_in(source: Path) -> Iterator[str]:
@@ -62,8 +68,7 @@ def test_a_constant_has_the_value_of_the_program(name: str) -> None:
 
 @pytest.mark.parametrize("module", DECIDES)
 def test_no_constant_is_left_out(module: str) -> None:
-    stem = Path(module).stem
-    lacking = {f"{stem}.{name}" for name in numbers_in(ROOT / f"model/loop/{module}.py")} - set(TABLE) - NO_THRESHOLDS
+    lacking = {f"{module}.{name}" for name in numbers_in(source_of(module))} - set(TABLE) - NO_THRESHOLDS
     assert not lacking
 
 

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.signal import lfilter
 
 from joulemap.model.loop.calibrate import Calibration, calibrate
-from joulemap.model.loop.features import Features
-from joulemap.model.loop.residuals import Residuals, residuals_of
 from joulemap.model.robot import Robot
+from joulemap.model.runs.features import Features
+from joulemap.model.runs.residuals import Residuals, residuals_of
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 ROBOT = Robot(mass_kg=40.0, idle_power_w=12.0, speed_mps=0.5, rolling_resistance=0.08)

@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from joulemap.model.errors import InputError
-from joulemap.model.loop.record import read_record
 from joulemap.model.loop.residuals_of_runs import keep_base_runs
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
+from joulemap.model.runs.record import read_record
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import open_costmap

@@ -16,10 +16,10 @@ from joulemap.model.errors import InputError, ModelError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
 from joulemap.model.loop.prediction import predict_segments
-from joulemap.model.loop.record import RECORD_FILE
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import read_calibration_runs
 from joulemap.model.runs.files import read_segments
+from joulemap.model.runs.record import RECORD_FILE
 from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import evaluate_on_runs

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import ModelError
-from joulemap.model.loop.features import Drives, driven_ranges
 from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
 from joulemap.model.loop.forms.acceleration import Acceleration
 from joulemap.model.loop.forms.base_parameters import BaseParameters
@@ -30,6 +29,7 @@ from joulemap.model.loop.forms.turning import Turning
 from joulemap.model.loop.forms.warming_up import WarmingUp
 from joulemap.model.loop.forms.wind import Wind
 from joulemap.model.loop.terms import Term, turning_per_rad
+from joulemap.model.runs.features import Drives, driven_ranges
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from tests.reference.drives import ROBOT, even, made_up
 from tests.reference.words import PRIVATE

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import ModelError
-from joulemap.model.loop.features import Features
+from joulemap.model.runs.features import Features
 
 FloatArray = NDArray[np.float64]
 

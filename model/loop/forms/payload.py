@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.loop.features import Features, quantity
 from joulemap.model.loop.forms.base import Form
+from joulemap.model.runs.features import Features, quantity
 
 FloatArray = NDArray[np.float64]
 

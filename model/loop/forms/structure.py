@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.loop.features import Features, quantity
 from joulemap.model.loop.forms.base import Form, steps
+from joulemap.model.runs.features import Features, quantity
 
 FloatArray = NDArray[np.float64]
 

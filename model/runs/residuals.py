@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import InputError, RunsError
-from joulemap.model.loop.features import Drives, Features, concatenate_features
+from joulemap.model.runs.features import Drives, Features, concatenate_features
 
 FloatArray = NDArray[np.float64]
 

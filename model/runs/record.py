@@ -3,32 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from joulemap.model.errors import ModelError
-from joulemap.model.loop.features import Features
-from joulemap.model.loop.residuals import Residuals
 from joulemap.model.robot import Robot
+from joulemap.model.runs.features import Features, row_arrays
+from joulemap.model.runs.residuals import Residuals
 
 RECORD_FILE = "base_runs.npz"
-
-_KEPT = {f.name for f in fields(Features)} - {
-    "robot",
-    "columns",
-    "words",
-    "unit_j",
-    "runs",
-    "speeds_mps",
-    "drives",
-    "corrected",
-} | {
-    "measured",
-    "said",
-}
 
 
 def save_record(folder: str | Path, residuals: Residuals) -> None:
@@ -42,9 +27,7 @@ def save_record(folder: str | Path, residuals: Residuals) -> None:
         Of the runs it was made from.
     """
     rows = residuals.features
-    arrays: dict[str, Any] = {
-        f.name: getattr(rows, f.name) for f in fields(rows) if isinstance(getattr(rows, f.name), np.ndarray)
-    }
+    arrays: dict[str, Any] = {name: getattr(rows, name) for name in row_arrays()}
     arrays |= {f"column:{key}": values for key, values in rows.columns.items()}
     arrays |= {f"word:{key}": values for key, values in rows.words.items()}
     arrays["measured"], arrays["said"] = residuals.measured, residuals.said
@@ -81,7 +64,7 @@ def read_record(folder: str | Path) -> Residuals | None:
         columns = {k.removeprefix("column:"): arrays.pop(k) for k in list(arrays) if k.startswith("column:")}
         words = {k.removeprefix("word:"): arrays.pop(k) for k in list(arrays) if k.startswith("word:")}
         robot = Robot.from_mapping(about["robot"])
-        if lacking := sorted(_KEPT - set(arrays)):
+        if lacking := sorted({*row_arrays(), "measured", "said"} - set(arrays)):
             raise ModelError(
                 f"{path} lacks {', '.join(lacking)}, which this version needs of the runs that a model was trained on: "
                 "train the model again",

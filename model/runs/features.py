@@ -172,7 +172,7 @@ class Features:
             In the order of `which`.
         """
         index = np.asarray(which)
-        changed: dict[str, Any] = {name: getattr(self, name)[index] for name in _arrays()}
+        changed: dict[str, Any] = {name: getattr(self, name)[index] for name in row_arrays()}
         changed["corrected"] = None if self.corrected is None else self.corrected[index]
         changed["columns"] = {key: values[index] for key, values in self.columns.items()}
         changed["words"] = {key: values[index] for key, values in self.words.items()}
@@ -311,7 +311,8 @@ class Features:
         return np.where(self.standing, 0.0, share)
 
 
-def _arrays() -> list[str]:
+def row_arrays() -> list[str]:
+    """Return the names of the attributes of `Features` that have a value for each row."""
     return [f.name for f in fields(Features) if f.name not in _NO_ARRAYS]
 
 
@@ -407,7 +408,7 @@ def concatenate_features(parts: Sequence[Features]) -> Features:
     offsets = np.cumsum([0] + [len(p.runs) for p in parts])
     numbers = sorted({key for p in parts for key in p.columns})
     texts = sorted({key for p in parts for key in p.words})
-    joined: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _arrays()}
+    joined: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in row_arrays()}
     joined["run"] = np.concatenate([p.run + o for p, o in zip(parts, offsets, strict=False)])
     joined["columns"] = {k: np.concatenate([quantity(p, f"column:{k}") for p in parts]) for k in numbers}
     joined["words"] = {k: np.concatenate([p.words.get(k, np.full(len(p), "")) for p in parts]) for k in texts}
@@ -547,7 +548,7 @@ def _with_stationary(rows: Features, run: NDArray[np.int64], seconds: FloatArray
         total = np.bincount(rows.run[known], weights=values[known], minlength=count.size)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
-    changed: dict[str, Any] = {name: longer(getattr(rows, name)) for name in _arrays()}
+    changed: dict[str, Any] = {name: longer(getattr(rows, name)) for name in row_arrays()}
     changed["run"] = np.concatenate([rows.run, run])
     changed["duration_s"] = np.concatenate([rows.duration_s, seconds])
     changed["columns"] = {key: np.concatenate([v, means(v)[run]]) for key, v in rows.columns.items()}
