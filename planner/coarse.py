@@ -208,10 +208,10 @@ def _make(
 def _averaged(energy, offsets, surface, sweeps):
     """(rows, cols) float64 [J]: `potential._levelled`, some times, on this thread and for planes of moves."""
     moves, rows, cols = energy.shape
-    half = moves // 2
+    half, stride = moves // 2, max(moves // 8, 1)
     excess = np.full((half, rows, cols), np.nan)  # half of what a move costs more than its way back
     count = np.zeros((rows, cols))
-    for n in range(half):
+    for n in range(0, half, stride):
         down, right = offsets[n, 0], offsets[n, 1]
         col0, col1 = max(0, -right), min(cols, cols - right)
         for i in range(max(0, -down), min(rows, rows - down)):
@@ -223,7 +223,7 @@ def _averaged(energy, offsets, surface, sweeps):
                     count[i + down, j + right] += 1.0
     for _ in range(sweeps):
         total = np.zeros((rows, cols))
-        for n in range(half):
+        for n in range(0, half, stride):
             down, right = offsets[n, 0], offsets[n, 1]
             col0, col1 = max(0, -right), min(cols, cols - right)
             for i in range(max(0, -down), min(rows, rows - down)):

@@ -207,7 +207,7 @@ def _at_moves(traction, gradient, blocked, matrix, east, north, max_grade, max_c
 
 
 @njit(cache=True, nogil=True)
-def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, piece_share, piece_cell, piece_blend):
+def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, part, corners, corner, blend):
     """(N, rows, cols) float32 [J]; traction : (N, rows, cols), NaN where that heading may not be driven."""
     moves, rows, cols = traction.shape
     energy = np.full((moves, rows, cols), np.nan, dtype=np.float32)
@@ -239,9 +239,7 @@ def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, pi
                     if most[j] <= 0.0:
                         response *= regeneration
                     else:
-                        response = _kinked(
-                            traction[n], i, j + col0, piece_share[n], piece_cell[n], piece_blend[n], regeneration
-                        )
+                        response = _kinked(traction, n, i, j + col0, part, corners, corner, blend, regeneration)
                 out[j] = (hotel + response) * length_m[n]
     return energy
 
@@ -257,19 +255,20 @@ def _by_cell(planes, first, out):
 
 
 @njit(cache=True)
-def _kinked(traction, i, j, share, cell, blend, regeneration):
-    """Mean price of motion along a move on which the traction changes its sign."""
+def _kinked(traction, n, i, j, part, corners, corner, blend, regeneration):
+    """Mean price of motion along move n from a cell, on which the traction changes its sign."""
     mean = 0.0
-    for p in range(share.size):
-        if share[p] > 0.0:
-            t0 = tm = t1 = 0.0
-            for q in range(4):
-                if max(blend[p, 0, q], blend[p, 1, q], blend[p, 2, q]) > 0.0:
-                    t = traction[i + cell[p, q, 0], j + cell[p, q, 1]]
-                    t0 += blend[p, 0, q] * t
-                    tm += blend[p, 1, q] * t
-                    t1 += blend[p, 2, q] * t
-            mean += share[p] * mean_response(t0, tm, t1, regeneration)
+    t0 = np.float64(traction[n, i, j])
+    for p in range(part.shape[1]):
+        if part[n, p] <= 0.0:
+            break
+        tm = t1 = 0.0
+        for q in range(corners[n, p]):
+            t = traction[n, i + corner[n, p, q, 0], j + corner[n, p, q, 1]]
+            tm += blend[n, p, 0, q] * t
+            t1 += blend[n, p, 1, q] * t
+        mean += part[n, p] * mean_response(t0, tm, t1, regeneration)
+        t0 = t1
     return mean
 
 
@@ -317,11 +316,15 @@ def _stack_stencils(offsets, pieces):
 
 
 def _stack_pieces(pieces):
-    width = max(len(move) for move in pieces)
-    share = np.zeros((len(pieces), width))
-    cell = np.zeros((len(pieces), width, 4, 2), dtype=np.int64)
-    blend = np.zeros((len(pieces), width, 3, 4))
+    """Per move and piece: its part of the move, the number of cells that it touches, these, and their weights at its
+    middle and end."""
+    size = len(pieces), max(len(move) for move in pieces)
+    part, corners = np.zeros(size), np.zeros(size, dtype=np.int64)
+    corner, blend = np.zeros((*size, 4, 2), dtype=np.int64), np.zeros((*size, 2, 4))
     for n, move in enumerate(pieces):
-        for k, (part, cells, weights) in enumerate(move):
-            share[n, k], cell[n, k], blend[n, k] = part, cells, weights
-    return share, cell, blend
+        for k, (share, cells, weights) in enumerate(move):
+            touched = weights.max(axis=0) > 1e-9
+            count = int(touched.sum())
+            part[n, k], corners[n, k] = share, count
+            corner[n, k, :count], blend[n, k, :, :count] = cells[touched], weights[1:, touched]
+    return part, corners, corner, blend
