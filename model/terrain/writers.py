@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
+
+_FULL_BYTES = 1_000_000  # a disk with less room is full: a block of a raster may have found none
 
 
 def write_bands_geotiff(
@@ -54,6 +58,8 @@ def write_bands_geotiff(
     ------
     HeightmapError
         If the shapes differ.
+    OSError
+        If the file cannot be written; its number is ENOSPC where the disk is full.
     """
     bands = np.asarray(bands, dtype=np.float32)
     if bands.ndim != 3 or bands.shape[1:] != frame.shape:
@@ -97,10 +103,19 @@ def write_bands_geotiff(
         try:
             with rasterio.open(str(partial), "w", **profile) as dataset:
                 _fill(dataset)
+            _refuse_a_full_disk(path)  # where closing a file failed, GDAL says so on its standard error only
             partial.replace(path)
+        except RasterioIOError:
+            _refuse_a_full_disk(path)
+            raise
         finally:
             partial.unlink(missing_ok=True)
     return None
+
+
+def _refuse_a_full_disk(path: Path) -> None:
+    if shutil.disk_usage(path.parent).free < _FULL_BYTES:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
 def write_geotiff(path: str | Path | None, heightmap: Heightmap, *, quick: bool = False) -> bytes | None:
