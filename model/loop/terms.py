@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms import Form, form_from_dict
 from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
-from joulemap.model.runs.features import Features
+from joulemap.model.runs.features import SHARE_DRIVEN, Features
 
 FloatArray = NDArray[np.float64]
 
@@ -136,8 +136,11 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     Notes
     -----
     The slope of the energy of turning over the angle that each row turned, in least squares: turns within a metre
-    count, and the wandering of straight driving hardly does. For one term without a limit it is its coefficient.
+    count, and the wandering of straight driving hardly does. Turns beyond the driven range, such as one on the spot
+    whose peak of power a log may not show, are left out. For one term without a limit it is its coefficient.
     """
+    moving = rows.take(~rows.standing)
+    rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))
     turned = rows.turned_abs_rad
     rows = replace(rows, drives=replace(rows.drives, motor_speed_mps=None))
     energy = total_energy([t for t in terms if t.form.name == "turning"], rows)

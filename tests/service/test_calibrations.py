@@ -189,7 +189,6 @@ def test_the_hidden_effect_is_found_and_planned_with(
     )
 
 
-@pytest.mark.xfail(strict=True, reason="without baseline runs the base parameters take a part of what the turns cost")
 def test_a_radian_costs_in_plans_what_it_took(calibration: dict[str, Any]) -> None:
     assert calibration["report"]["map"]["turn_j_per_rad"]["after"] == pytest.approx(TURN_J, rel=0.1)
 
