@@ -13,8 +13,11 @@ help: ## this list
 demo: $(INSTALLED) ## start the service, ask it everything, draw a picture (ARGS=--exit ends by itself)
 	$(BIN)/joulemap demo $(ARGS)
 
+# A process for each core; the tests of a file stay together, because they share what is made for them.
+PARALLEL := -n logical --maxprocesses 8 --dist loadfile
+
 test: lint ## what must pass before a change is taken: linters, types, layers, documentation, tests
-	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(ARGS)
 
 test-slow: $(INSTALLED) ## the tests that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)

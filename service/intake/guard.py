@@ -22,7 +22,7 @@ from joulemap.model.errors import HeightmapError, InputError, JoulemapError, Too
 from joulemap.service.intake.limits import ReadLimits
 
 _LOG = logging.getLogger("joulemap.service")
-_CELLS_PER_S = 4e6  # a heightmap is compressed at twice this speed
+_CELLS_PER_S = 1e7  # a heightmap is compressed at twice this speed
 
 
 @cache

@@ -45,14 +45,14 @@ def cluster(workers: int, port: int = 0, **env: str) -> Iterator[tuple[str, list
 
 @cache
 def shared_scheduler() -> str:
-    """The address of a scheduler with two workers, begun when it is first asked for, for all tests of this process.
+    """The address of a scheduler with a worker, begun when it is first asked for, for all tests of this process.
 
-    Workers take seconds to load. How a service starts workers of its own is tested by those that run in a process of
+    A worker takes seconds to load. How a service starts workers of its own is tested by those that run in a process of
     their own.
     """
     stack = ExitStack()
     atexit.register(stack.close)
-    return stack.enter_context(cluster(2))[0]
+    return stack.enter_context(cluster(1))[0]
 
 
 def free_port() -> int:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
+import io
 import logging
 import re
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from fastapi.testclient import TestClient
 
 from joulemap.model.errors import RateError
 from joulemap.model.robot import Robot
+from joulemap.service.cli import app
 from joulemap.service.http import access_keys
 from joulemap.service.http.access_keys import warn_if_open
 from joulemap.service.http.access_rate import BURST_S, Buckets
@@ -232,9 +233,10 @@ def test_no_key_is_kept(tmp_path: Path) -> None:
 
 def test_keys_on_the_command_line(tmp_path: Path) -> None:
     def call(*words: str) -> tuple[int, str]:
-        command = [sys.executable, "-m", "joulemap.service.cli", "keys", *words, "--data-dir", str(tmp_path)]
-        ran = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        return ran.returncode, ran.stdout
+        out = io.StringIO()
+        with pytest.raises(SystemExit) as ended, redirect_stdout(out):
+            app(["keys", *words, "--data-dir", str(tmp_path)])
+        return int(ended.value.code or 0), out.getvalue()
 
     assert "no keys" in call("list")[1]
     code, words = call("add", "anna", "--jobs", "2", "--operator")
