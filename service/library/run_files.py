@@ -9,6 +9,7 @@ from pathlib import Path
 
 from joulemap.model.errors import NotFoundError
 from joulemap.model.runs.reader import Run
+from joulemap.service.intake.trial import refuse_deadly
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.words import duration_words, runs_words
 
@@ -116,6 +117,8 @@ def find_run_files(files: RunsLike | None) -> list[Path]:
     ------
     NotFoundError
         If one of them names no file.
+    RunsError
+        If reading one of them ends the process that reads it.
     """
     if files is None:
         return []
@@ -134,4 +137,5 @@ def find_run_files(files: RunsLike | None) -> list[Path]:
             where = f"the folder {each} holds no" if place.is_dir() else f"{str(each)!r} names no"
             raise NotFoundError(f"{where} CSV or Parquet file (looked for from {Path.cwd()})", pattern=str(each))
         found |= {path.resolve(): path for path in here if path.resolve() not in found}
+    refuse_deadly(list(found.values()))
     return list(found.values())
