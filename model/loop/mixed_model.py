@@ -299,9 +299,10 @@ class MixedModel:
             Squared error in variances of the noise; beside a random level, minus two log likelihoods of the unit.
         """
         part = self.marginal(chosen, tau2)
-        others = part.sum(axis=0)[None] - part
-        q = len(chosen)
-        beta = np.linalg.solve(self.with_prior(others[:, :q, :q]), others[:, :q, q:])  # (U, q, 1)
+        total, q = part.sum(axis=0), len(chosen)
+        others = total - part
+        others[:, :q, :q] += self.with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
+        beta = np.linalg.solve(others[:, :q, :q], others[:, :q, q:])  # (U, q, 1)
         c = np.concatenate([-beta, np.ones((self.units, 1, 1))], axis=1)
         judged = self.marginal(chosen, 0.0) if whole else part
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])

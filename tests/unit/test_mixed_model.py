@@ -112,7 +112,7 @@ def test_left_out_errors_are_those_of_fits_without_the_unit():
     for unit in range(6):
         rest, out = run != unit, run == unit
         gram = scaled[rest].T @ scaled[rest]
-        prior = np.diag(np.diag(gram) / len(z))  # worth one row
+        prior = np.diag(np.mean(scaled**2, axis=0))  # worth one row of all
         beta = np.linalg.solve(gram + prior, scaled[rest].T @ target[rest])
         assert errors[unit] == pytest.approx(np.sum((target[out] - scaled[out] @ beta) ** 2))
 
@@ -136,3 +136,13 @@ def test_an_estimate_stays_within_its_physical_limits():
     assert estimate.coefficients[0] == pytest.approx(0.0, abs=1e-6)
     free = model.estimate(np.array([0, 1]), np.full(2, -np.inf), np.full(2, np.inf), NONE)
     assert free.coefficients[0] == pytest.approx(-3.0, abs=0.2)
+
+
+def test_a_column_that_one_run_shows_is_not_guessed_for_it_from_the_others():
+    """Such as the one descent of all runs: the others hold next to nothing of it, and the prior is that of all rows."""
+    run, x, z = _data(np.random.default_rng(14))
+    x[:, 0] = 1e-3 * np.abs(x[:, 0])
+    x[run == 0, 0] *= 1e4
+    model = _model(x, z, run)
+    with_it, without = model.left_out(np.array([0, 1]), 0.0), model.left_out(SECOND, 0.0)
+    assert with_it[0] < 1.5 * without[0]
