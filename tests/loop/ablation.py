@@ -148,6 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=1, help="cases of each hidden effect [default: 1]")
     parser.add_argument("--nulls", type=int, default=1, help="cases of each hilly cell without an effect [default: 1]")
     parser.add_argument("--base", type=int, default=0, help="baseline runs; 0 takes an eighth of the time [default: 0]")
+    parser.add_argument("--every", type=int, default=1, help="only one of so many cases [default: 1]")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--kept", type=Path, help="file of finished cases, to continue")
@@ -161,7 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cells = [cell for cell in nulls.cells() if ("nobase" in cell) == (options.base == 0) and "flat" not in cell]
     seeds = 1000 * options.first_seed
     keys += [f"null|{key}" for key in nulls.keys_of(cells, 2 * options.nulls, seeds, "mixed") if _on_hills(key)]
-    text = table_of(rows_of(try_without, keys, jobs=options.jobs, kept=options.kept))
+    text = table_of(rows_of(try_without, keys[:: options.every], jobs=options.jobs, kept=options.kept))
     print(text)
     if options.write is not None:
         options.write.write_text(wrapped("Without a rule", "tests.loop.ablation", text, arguments), encoding="utf-8")
