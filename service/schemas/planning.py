@@ -4,11 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, WrapValidator, field_validator, model_validator
 
 from joulemap.model.ranges import BATTERY, SEARCH_S
 from joulemap.planner.plan import PLANNERS
-from joulemap.service.schemas.base import PathPoint, Point, Point3, Request, ResponseModel, RobotIn, within
+from joulemap.service.schemas.base import (
+    PathPoint,
+    Point,
+    Point3,
+    Request,
+    ResponseModel,
+    RobotIn,
+    quick_points,
+    within,
+)
 
 
 class BatteryIn(Request):
@@ -136,7 +145,7 @@ class PathOut(RouteOut):
 class FeasibilityRequest(Request):
     """A task, either a path or start and goal, and a battery."""
 
-    path: Annotated[list[PathPoint], Field(fail_fast=True)] | None = Field(
+    path: Annotated[list[PathPoint], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
         default=None, min_length=2, max_length=100_000, description="world points [m], in order"
     )
     start: Point | None = Field(default=None, examples=[[12.5, 40.5]])

@@ -17,6 +17,7 @@ from joulemap.planner.stopping import check_stop
 from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import EVENTS, Report, events, while_connected
+from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.state import KernelsDep
 from joulemap.service.problems import jsonable
 from joulemap.service.schemas.answers import battery_of, feasibility_out, path_geojson, path_out
@@ -26,7 +27,7 @@ from joulemap.service.schemas.tours import TourOut, TourRequest, tour_out
 from joulemap.service.storage.tables import CostmapRow
 from joulemap.service.workflows import assess, judge_routes
 
-router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"])
+router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"], route_class=QuickJsonRoute)
 GEOJSON = "application/geo+json"
 
 
@@ -118,12 +119,13 @@ async def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: 
     A given path is only priced: it does not wait for the plans of others. So a robot may ask again and again with the
     rest of its path.
     """
-    path = np.array([point[:2] for point in wanted.path], dtype=np.float64) if wanted.path is not None else None
+    given = wanted.path
     queue, lend = (
-        (service.plans, service.maps.for_routes) if path is None else (service.prices, service.maps.for_pricing)
+        (service.plans, service.maps.for_routes) if given is None else (service.prices, service.maps.for_pricing)
     )
 
     def _judge() -> Response:
+        path = None if given is None else np.array([point[:2] for point in given], dtype=np.float64)
         row = service.done_costmap(costmap_id)
         robot = _same_robot(row, wanted.robot)
         with lend(costmap_id) as planner:

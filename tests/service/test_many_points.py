@@ -1,0 +1,85 @@
+"""A path of very many points: checked as an array, with the same outcome as one by one."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from pydantic import ValidationError
+
+from joulemap.service.schemas.planning import FeasibilityRequest
+from tests.service.conftest import GOAL, START
+
+MANY = [[500_000.0 + k, 4_000_000 + k] for k in range(1_500)]
+
+
+def outcome(points: list[Any]) -> Any:
+    """The last point as it is understood; None where the path is refused."""
+    try:
+        path = FeasibilityRequest(path=points).path
+    except ValidationError:
+        return None
+    assert path is not None
+    return path[-1]
+
+
+@pytest.mark.parametrize(
+    "last",
+    [
+        [1, 2],
+        [1.5, 2.5, 3.5],
+        [1, 2, None],
+        [1],
+        [1, 2, 3, 4],
+        [1, None],
+        ["1", "2"],
+        ["one", 2],
+        [True, 2],
+        [0, 1],
+        [2, False, 5.0],
+        [1e300, 2],
+        [float("nan"), 2],
+        [float("inf"), 2],
+        [10**30, 2],
+        [[1], 2],
+        {"x": 1, "y": 2},
+        "12",
+        None,
+        7,
+    ],
+)
+def test_many_points_are_checked_as_few_are(last: Any) -> None:
+    assert outcome([*MANY, last]) == outcome([*MANY[:5], last])
+
+
+def test_all_points_of_three_numbers_or_none() -> None:
+    high = [[*point, 1.0] for point in MANY]
+    assert FeasibilityRequest(path=high).path == high
+    assert FeasibilityRequest(path=MANY).path == MANY
+    for wrong in (np.zeros((1_500, 0)).tolist(), np.zeros((1_500, 2, 2)).tolist(), [[]] * 1_500, "x" * 1_500):
+        with pytest.raises(ValidationError):
+            FeasibilityRequest(path=wrong)
+
+
+def test_a_long_path_over_http_has_the_verdict_of_a_short_one(client: TestClient, costmap_id: str) -> None:
+    """Whether it is parsed quickly or not."""
+    url = f"/v1/costmaps/{costmap_id}/feasibility"
+    few = client.post(url, json={"path": [START, GOAL]}).json()
+    ends = np.array([START, GOAL])
+    many = (ends[0] + np.linspace(0.0, 1.0, 20_000)[:, None] * (ends[1] - ends[0])).tolist()
+    answer = client.post(url, json={"path": many})
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["feasible"] == few["feasible"]
+    assert answer.json()["energy_j"] == pytest.approx(few["energy_j"], rel=1e-3)
+
+
+def test_a_large_body_that_is_no_json_is_refused_with_its_place(client: TestClient, costmap_id: str) -> None:
+    body = json.dumps({"path": MANY * 10})[:-1]
+    answer = client.post(
+        f"/v1/costmaps/{costmap_id}/feasibility", content=body, headers={"Content-Type": "application/json"}
+    )
+    assert answer.status_code == 422
+    assert f"at character {len(body)}" in answer.text
