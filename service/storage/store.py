@@ -58,7 +58,7 @@ Row = TypeVar("Row", bound=Base)
 _LOG = logging.getLogger("joulemap.service")
 
 _TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
-_CONNECT_S = 5  # until a PostgreSQL that does not answer is given up; libpq waits for minutes
+_PATIENCE = {"connect_timeout": 5, "tcp_user_timeout": 15_000}  # [s, ms] with a PostgreSQL; libpq's are minutes
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -121,8 +121,8 @@ class Store:
         self._folder.make()
         if as_service:
             self._folder.use(alone=alone)
-        timeout = {"connect_timeout": _CONNECT_S} if self._url.startswith("postgresql") else {}
-        self._engine = create_engine(self._url, pool_pre_ping=True, json_serializer=dumps, connect_args=timeout)
+        patience = _PATIENCE if self._url.startswith("postgresql") else {}
+        self._engine = create_engine(self._url, pool_pre_ping=True, json_serializer=dumps, connect_args=patience)
         if self._engine.dialect.name == "sqlite":
             event.listen(self._engine, "connect", _set_up_sqlite)
         with self._engine.begin() as connection:

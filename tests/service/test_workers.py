@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 from sqlalchemy import create_engine
+from sqlalchemy.exc import OperationalError
 
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
@@ -130,3 +132,12 @@ def test_a_job_is_claimed_once_and_given_back_by_a_process_that_ends(tmp_path: P
         wait_until(lambda: claims.keep(["cm-02", "cm-03"]) == {"cm-02", "cm-03"})
         assert claims.keep([]) == set()
         claims.close()
+
+
+def test_a_database_that_accepts_and_never_answers_is_given_up(tmp_path: Path) -> None:
+    pytest.importorskip("psycopg")
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        store = Store(tmp_path, f"postgresql+psycopg://a:b@127.0.0.1:{silent.getsockname()[1]}/c")
+        with pytest.raises(OperationalError):
+            store.open()
+        store.close()
