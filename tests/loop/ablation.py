@@ -84,9 +84,9 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
 
 def try_without(key: str) -> Row:
     """One case under every rule: "blind|kinds:number:seed:runs", with so many baseline runs, or
-    "null|cell:number:seed:declared".
+    "null|cell:number:seed:declared"; with some rules joined by commas after a further bar, under these.
     """
-    group, case_key = key.split("|")
+    group, case_key, *some = key.split("|")
     name, number, seed, rest = case_key.split(":")
     if group == "null":
         case = make_case(nulls.config_of(name, int(number), rest), int(seed))
@@ -102,8 +102,8 @@ def try_without(key: str) -> Row:
     base = _rows(case.base)[0] if case.base else None
     further = _rows(case.test.logs)[0] if case.test.logs else None
     out: Row = {}
-    for rule, without in RULES.items():
-        with without():
+    for rule in some[0].split(",") if some else RULES:
+        with RULES[rule]():
             found = calibrate(measured, electric=electric, base=base, cross_validate=False)
         right = [[effect.is_named_by(answer_of(e).words) for effect in case.effects] for e in found.effects]
         out[rule] = {
@@ -126,7 +126,7 @@ def table_of(rows: Sequence[Row]) -> str:
         f"(median; worst) | named where nothing is, of {len(empty)} |",
         "|---|---|---|---|---|---|",
     ]
-    for rule in RULES:
+    for rule in good[0]["rules"] if good else ():
         ratio = [row[rule]["after"] / row["nothing"]["after"] for row in hidden]
         cells = [rule, *(str(sum(row[rule][key] for row in hidden)) for key in ("first", "all", "wrong"))]
         cells.append(f"{np.median(ratio):.3f}; {max(ratio):.2f}" if ratio else "")
@@ -149,6 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--nulls", type=int, default=1, help="cases of each hilly cell without an effect [default: 1]")
     parser.add_argument("--base", type=int, default=0, help="baseline runs; 0 takes an eighth of the time [default: 0]")
     parser.add_argument("--every", type=int, default=1, help="only one of so many cases [default: 1]")
+    parser.add_argument("--rules", help="only these, joined by commas; 'nothing' must be one")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--kept", type=Path, help="file of finished cases, to continue")
@@ -162,7 +163,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cells = [cell for cell in nulls.cells() if ("nobase" in cell) == (options.base == 0) and "flat" not in cell]
     seeds = 1000 * options.first_seed
     keys += [f"null|{key}" for key in nulls.keys_of(cells, 2 * options.nulls, seeds, "mixed") if _on_hills(key)]
-    text = table_of(rows_of(try_without, keys[:: options.every], jobs=options.jobs, kept=options.kept))
+    end = f"|{options.rules}" if options.rules else ""
+    keys = [key + end for key in keys[:: options.every]]
+    text = table_of(rows_of(try_without, keys, jobs=options.jobs, kept=options.kept))
     print(text)
     if options.write is not None:
         options.write.write_text(wrapped("Without a rule", "tests.loop.ablation", text, arguments), encoding="utf-8")
