@@ -35,7 +35,8 @@ from joulemap.service.jobs.engine import Jobs
 from joulemap.service.models import find_predictor
 from joulemap.service.settings import Settings
 from joulemap.service.storage.owners import NOBODY, Caller
-from joulemap.service.storage.store import Store, safe_name
+from joulemap.service.storage.runs import safe_name
+from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
     CANCELLED,
     COSTMAP,

@@ -1,0 +1,140 @@
+"""Cost maps that are kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import select
+
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.service.storage.jobs import KeptJobs, new_job
+from joulemap.service.storage.tables import (
+    COSTMAP,
+    DONE,
+    CostmapRow,
+)
+
+
+class KeptCostmaps(KeptJobs):
+    """Rows of cost maps, and a lattice of each that is done."""
+
+    def add_costmap(self, heightmap_id: str, request: dict[str, Any], *, most_bytes: int = 0) -> CostmapRow:
+        """Add a cost map to the queue.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Id of the heightmap that it is made from.
+        request : dict
+            Robot, model, spacing and headings, JSON-able.
+        most_bytes : int, optional
+            The most that it can take on disk.
+
+        Returns
+        -------
+        CostmapRow
+            The new row.
+
+        Raises
+        ------
+        NotFoundError
+            If the heightmap was deleted.
+        StorageFullError
+            If the caller would keep more than it may.
+        RateError
+            If the caller has as many jobs as it may.
+        """
+        return self._add(CostmapRow(**new_job(COSTMAP, heightmap_id, request)), most_bytes)
+
+    def costmap(self, costmap_id: str) -> CostmapRow:
+        """Return the row of a cost map.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Returns
+        -------
+        CostmapRow
+            As it is in the database.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
+        return self._row(CostmapRow, "is no cost map", costmap_id=costmap_id)
+
+    def costmaps(self, *, limit: int, offset: int) -> tuple[list[CostmapRow], int]:
+        """Return one page of the cost maps, newest first.
+
+        Parameters
+        ----------
+        limit : int
+            Most rows of a page.
+        offset : int
+            Rows to skip.
+
+        Returns
+        -------
+        rows : list
+            Those of the page.
+        total : int
+            How many there are in all.
+        """
+        return self._page(CostmapRow, limit, offset)
+
+    def alike(self, row: CostmapRow) -> list[str]:
+        """Return the finished cost maps that differ from one in nothing but the model.
+
+        Parameters
+        ----------
+        row : CostmapRow
+            The one.
+
+        Returns
+        -------
+        list of str
+            Ids.
+        """
+
+        def _but_model(request: dict[str, Any]) -> dict[str, Any]:
+            return {key: value for key, value in request.items() if key != "model"}
+
+        with self._sessions() as session:
+            query = select(CostmapRow).where(CostmapRow.heightmap_id == row.heightmap_id, CostmapRow.status == DONE)
+            return [made.id for made in session.scalars(query) if _but_model(made.request) == _but_model(row.request)]
+
+    def load_lattice(self, costmap_id: str) -> CostLattice:
+        """Load the lattice of a cost map.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Id of a cost map that is done.
+
+        Returns
+        -------
+        CostLattice
+            In memory.
+        """
+        return load_lattice(self.here(self.lattice_path(costmap_id)))
+
+    def delete_costmap(self, costmap_id: str) -> None:
+        """Delete a cost map: the row first, so that a job that still makes it stops.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
+        self._delete(self.costmap(costmap_id))
+        LatticeFolder(self.lattice_path(costmap_id)).discard()
+        self._remove_all(costmap_id)

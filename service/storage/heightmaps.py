@@ -1,0 +1,163 @@
+"""Heightmaps that are kept."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.exc import IntegrityError
+
+from joulemap.model.errors import ConflictError
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.readers import open_ground
+from joulemap.model.terrain.windows import Ground
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.storage.kept import Kept, now
+from joulemap.service.storage.tables import (
+    CALIBRATION,
+    COSTMAP,
+    JOBS,
+    WORDS,
+    HeightmapRow,
+)
+
+
+class KeptHeightmaps(Kept):
+    """Rows of heightmaps, and a GeoTIFF of each."""
+
+    def add_heightmap(self, heightmap: Heightmap | Path, *, name: str, stats: dict[str, Any]) -> HeightmapRow:
+        """Keep a heightmap, so that no row is ever without its file.
+
+        Parameters
+        ----------
+        heightmap : Heightmap or Path
+            What to keep, or its GeoTIFF in the folder of uploads, which is moved.
+        name : str
+            Its name for people.
+        stats : dict
+            What a listing says about it, JSON-able.
+
+        Returns
+        -------
+        HeightmapRow
+            The new row.
+        """
+        row = HeightmapRow(id=f"hm-{secrets.token_hex(6)}", created_at=now(), name=name, stats=stats)
+        with self.upload_file() as begun:
+            if isinstance(heightmap, Path):
+                heightmap.replace(begun)
+            else:
+                write_geotiff(begun, heightmap)
+            self._keep_with(row, begun, self.heightmap_path(row.id))
+        return row
+
+    def heightmap(self, heightmap_id: str) -> HeightmapRow:
+        """Return the row of a heightmap.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Returns
+        -------
+        HeightmapRow
+            As it is in the database.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
+        return self._row(HeightmapRow, "is no heightmap", heightmap_id=heightmap_id)
+
+    def open_heightmap(self, heightmap_id: str) -> Ground:
+        """Open a heightmap to read it by windows.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Returns
+        -------
+        Ground
+            Whose heights are read as they are needed.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        """
+        name = self.heightmap(heightmap_id).name
+        return open_ground(self.here(self.heightmap_path(heightmap_id)), filename=name)
+
+    def heightmaps(self, *, limit: int, offset: int) -> tuple[list[HeightmapRow], int]:
+        """Return one page of the heightmaps, newest first.
+
+        Parameters
+        ----------
+        limit : int
+            Most rows of a page.
+        offset : int
+            Rows to skip.
+
+        Returns
+        -------
+        rows : list
+            Those of the page.
+        total : int
+            How many there are in all.
+        """
+        return self._page(HeightmapRow, limit, offset)
+
+    def delete_heightmap(self, heightmap_id: str) -> None:
+        """Delete a heightmap from which nothing was made.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If there is none.
+        ConflictError
+            If cost maps or calibrations were made from it; their ids are in the context.
+        """
+        row = self.heightmap(heightmap_id)
+        try:
+            with self._sessions.begin() as session:
+                session.delete(row)
+        except IntegrityError as error:
+            with self._sessions() as session:
+                users = {
+                    kind: sorted(session.scalars(select(table.id).where(table.heightmap_id == heightmap_id)))
+                    for kind, table in JOBS.items()
+                }
+            ids = [job_id for found in users.values() for job_id in found]
+            words = " and ".join(f"{len(found)} {WORDS[kind]}(s)" for kind, found in users.items() if found)
+            raise ConflictError(
+                f"heightmap {heightmap_id} is used by {words}, {', '.join(ids[:5])}: delete them first",
+                costmap_ids=users[COSTMAP],
+                calibration_ids=users[CALIBRATION],
+            ) from error
+        self._forget(self.heightmap_path(heightmap_id))
+
+    def heightmap_path(self, heightmap_id: str) -> Path:
+        """Return the file of a heightmap.
+
+        Parameters
+        ----------
+        heightmap_id : str
+            Its id.
+
+        Returns
+        -------
+        Path
+            Of a GeoTIFF, whether it exists or not.
+        """
+        return self._dir / "heightmaps" / f"{heightmap_id}.tif"

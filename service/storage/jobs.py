@@ -1,0 +1,264 @@
+"""What jobs have in common, which are cost maps and calibrations: their status, their end, their files."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime as dt
+import secrets
+import shutil
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import select, update
+from sqlalchemy.exc import IntegrityError
+
+from joulemap.model.errors import NotFoundError
+from joulemap.planner.lattice_io import LatticeFolder
+from joulemap.service.storage.kept import Kept, now
+from joulemap.service.storage.tables import (
+    CALIBRATION,
+    CANCELLED,
+    COSTMAP,
+    DONE,
+    FAILED,
+    JOBS,
+    QUEUED,
+    RUNNING,
+    JobRow,
+    kind_of,
+)
+
+
+class KeptJobs(Kept):
+    """Rows of jobs, and what was made."""
+
+    def status(self, job_id: str) -> str | None:
+        """Return the status of a job.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+
+        Returns
+        -------
+        str or None
+            None where there is no such job.
+        """
+        table = JOBS[kind_of(job_id)]
+        with self._sessions() as session:
+            return session.scalar(select(table.status).where(table.id == job_id))
+
+    def unfinished(self, kind: str = COSTMAP) -> list[str]:
+        """Return the ids of jobs that wait or run, oldest first.
+
+        Parameters
+        ----------
+        kind : str, optional
+            COSTMAP or CALIBRATION.
+
+        Returns
+        -------
+        list of str
+            Ids.
+        """
+        table = JOBS[kind]
+        with self._sessions() as session:
+            query = select(table.id).where(table.status.in_([QUEUED, RUNNING]))
+            return list(session.scalars(query.order_by(table.created_at)))
+
+    def wanted(self) -> dict[str, float]:
+        """Return all jobs that wait or run.
+
+        Returns
+        -------
+        dict of str to float
+            When each was asked for [s since 1970], by its id.
+        """
+        found: dict[str, float] = {}
+        with self._sessions() as session:
+            for table in JOBS.values():
+                query = select(table.id, table.created_at).where(table.status.in_([QUEUED, RUNNING]))
+                found |= {job_id: at.replace(tzinfo=dt.UTC).timestamp() for job_id, at in session.execute(query)}
+        return found
+
+    def report(self, job_id: str, progress: float) -> None:
+        """Note how far a job is.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        progress : float
+            Share that is done, 0..1.
+        """
+        table = JOBS[kind_of(job_id)]
+        with self._sessions.begin() as session:
+            at_work = update(table).where(table.id == job_id, table.status.in_([QUEUED, RUNNING]))
+            session.execute(at_work.values(status=RUNNING, progress=progress))
+
+    def finish(self, job_id: str, summary: dict[str, Any]) -> bool:
+        """Mark a job as done.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        summary : dict
+            What came out, JSON-able.
+
+        Returns
+        -------
+        bool
+            False where the job was deleted meanwhile.
+        """
+        return self._end(job_id, status=DONE, progress=1.0, summary=summary)
+
+    def fail(self, job_id: str, problem: dict[str, Any]) -> bool:
+        """Mark a job as failed.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        problem : dict
+            The problem body that says why.
+
+        Returns
+        -------
+        bool
+            False where the job was deleted or has ended already.
+        """
+        return self._end(job_id, status=FAILED, problem=problem)
+
+    def cancel(self, job_id: str) -> bool:
+        """Mark a job as cancelled; its row stays.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+
+        Returns
+        -------
+        bool
+            False where the job was deleted or has ended already.
+        """
+        return self._end(job_id, status=CANCELLED)
+
+    def _end(self, job_id: str, **values: Any) -> bool:
+        table = JOBS[kind_of(job_id)]
+        place = self._place(job_id)
+        values["bytes"] = self.vault.size(self._key(place), place) if values["status"] == DONE else 0
+        with self._sessions.begin() as session:
+            at_work = table.status.in_([QUEUED, RUNNING])
+            ended = update(table).where(table.id == job_id, at_work).values(finished_at=now(), **values)
+            return bool(session.execute(ended).rowcount)  # type: ignore[attr-defined]
+
+    def _delete(self, row: JobRow) -> None:
+        with self._sessions.begin() as session:
+            session.delete(row)
+
+    def tidy(self, job_id: str) -> None:
+        """Remove what was only needed to make a job that is done.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        """
+        self._remove_all(job_id, but=self._place(job_id))
+
+    def discard(self, job_id: str, models_dir: Path) -> None:
+        """Remove all files of a job.
+
+        Parameters
+        ----------
+        job_id : str
+            Its id.
+        models_dir : Path
+            Folder of trained models, where that of a calibration is.
+        """
+        LatticeFolder(self.lattice_path(job_id)).discard()
+        self._remove_all(job_id)
+        if kind_of(job_id) == CALIBRATION:
+            shutil.rmtree(models_dir / job_id, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                self.vault.remove(f"models/{job_id}")
+
+    def _remove_all(self, job_id: str, but: Path | None = None) -> None:
+        made = self._place(job_id)
+        folder = made.parent
+        for place in (folder / job_id, *folder.glob(f"{job_id}.*")):
+            if place != but:
+                shutil.rmtree(place, ignore_errors=True)
+        self._forget(made.with_name(f"{made.name}.tiles"))
+        if made != but:
+            self._forget(made)
+
+    def lattice_path(self, costmap_id: str) -> Path:
+        """Return the folder of a cost map's lattice.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Returns
+        -------
+        Path
+            Whether it exists or not.
+        """
+        return self._dir / "costmaps" / f"{costmap_id}.zarr"
+
+    def calibration_folder(self, calibration_id: str) -> Path:
+        """Return the folder of a calibration's report.
+
+        Parameters
+        ----------
+        calibration_id : str
+            Its id.
+
+        Returns
+        -------
+        Path
+            Of report.json and report.html, whether it exists or not.
+        """
+        return self._dir / "calibrations" / calibration_id
+
+    def _place(self, job_id: str) -> Path:
+        return self.lattice_path(job_id) if kind_of(job_id) == COSTMAP else self.calibration_folder(job_id)
+
+    def _add(self, row: Any, size: int = 0) -> Any:
+        try:
+            self._keep(row, size)
+        except IntegrityError as error:
+            raise NotFoundError(f"there is no heightmap {row.heightmap_id!r}", heightmap_id=row.heightmap_id) from error
+        return row
+
+
+def new_job(kind: str, heightmap_id: str | None, request: dict[str, Any]) -> dict[str, Any]:
+    """Return the columns of a job that waits.
+
+    Parameters
+    ----------
+    kind : str
+        COSTMAP or CALIBRATION.
+    heightmap_id : str or None
+        Id of its heightmap.
+    request : dict
+        What was asked for, JSON-able.
+
+    Returns
+    -------
+    dict
+        A value for each.
+    """
+    return {
+        "id": f"{kind}-{secrets.token_hex(6)}",
+        "created_at": now(),
+        "heightmap_id": heightmap_id,
+        "request": request,
+        "status": QUEUED,
+        "progress": 0.0,
+    }

@@ -1,0 +1,291 @@
+"""What all that is kept has in common: a database, a data folder, a vault, an owner of each row."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import datetime as dt
+import logging
+import secrets
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+from sqlalchemy import create_engine, event, func, select, text, update
+from sqlalchemy.engine import Engine
+from sqlalchemy.orm import Session, sessionmaker
+
+from joulemap.model.errors import NotFoundError
+from joulemap.service.storage.claims import Claims
+from joulemap.service.storage.columns import add_missing_columns
+from joulemap.service.storage.data_folder import DataFolder
+from joulemap.service.storage.finite import dumps
+from joulemap.service.storage.owners import NOBODY, Caller
+from joulemap.service.storage.sizes import bytes_of
+from joulemap.service.storage.tables import (
+    CALIBRATION,
+    Base,
+    CalibrationRow,
+    CostmapRow,
+    HeightmapRow,
+    JobRow,
+    RunsRow,
+    named_test_runs,
+)
+from joulemap.service.storage.vault import vault_of
+
+Row = TypeVar("Row", bound=Base)
+
+_LOG = logging.getLogger("joulemap.service")
+
+_TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
+_PATIENCE = {"connect_timeout": 5, "tcp_user_timeout": 15_000}  # [s, ms] with a PostgreSQL; libpq's are minutes
+
+
+class Kept:
+    """A database and a data folder; `open` it first, `close` it at the end.
+
+    Several services may share a data directory and its database.
+
+    Parameters
+    ----------
+    data_dir : Path
+        Folder of all files.
+    database_url : str
+        SQLAlchemy URL.
+    objects : str, optional
+        URL of an object store in which everything is kept; the folder has copies then.
+    """
+
+    def __init__(self, data_dir: Path, database_url: str, *, objects: str | None = None) -> None:
+        self._dir = data_dir
+        self.vault = vault_of(objects)
+        self._url = database_url
+        self._engine: Engine | None = None
+        self._folder = DataFolder(data_dir)
+        self._caller = NOBODY
+        self._adding = threading.Lock()  # so that requests at the same moment do not pass a limit together
+
+    def seen_by(self, caller: Caller) -> Self:
+        """Return this store as a caller sees it: what others own is not there, and what is added is the caller's.
+
+        Parameters
+        ----------
+        caller : Caller
+            On whose behalf it is asked.
+
+        Returns
+        -------
+        Kept
+            Open as long as this one is.
+        """
+        seen = copy.copy(self)
+        seen._caller = caller
+        return seen
+
+    def open(self, *, as_service: bool = True, alone: bool = False) -> None:
+        """Create the folders and tables that are missing, and remove what killed processes left.
+
+        Parameters
+        ----------
+        as_service : bool, optional
+            Whether this is a service, and not a command that looks at the data directory beside it.
+        alone : bool, optional
+            Whether no other service may use the data directory meanwhile.
+
+        Raises
+        ------
+        ConflictError
+            If another service uses the data directory that is to be this one's alone.
+        """
+        self._folder.make()
+        if as_service:
+            self._folder.use(alone=alone)
+        patience = _PATIENCE if self._url.startswith("postgresql") else {}
+        self._engine = create_engine(self._url, pool_pre_ping=True, json_serializer=dumps, connect_args=patience)
+        if self._engine.dialect.name == "sqlite":
+            event.listen(self._engine, "connect", _set_up_sqlite)
+        with self._engine.begin() as connection:
+            if self._engine.dialect.name == "postgresql":  # services and workers may start at the same moment
+                connection.execute(text(f"select pg_advisory_xact_lock({_TABLES_LOCK})"))
+            Base.metadata.create_all(connection)
+            add_missing_columns(connection)
+        self._sessions = sessionmaker(self._engine, expire_on_commit=False)
+        if as_service:
+            self._folder.sweep(self._sessions)
+            if not alone:
+                self._folder.share()
+
+    @property
+    def engine(self) -> Engine:
+        """The database of an open store."""
+        assert self._engine is not None
+        return self._engine
+
+    @property
+    def folder(self) -> Path:
+        """The data folder."""
+        return self._dir
+
+    @property
+    def sessions(self) -> sessionmaker[Session]:
+        """Sessions of the database of an open store."""
+        return self._sessions
+
+    def leftovers(self) -> list[Path]:
+        """Return what processes left unfinished that were killed."""
+        return self._folder.leftovers(self._sessions)
+
+    def claims(self) -> Claims:
+        """Return what this service takes its jobs with."""
+        assert self._engine is not None
+        return Claims(self._engine, self._dir / "claims")
+
+    def close(self) -> None:
+        """Let go of the database and the data directory."""
+        if self._engine is not None:
+            self._engine.dispose()
+        self._folder.leave()
+
+    @contextlib.contextmanager
+    def upload_file(self) -> Iterator[Path]:
+        """Lend a path for an upload while it is read; the file is removed afterwards.
+
+        Yields
+        ------
+        Path
+            Of no file yet.
+        """
+        path = self._folder.uploads / secrets.token_hex(8)
+        try:
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
+
+    def here(self, place: Path) -> Path:
+        """Have a file or a folder that is kept in the data folder.
+
+        Parameters
+        ----------
+        place : Path
+            As `heightmap_path`, `lattice_path`, `runs_folder` or `calibration_folder` say it.
+
+        Returns
+        -------
+        Path
+            The same; what is not kept is not there.
+
+        Raises
+        ------
+        OSError
+            If the object store does not answer.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            self.vault.fetch(self._key(place), place)
+        return place
+
+    def model_here(self, model: str, models_dir: Path) -> None:
+        """Have the model of a calibration in the folder of models; others are there or not.
+
+        Parameters
+        ----------
+        model : str
+            Its name.
+        models_dir : Path
+            Folder of trained models.
+
+        Raises
+        ------
+        OSError
+            If the object store does not answer.
+        """
+        if model.startswith(f"{CALIBRATION}-"):
+            with contextlib.suppress(FileNotFoundError):
+                self.vault.fetch(f"models/{model}", models_dir / model)
+
+    def _key(self, place: Path) -> str:
+        """What the vault calls a place in the data folder."""
+        return place.relative_to(self._dir).as_posix()
+
+    def _forget(self, place: Path) -> None:
+        """Keep a file or a folder no longer. What the object store does not remove now, `joulemap check` finds."""
+        try:
+            self.vault.remove(self._key(place))
+        except OSError as error:
+            _LOG.warning("%s is left in the object store: %s", self._key(place), error)
+        if place.is_dir():
+            shutil.rmtree(place, ignore_errors=True)
+        else:
+            place.unlink(missing_ok=True)
+
+    def _keep_with(self, row: Any, begun: Path, place: Path) -> None:
+        """Keep files, then add their row, so that no row is ever without its files.
+        Raises StorageFullError if the owner would keep too much.
+        """
+        size = bytes_of(begun)
+        with self._sessions() as session:
+            self._caller.check_room(session, size)
+        begun.rename(place)
+        try:
+            self.vault.put(self._key(place), place)
+            self._keep(row, size)
+        except BaseException:
+            self._forget(place)
+            raise
+
+    def _keep(self, row: Any, size: int) -> None:
+        """Add a row with its owner.
+        Raises StorageFullError if the owner would keep too much, RateError if a job is one too many.
+        """
+        caller = self._caller
+        row.owner, row.bytes = caller.name, size
+        with self._adding, self._sessions.begin() as session:
+            caller.check_room(session, size)
+            if isinstance(row, JobRow):
+                caller.check_jobs(session)
+            session.add(row)
+            session.flush()
+            for table, ids in _sources(row):
+                session.execute(update(table).where(table.id.in_(ids)).values(used_at=now()))
+
+    def _row(self, table: type[Row], there: str, **key: str) -> Row:
+        ((name, row_id),) = key.items()
+        with self._sessions() as session:
+            row = session.get(table, row_id)
+        if row is None or not self._caller.may_see(row):
+            raise NotFoundError(f"there {there} {row_id[:80]!r}", **{name: row_id[:80]})
+        return row
+
+    def _page(self, table: type[Any], limit: int, offset: int) -> tuple[list[Any], int]:
+        with self._sessions() as session:
+            own = self._caller.own
+            total = session.scalar(own(select(func.count()).select_from(table), table)) or 0
+            query = own(select(table), table).order_by(table.created_at.desc(), table.id).limit(limit).offset(offset)
+            return list(session.scalars(query)), total
+
+
+def _sources(row: Any) -> list[tuple[Any, list[str]]]:
+    """What a job is made from, by table."""
+    if isinstance(row, CalibrationRow):
+        asked = row.request
+        runs = [*asked["runs"], *asked.get("base_runs", []), *named_test_runs(asked)]
+        return [(RunsRow, runs), (HeightmapRow, [row.heightmap_id])]
+    return [(HeightmapRow, [row.heightmap_id])] if isinstance(row, CostmapRow) else []
+
+
+def now() -> dt.datetime:
+    """Return the time as rows have it.
+
+    Returns
+    -------
+    datetime
+        UTC, without a zone.
+    """
+    return dt.datetime.now(dt.UTC).replace(tzinfo=None)
+
+
+def _set_up_sqlite(connection: Any, _record: Any) -> None:
+    for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON", "busy_timeout=10000"):
+        connection.execute(f"PRAGMA {pragma}")
