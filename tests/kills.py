@@ -7,6 +7,7 @@ the bit, and no unfinished file after the next start.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
 import signal
@@ -23,13 +24,17 @@ import httpx
 
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.storage.store import Store
+from joulemap.service.work.calibrations import REPORT
 from tests.service.clusters import free_port
 from tests.service.preload import disturb, disturbed
+from tests.service.test_calibrations import ROBOT, hills, run_csv
 from tests.service.test_restart import SERVE, workers_of
 from tests.service.workers import ROOT, asked, fingerprint, made_here, postgres_server, rolling
 
 TILE_CELLS, PAUSE_S = 48, 0.05
 MOST_JOBS = 3
+CALIBRATIONS = 0.02
+"""Share of the steps at which one is asked for, where none waits."""
 WAIT_S = 900.0
 
 
@@ -50,12 +55,21 @@ class Program:
 
 
 class Load:
-    """Heightmaps and cost maps that are asked for; only what was acknowledged counts."""
+    """Heightmaps, cost maps, runs and calibrations that are asked for; only what was acknowledged counts."""
 
     def __init__(self, ports: list[int], tif: bytes, draw: random.Random) -> None:
         self._ports, self._tif, self._draw = ports, tif, draw
         self.heightmaps: dict[str, Any] = {}
         self.jobs: dict[str, str] = {}
+        """Status by place."""
+
+    def look(self) -> None:
+        """Ask for the status of every job that has not ended."""
+        for place, status in self.jobs.items():
+            answer = self.call("GET", place) if status not in ("done", "failed") else None
+            if answer is not None and answer.status_code < 500:
+                assert answer.status_code == 200, f"{place} is lost: {answer.text}"
+                self.jobs[place] = answer.json()["status"]
 
     def call(self, method: str, path: str, **how: Any) -> httpx.Response | None:
         """An answer of any service; None where it does not answer."""
@@ -67,12 +81,11 @@ class Load:
 
     def step(self) -> None:
         """Ask for one more job where there are few, and look at the others."""
-        for job_id, status in self.jobs.items():
-            answer = self.call("GET", f"/v1/costmaps/{job_id}") if status not in ("done", "failed") else None
-            if answer is not None and answer.status_code < 500:
-                assert answer.status_code == 200, f"{job_id} is lost: {answer.text}"
-                self.jobs[job_id] = answer.json()["status"]
-        if sum(status not in ("done", "failed") for status in self.jobs.values()) >= MOST_JOBS:
+        self.look()
+        waiting = [place for place, status in self.jobs.items() if status not in ("done", "failed")]
+        if not any("calibrations" in place for place in waiting) and self._draw.random() < CALIBRATIONS:
+            self._calibrate()
+        if len(waiting) >= MOST_JOBS:
             return
         sent = self.call("POST", "/v1/heightmaps", content=self._tif)
         if sent is None or sent.status_code != 201:
@@ -82,7 +95,21 @@ class Load:
         body = {"heightmap_id": heightmap["id"], "model": "physics", "headings": 8}
         made = self.call("POST", "/v1/costmaps", json=body)
         if made is not None and made.status_code == 202:
-            self.jobs[made.json()["id"]] = "queued"
+            self.jobs[made.headers["location"]] = "queued"
+
+    def _calibrate(self) -> None:
+        ground = self.call("POST", "/v1/heightmaps", content=write_geotiff(None, hills()))
+        if ground is None or ground.status_code != 201:
+            return
+        self.heightmaps[ground.json()["id"]] = ground.json()
+        files = [("file", (f"run_{k}.csv", run_csv(k, metres=60.0))) for k in range(3)]
+        runs = self.call("POST", "/v1/runs", files=files)
+        if runs is None or runs.status_code != 201:
+            return
+        body = {"heightmap_id": ground.json()["id"], "runs": [runs.json()["id"]], "model": "physics", "robot": ROBOT}
+        made = self.call("POST", "/v1/calibrations", json=body | {"quick": True})
+        if made is not None and made.status_code == 202:
+            self.jobs[made.headers["location"]] = "queued"
 
 
 def run(folder: Path, *, kills: int, seed: int, with_cluster: bool) -> Counter[str]:
@@ -115,28 +142,31 @@ def run(folder: Path, *, kills: int, seed: int, with_cluster: bool) -> Counter[s
                 while time.monotonic() < deadline:
                     load.step()
                     time.sleep(0.1)
-                killed[_kill_one(programs, draw)] += 1
+                killed[_kill_one(programs, draw, load)] += 1
                 for program in programs:
                     if program.process.poll() is not None:
                         program.start()
                 if killed.total() % 10 == 0:
                     print(f"{killed.total()} kills {dict(killed)}, jobs {Counter(load.jobs.values())}", flush=True)
-            for job_id in load.jobs:  # no job is asked for any more
-                _until(load, lambda job_id=job_id: load.jobs[job_id] in ("done", "failed"), programs)
+            for place in load.jobs:  # no job is asked for any more
+                _until(load, lambda place=place: load.jobs[place] in ("done", "failed"), programs)
         finally:
             for program in programs:
                 program.kill()
         _check(folder, load, env.get("JOULEMAP_DATABASE_URL"))
-    print(
-        f"{len(load.jobs)} cost maps and {len(load.heightmaps)} heightmaps were acknowledged, none is lost", flush=True
-    )
+    kinds = Counter(place.split("/")[2] for place in load.jobs)
+    print(f"acknowledged: {len(load.heightmaps)} heightmaps, {dict(kinds)}; none is lost", flush=True)
     return killed
 
 
-def _kill_one(programs: list[Program], draw: random.Random) -> str:
+def _kill_one(programs: list[Program], draw: random.Random, load: Load) -> str:
     program = draw.choice(programs)
-    workers = workers_of(program.process.pid) if program.name == "service" else []
-    if workers and draw.random() < 0.5:  # a worker of the service's own
+    if len(programs) == 1 and draw.random() < 0.5:  # a worker of the service's own, once there is one
+        deadline = time.monotonic() + WAIT_S
+        while not (workers := workers_of(program.process.pid)):
+            assert time.monotonic() < deadline, "the service has no workers"
+            load.step()
+            time.sleep(0.1)
         os.kill(draw.choice(workers), signal.SIGKILL)
         return "worker"
     program.kill()
@@ -150,15 +180,8 @@ def _until(load: Load, condition: Any, programs: list[Program] | None = None) ->
         for program in programs or []:
             if program.process.poll() is not None:
                 program.start()
-        load.step() if programs is None else _look(load)
+        load.step() if programs is None else load.look()
         time.sleep(0.2)
-
-
-def _look(load: Load) -> None:
-    for job_id, status in load.jobs.items():
-        answer = load.call("GET", f"/v1/costmaps/{job_id}") if status not in ("done", "failed") else None
-        if answer is not None and answer.status_code == 200:
-            load.jobs[job_id] = answer.json()["status"]
 
 
 def _check(folder: Path, load: Load, url: str | None) -> None:
@@ -173,9 +196,17 @@ def _check(folder: Path, load: Load, url: str | None) -> None:
     store.open()
     for heightmap_id, sent in load.heightmaps.items():
         assert store.open_heightmap(heightmap_id).data_hash == sent["hash"], heightmap_id
-    for job_id, status in load.jobs.items():
-        assert status == "done", f"{job_id}: {store.costmap(job_id).problem}"
-        assert fingerprint(store.lattice_path(job_id)) == expected, job_id
+    found = set()
+    for place, status in load.jobs.items():
+        kind, job_id = place.split("/")[2:]
+        assert status == "done", f"{job_id}: {store.costmap(job_id).problem if kind == 'costmaps' else place}"
+        if kind == "costmaps":
+            assert fingerprint(store.lattice_path(job_id)) == expected, job_id
+        else:
+            report = json.loads((store.calibration_folder(job_id) / REPORT).read_text(encoding="utf-8"))
+            found.add(json.dumps([report["effects"], report["error"]], sort_keys=True))
+            assert any((data / "models" / job_id).iterdir()), job_id
+    assert len(found) <= 1, "calibrations of the same runs differ"
     left = [p for kind in ("*.partial", "*.tiles") for p in data.glob(f"*/{kind}")]
     left += list((data / "costmaps").rglob("*.partial"))
     assert not left, left
