@@ -67,7 +67,8 @@ def record(client: TestClient) -> dict[str, Any]:
     sent = [("file", (f"run_0{k}.csv", run_csv(k, metres=60.0))) for k in (1, 2, 3)]
     runs = ask("send_runs", "POST", "/v1/runs", files=sent, query={"heightmap_id": driven})["id"]
     wanted = {"heightmap_id": driven, "runs": [runs], "model": "physics", "robot": ROBOT, "quick": True}
-    ask("make_calibration", "POST", "/v1/calibrations", body=wanted)
+    other = ask("make_calibration", "POST", "/v1/calibrations", body=wanted)["id"]
+    ask("cancel_calibration", "POST", f"/v1/calibrations/{other}/cancel")
     calibration = ask("make_calibration", "POST", "/v1/calibrations", body=wanted, prefer="wait=300")["id"]
     for name, path in (
         ("list_heightmaps", "/v1/heightmaps"),
@@ -94,8 +95,6 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("ask_feasibility", "POST", f"{here}/feasibility", body={**task, "round_trip": True})
     large = client.post("/v1/costmaps", json={**asked, "spacing_m": 0.1, "headings": 360}).json()["id"]
     ask("cancel_costmap", "POST", f"/v1/costmaps/{large}/cancel")
-    long = client.post("/v1/calibrations", json=wanted).json()["id"]
-    ask("cancel_calibration", "POST", f"/v1/calibrations/{long}/cancel")
     for name in ("follow_costmap", "delete_costmap"):
         found[name] = {"parameters": {"costmap_id": costmap}, "answers": {}}
     found["delete_runs"] = {"parameters": {"runs_id": runs}, "answers": {}}
