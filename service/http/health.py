@@ -17,6 +17,7 @@ Look = Callable[[], object]
 
 OK = "ok"
 EVERY_S = 2.0
+_AGAIN_S = 0.3  # after a look that found something wrong, as at the start
 PATIENCE_S = 5.0
 """A check that has not returned for so long after its time has failed [s]; a rare one may take as long as its pause."""
 _PROBE_BYTES = 65_536  # more than what file systems keep in a directory entry or an inode
@@ -82,7 +83,8 @@ class _Repeated:
         while True:
             self._found = self._once()
             self._at = self._clock()
-            if self._over.wait(self._every_s):
+            pause = self._every_s if self._found == OK else min(self._every_s, _AGAIN_S)
+            if self._over.wait(pause):
                 return
 
     def _once(self) -> str:

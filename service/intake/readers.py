@@ -25,7 +25,6 @@ from joulemap.service.intake.limits import ReadLimits
 
 _RETRY_S = 5.0
 _BEGUN = b"\n"  # as the template says it
-_END_S = 5.0  # until a template that should end is killed
 _TRIES = 2  # a template may have been killed
 _ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -86,11 +85,8 @@ class Readers:
         if self._control is not None:
             self._control.close()
         if self._template is not None:
-            try:
-                self._template.wait(_END_S)
-            except subprocess.TimeoutExpired:
-                self._template.kill()
-                self._template.wait()
+            self._template.kill()  # it may still be loading, and holds nothing
+            self._template.wait()
         self._template = self._control = None
 
     @property
