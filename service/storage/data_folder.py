@@ -135,7 +135,7 @@ class DataFolder:
         uploads = self.path / "uploads"
         in_use = {path.stem for path in uploads.glob("*.lock") if _is_held(path)}
         found = [path for path in sorted(uploads.iterdir()) if path.stem not in in_use]
-        for kind in ("costmaps/*.partial", "costmaps/*.tiles", "calibrations/*.partial"):
+        for kind in (*(f"{folder}/*.partial" for folder in FOLDERS if folder != "uploads"), "costmaps/*.tiles"):
             found += [path for path in self.path.glob(kind) if path.name.partition(".")[0] not in at_work]
         return found
 

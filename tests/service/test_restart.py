@@ -65,6 +65,7 @@ def test_what_killed_processes_left_is_removed_and_what_is_whole_stays(tmp_path:
     ]
     left = [
         tmp_path / "uploads" / "0123456789abcdef" / "upload",
+        tmp_path / "heightmaps" / "hm-ba9876543210.tif.89ab.partial" / "copied",
         tmp_path / "costmaps" / "cm-ba9876543210.zarr.partial" / "zarr.json",
         tmp_path / "costmaps" / "cm-ba9876543210.zarr.tiles" / "0.json",
         tmp_path / "calibrations" / "cal-0123456789ab.89ab.partial" / "order.json",
@@ -75,7 +76,7 @@ def test_what_killed_processes_left_is_removed_and_what_is_whole_stays(tmp_path:
     store = Store(tmp_path, f"sqlite:///{tmp_path / 'test.db'}")
     store.open()
     assert [path.exists() for path in whole] == [True, True]
-    assert [path.parent.exists() for path in left] == [False] * 4
+    assert [path.parent.exists() for path in left] == [False] * 5
     store.close()
 
 
