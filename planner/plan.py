@@ -293,9 +293,7 @@ class RoutePlanner:
             least = max(least, energy_bound(lattice, prices, start, goal))
         bound_j = least if math.isfinite(least) else None
         route, *rest = (self._route(way, notes) for way in ways)
-        plan = Plan(route, self._route(shortest, notes), planner, details, tuple(rest), bound_j)
-        details |= {"bound_j": plan.bound_j, "gap": plan.gap}
-        return plan
+        return Plan(route, self._route(shortest, notes), planner, details, tuple(rest), bound_j)
 
     def tour(
         self,

@@ -100,6 +100,7 @@ class StoredPlanner:
         refine: bool = True,
         alternatives: int = 0,
         snap: bool = False,
+        bound: bool = False,
         progress: Callable[[float], None] | None = None,
         **_: Any,
     ) -> Plan:
@@ -119,6 +120,8 @@ class StoredPlanner:
             Must be 0: alternatives need the lattice in memory.
         snap : bool, default False
             Whether a start or goal on blocked ground is moved to the nearest free place.
+        bound : bool, default False
+            Must be false: a sharper bound needs the lattice in memory.
         progress : callable, optional
             Called with the share that is done, 0..1; an exception that it raises ends the search.
         **_
@@ -133,7 +136,7 @@ class StoredPlanner:
         Raises
         ------
         InputError
-            If another planner, or alternatives, are wanted.
+            If another planner, alternatives or a bound are wanted.
         PointError
             If start or goal is not finite or lies outside the map.
         BlockedError
@@ -143,11 +146,12 @@ class StoredPlanner:
         TooLargeError
             If the search needs more memory than it may use.
         """
-        if planner != "astar" or alternatives > 0:
-            wanted = f"the planner {planner}" if planner != "astar" else "looking for alternatives"
+        if planner != "astar" or alternatives > 0 or bound:
+            wanted = "looking for alternatives" if alternatives > 0 else "a sharper bound"
             raise InputError(
-                f"{wanted} needs the whole cost map in memory, and this one is planned on from disk: use the planner "
-                "astar without alternatives, or a cost map with a coarser spacing",
+                f"{wanted if planner == 'astar' else f'the planner {planner}'} needs the whole cost map in memory, and "
+                "this one is planned on from disk: use the planner astar without alternatives and bound, or a cost map "
+                "with a coarser spacing",
                 planner=planner,
             )
         if self._strip.bytes_read > _MOST_STRIP:
@@ -168,9 +172,7 @@ class StoredPlanner:
         details["seconds"] = time.perf_counter() - began
         least = quick_bound(self.lattice, start, goal)
         bound_j = least if math.isfinite(least) else None
-        plan = Plan(self._route(points, notes), self._route(shortest, notes), planner, details, (), bound_j)
-        details |= {"bound_j": plan.bound_j, "gap": plan.gap}
-        return plan
+        return Plan(self._route(points, notes), self._route(shortest, notes), planner, details, (), bound_j)
 
     def tour(self, stops_xy: Sequence[tuple[float, float]], **_: Any) -> RoundTrip:
         """Refuse: a tour needs the lattice in memory.

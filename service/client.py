@@ -411,8 +411,8 @@ class ServedCostMap:
         progress : callable, optional
             Called with the share done, 0..1.
         **options
-            Other fields of a path request: planner, neighbours, refine, alternatives, snap, time_limit_s, seed and
-            battery.
+            Other fields of a path request: planner, neighbours, refine, alternatives, snap, bound,
+            time_limit_s, seed and battery.
 
         Returns
         -------

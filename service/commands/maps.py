@@ -33,7 +33,7 @@ from joulemap.service.commands.options import (
     there,
 )
 from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served, service_at, unpack
-from joulemap.service.words import route_words, saving_words
+from joulemap.service.words import energy_words, route_words, saving_words
 
 if TYPE_CHECKING:
     from joulemap.model.frames import GridFrame
@@ -226,12 +226,15 @@ def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path
             write_file(place, make(lattice))
 
 
-def _proven(details: dict[str, Any]) -> dict[str, str]:
-    """What a search from disk has proven of its path over grid moves, as a row of the answer."""
-    gap = details.get("grid_gap")
-    return (
-        {} if gap is None else {"proven": f"the grid's path is at most {100 * gap:.2g} % above the best over its moves"}
-    )
+def _proven(found: dict[str, Any], *, bound: bool) -> dict[str, str]:
+    """What is known of better paths, as rows of the answer; the bound where it was asked for."""
+    rows = {}
+    if bound and found["gap"] is not None:
+        less = 100 * found["gap"] / (1.0 + found["gap"])
+        rows["lower bound"] = f"{energy_words(found['bound_j'])}: no path takes less by more than {less:.2g} %"
+    if (gap := found["details"].get("grid_gap")) is not None:
+        rows["proven"] = f"the grid's path is at most {100 * gap:.2g} % above the best over its moves"
+    return rows
 
 
 def _memory_for(costmap: Path) -> float | None:
@@ -258,6 +261,12 @@ def path(
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the sampling planners.")] = 0,
     alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
     snap: Snap = False,
+    bound: Annotated[
+        bool,
+        typer.Option(
+            help="Search for a lower bound of the energy of all paths, and say how far this one may lie above it."
+        ),
+    ] = False,
     memory: Memory = None,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
     picture: Annotated[
@@ -290,6 +299,7 @@ def path(
         "seed": seed,
         "alternatives": alternatives,
         "snap": snap,
+        "bound": bound,
     }
     if server is not None:
         refuse_local(memory=memory, picture=picture)
@@ -297,14 +307,14 @@ def path(
             answer = map_there.plan(start, goal, progress=report, **asked)
             if geojson is not None:
                 write_file(geojson, json_text(map_there.plan_geojson(start, goal, **asked)).encode())
-        _say_path(output, answer.model_dump(mode="json"), map_there.about.robot.name)
+        _say_path(output, answer.model_dump(mode="json"), map_there.about.robot.name, bound=bound)
         return
-    in_parts = planner == "astar" and alternatives == 0 and picture is None
+    in_parts = planner == "astar" and alternatives == 0 and picture is None and not bound
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if in_parts and memory is None else memory)
     with progress_bar("Path") as report:
         route = ground.plan(start, goal, progress=report, **asked)
     plan = route.found
-    _say_path(output, path_out(plan, None, ground.warnings).model_dump(mode="json"), ground.robot.name)
+    _say_path(output, path_out(plan, None, ground.warnings).model_dump(mode="json"), ground.robot.name, bound=bound)
     if geojson is not None:
         write_file(geojson, json_text(path_geojson(plan, None, ground.warnings)).encode())
     if picture is not None:
@@ -316,7 +326,7 @@ def path(
         write_file(picture, drawn)
 
 
-def _say_path(output: Output, found: dict[str, Any], robot: str) -> None:
+def _say_path(output: Output, found: dict[str, Any], robot: str, *, bound: bool) -> None:
     output.say(f"[bold]Path[/] for {robot}, planner {found['planner']}")
     output.table(
         {
@@ -324,7 +334,7 @@ def _say_path(output: Output, found: dict[str, Any], robot: str) -> None:
             **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
             "shortest": route_words(found["shortest"]),
             "saved": saving_words(found, found["shortest"]),
-            **_proven(found["details"]),
+            **_proven(found, bound=bound),
         }
     )
     output.warn(found["warnings"])

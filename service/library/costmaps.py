@@ -91,6 +91,7 @@ class CostMap:
         refine: bool = True,
         alternatives: int = 0,
         snap: bool = False,
+        bound: bool = False,
         time_limit_s: float = 5.0,
         seed: int = 0,
         progress: Callable[[float], None] | None = None,
@@ -111,6 +112,9 @@ class CostMap:
             Most other routes to look for.
         snap : bool, optional
             Whether a start or goal on blocked ground is moved to the nearest free place.
+        bound : bool, optional
+            Whether to search for a sharper lower bound of the energy (`found.bound_j`), which takes some seconds once
+            per map. Without it the bound is that of the idle power over the straight distance.
         time_limit_s : float, optional
             For the sampling planners [s].
         seed : int, optional
@@ -140,6 +144,7 @@ class CostMap:
             refine=refine,
             alternatives=alternatives,
             snap=snap,
+            bound=bound,
             time_limit_s=time_limit_s,
             seed=seed,
             progress=progress,

@@ -370,6 +370,8 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
         saving_j=plan.saving_j,
         saving_percent=_percent(plan.saving_j, shortest.energy_j),
         battery=verdict_out(verdict) if verdict is not None else None,
+        bound_j=plan.bound_j,
+        gap=plan.gap,
         planner=plan.planner,
         details=jsonable(plan.details),
         warnings=[*warnings, *route.notes],

@@ -62,6 +62,9 @@ class PathRequest(Request):
     )
     seed: int = Field(default=0, ge=0, le=2**31 - 1, description="seed of the sampling planners")
     alternatives: int = Field(default=0, ge=0, le=10, description="most other good paths to look for")
+    bound: bool = Field(
+        default=False, description="search for a sharper `bound_j`, which takes some seconds once per cost map"
+    )
     snap: bool = Field(
         default=False,
         description="move a start or goal on blocked ground to the nearest free place; a warning says where that is",
@@ -136,6 +139,12 @@ class PathOut(RouteOut):
     saving_j: float = Field(description="energy saved against the shortest path [J]")
     saving_percent: float = Field(description="energy saved, as a percentage of the shortest path's energy")
     battery: VerdictOut | None = Field(description="whether the battery lasts; null unless asked for")
+    bound_j: float | None = Field(
+        description="no path between the two places takes less energy than this, proven [J]; null if unknown"
+    )
+    gap: float | None = Field(
+        description="by which share the path may cost more than the best one: energy / bound - 1"
+    )
     planner: str = Field(examples=["astar"])
     details: dict[str, Any] = Field(description="how the path was found")
     warnings: list[str]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -240,6 +241,14 @@ def test_of_the_lines_of_a_path_the_energy_optimal_one_is_judged(costmap: Path, 
     assert code == 0, errors
     _, judged, _ = joulemap("feasibility", costmap, "--path", tmp_path / "path.geojson", "--json", "-")
     assert json.loads(judged)["energy_j"] == pytest.approx(json.loads(words)["energy_j"], rel=1e-6)
+
+
+def test_the_bound_is_said_where_it_is_asked_for(costmap: Path) -> None:
+    asked = ("path", costmap, "--start", "3.5,4.5", "--goal", "36.5,22.5")
+    assert "lower bound" not in joulemap(*asked)[1]
+    code, words, errors = joulemap(*asked, "--bound")
+    assert code == 0, errors
+    assert re.search(r"lower bound +[\d.]+ k?J .*: no path takes less by more than [\d.]+ %", words), words
 
 
 def test_snap_takes_the_nearest_free_place(tmp_path: Path) -> None:

@@ -53,8 +53,9 @@ def local() -> jm.CostMap:
 
 
 def test_answers_are_those_of_the_library(costmap: Any, local: jm.CostMap) -> None:
-    route, here = costmap.plan(START, GOAL, alternatives=1), local.plan(START, GOAL, alternatives=1)
+    route, here = (of.plan(START, GOAL, alternatives=1, bound=True) for of in (costmap, local))
     assert route.energy_j == pytest.approx(here.energy_j, rel=1e-9)
+    assert route.bound_j == pytest.approx(here.found.bound_j, rel=1e-9)
     assert route.shortest.length_m == pytest.approx(here.shortest.length_m, rel=1e-9)
     shares: list[float] = []
     assert costmap.plan(START, GOAL, alternatives=1, progress=shares.append).path == route.path

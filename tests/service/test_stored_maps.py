@@ -62,6 +62,8 @@ def test_other_planners_and_too_little_memory_are_refused(folder):
         stored.plan(START, GOAL, planner="bitstar")
     with pytest.raises(InputError, match="alternatives"):
         stored.plan(START, GOAL, alternatives=2)
+    with pytest.raises(InputError, match="bound"):
+        stored.plan(START, GOAL, bound=True)
     with pytest.raises(TooLargeError, match="memory"):
         jm.open_costmap(folder, memory_gb=1e-6).plan(START, GOAL)
     with pytest.raises(InputError, match="memory_gb"):

@@ -56,6 +56,15 @@ def test_tours_that_cannot_be_asked(client: TestClient, costmap_id: str) -> None
     check_problem(client.post("/v1/costmaps/cm-none/tours", json={"stops": [START, GOAL]}), 404, "not_found")
 
 
+def test_a_sharper_bound_where_it_is_asked_for(client: TestClient, costmap_id: str) -> None:
+    asked, url = {"start": START, "goal": GOAL}, f"/v1/costmaps/{costmap_id}/paths"
+    plain, sharper = (client.post(url, json={**asked, "bound": wanted}).json() for wanted in (False, True))
+    assert plain["energy_j"] == sharper["energy_j"]
+    assert 0.0 < plain["bound_j"] < sharper["bound_j"] <= sharper["energy_j"]
+    for found in (plain, sharper):
+        assert found["gap"] == pytest.approx(found["energy_j"] / found["bound_j"] - 1.0)
+
+
 def test_other_ways_round_the_hill(client: TestClient, costmap_id: str) -> None:
     asked = {"start": START, "goal": GOAL, "alternatives": 2}
     url = f"/v1/costmaps/{costmap_id}/paths"

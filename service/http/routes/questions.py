@@ -76,6 +76,7 @@ async def find_path(
                 seed=wanted.seed,
                 alternatives=wanted.alternatives,
                 snap=wanted.snap,
+                bound=wanted.bound,
                 progress=_unless_stopped(report),
             )
             verdict = judge_routes(planner.lattice, [plan.route], battery) if wanted.battery is not None else None
