@@ -345,7 +345,7 @@ def test_a_full_queue_is_told(tmp_path: Path) -> None:
 def test_a_killed_calibration_is_done_again(tmp_path: Path) -> None:
     """A real process, killed without warning while it calibrates."""
     port = free_port()
-    env = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    env = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "JOULEMAP_WORKERS": "1"}
     process = subprocess.Popen([sys.executable, "-c", SERVE, str(tmp_path), "", str(port)], env=env)
     try:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as http:

@@ -96,7 +96,7 @@ def serving(folder: Path, **env: str) -> Iterator[tuple[subprocess.Popen[bytes],
     """A service in a process of its own, killed in the end, and a client of it."""
     port = free_port()
     command = [sys.executable, "-c", SERVE, str(folder), "", str(port)]
-    process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(ROOT), **env})
+    process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(ROOT), "JOULEMAP_WORKERS": "1", **env})
     try:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as http:
             wait_until(lambda: answers(http, "/healthz"))
