@@ -150,7 +150,7 @@ def test_a_job_that_is_cut_off_is_taken_up_again(tmp_path: Path, hill_tif: bytes
 
 
 def test_deleting_stops_a_job(tmp_path: Path, hill_tif: bytes) -> None:
-    with serving(tmp_path, **disturbed(tile_cells=16, pause_s=2.0)) as (_, http):
+    with serving(tmp_path, **disturbed(tile_cells=16, pause_s=0.7)) as (_, http):
         place = ask(http, hill_tif)
         wait_until(lambda: status(http, place) == "running")
         assert http.delete(place).status_code == 204
