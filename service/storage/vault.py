@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from joulemap.model.errors import InputError
 from joulemap.service.storage.sizes import bytes_of
 
 _LOST = errno.EHOSTUNREACH  # of an object store that does not answer: answered with 503, and jobs wait
@@ -159,22 +160,31 @@ class ObjectVault:
     ----------
     url : str
         Like ``s3://BUCKET/PREFIX``; endpoint and credentials come from the environment (AWS_ENDPOINT_URL, ...).
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
     """
 
     def __init__(self, url: str) -> None:
-        from obstore import store  # only here: it is an extra
-
+        try:
+            from obstore import store  # only here: it is an extra
+            from obstore.exceptions import BaseError
+        except ImportError:
+            words = f"the object store {url} needs obstore: pip install 'joulemap[objects]'"
+            raise InputError(words, url=url) from None
         self.url = url
         options: dict[str, Any] = {"timeout": "60s", "connect_timeout": "5s"}
         if os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://"):
             options["allow_http"] = True
         retries = {"max_retries": _RETRIES, "retry_timeout": dt.timedelta(seconds=_RETRY_S)}
         open_url: Any = store.from_url
-        self._store: Any = (
-            open_url(url, mkdir=True)
-            if url.startswith("file:")
-            else open_url(url, client_options=options, retry_config=retries)
-        )
+        how: dict[str, Any] = {"client_options": options, "retry_config": retries}
+        try:
+            self._store: Any = open_url(url, **({"mkdir": True} if url.startswith("file:") else how))
+        except (BaseError, ValueError) as error:
+            raise InputError(f"{url} is no object store that can be used: {_short(error)}", url=url) from error
 
     def put(self, key: str, place: Path, *, there: Mapping[str, Part] | None = None) -> None:
         """Keep a file or a folder, whole or not at all.
@@ -460,6 +470,11 @@ def _told() -> Iterator[None]:
     try:
         yield
     except (NotFoundError, FileNotFoundError) as error:
-        raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no such object: {str(error)[:200]}") from error
+        raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no such object: {_short(error)}") from error
     except BaseError as error:
-        raise OSError(_LOST, f"{_SHOWN} does not answer as it should: {str(error)[:300]}") from error
+        raise OSError(_LOST, f"{_SHOWN} does not answer as it should: {_short(error)}") from error
+
+
+def _short(error: BaseException) -> str:
+    """The first line; below it obstore repeats itself for its developers."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:300]

@@ -17,6 +17,7 @@ import httpx
 import pytest
 from fastapi.testclient import TestClient
 
+from joulemap.model.errors import InputError
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
 from joulemap.service.storage.vault import ObjectVault
@@ -214,3 +215,9 @@ def test_an_object_store_that_is_away_is_told_and_waited_for(tmp_path: Path, wir
         wire.cut = False
         wait_until(lambda: status(client, place) == "done")
         wait_until(lambda: client.get("/readyz").status_code == 200)
+
+
+@pytest.mark.parametrize("url", ["nowhere://maps", "s3://", "s3:///x"])
+def test_a_url_of_no_object_store_is_refused_in_words(url: str) -> None:
+    with pytest.raises(InputError, match="no object store that can be used"):
+        ObjectVault(url)
