@@ -97,7 +97,7 @@ def _kept(folder: Path) -> set[Path]:
 
 
 class _Watch:
-    """The most memory that a child process or this one took beyond what it had at rest, looked at all the time."""
+    """The most memory that a process below this one took, looked at all the time."""
 
     def __init__(self) -> None:
         self.peak_mb = 0.0
@@ -116,7 +116,7 @@ class _Watch:
     def _look(self) -> None:
         me = psutil.Process()
         while not self._over.wait(0.02):
-            for process in me.children():
+            for process in me.children(recursive=True):
                 try:
                     self.peak_mb = max(self.peak_mb, process.memory_info().rss / 1e6)
                 except psutil.NoSuchProcess:
