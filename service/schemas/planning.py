@@ -142,9 +142,7 @@ class PathOut(RouteOut):
     bound_j: float | None = Field(
         description="no path between the two places takes less energy than this, proven [J]; null if unknown"
     )
-    gap: float | None = Field(
-        description="by which share the path may cost more than the best one: energy / bound - 1"
-    )
+    gap: float | None = Field(description="by which share the path may cost more than the best one: energy / bound - 1")
     planner: str = Field(examples=["astar"])
     details: dict[str, Any] = Field(description="how the path was found")
     warnings: list[str]
