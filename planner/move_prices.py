@@ -258,7 +258,7 @@ def _by_cell(planes, first, out):
 def _kinked(traction, n, i, j, part, corners, corner, blend, regeneration):
     """Mean price of motion along move n from a cell, on which the traction changes its sign."""
     mean = 0.0
-    t0 = np.float64(traction[n, i, j])
+    t0 = 1.0 * traction[n, i, j]
     for p in range(part.shape[1]):
         if part[n, p] <= 0.0:
             break
