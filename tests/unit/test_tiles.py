@@ -3,6 +3,9 @@
 import os
 import shutil
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +25,7 @@ from joulemap.planner.lattice_build import build_lattice, write_lattice
 from joulemap.planner.lattice_io import LatticeFolder, load_lattice, save_lattice
 from joulemap.planner.tiles import Tiling
 
+ROOT = Path(__file__).resolve().parents[2]
 ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked", "std_j")
 ROBOT = Robot(max_grade_deg=20.0, max_cross_slope_deg=15.0)
 
@@ -193,31 +197,40 @@ def test_a_tile_that_was_never_written_is_unknown_and_not_free(tmp_path) -> None
     assert np.isnan(back.traction_per_m).all()
 
 
-@pytest.mark.parametrize(
-    "cut",
-    [lambda: os.kill(os.getpid(), signal.SIGINT), lambda: os.kill(os.getpid(), signal.SIGTERM)],
-    ids=["int", "term"],
-)
-def test_a_writer_that_is_cut_off_leaves_nothing_behind(tmp_path, cut) -> None:
-    """Ctrl-C and SIGTERM after a tile: no folder, no half of one; a lattice that was there before is kept."""
+CUT_OFF = 7
+TILING = Tiling.of(GridFrame(512_345.6, 5_412_345.7, 0.5, 120, 120, "EPSG:32632"), spacing_m=1.0, headings=8, side=32)
+
+
+def cut_off_writer(place: Path, number: int) -> None:
+    """Write a lattice and send a signal to this process after the second tile. Exits with `CUT_OFF` if all is well."""
     heightmap, source = rough(120, 120, resolution_m=0.5), PhysicsPredictor()
-    tiling = Tiling.of(heightmap.frame, spacing_m=1.0, headings=8, side=32)
     seen = []
 
     def cut_after_the_second(part) -> None:
-        seen.append((tmp_path / "a.zarr.partial").exists())
+        seen.append((place / "a.zarr.partial").exists())
         if len(seen) == 2:
-            cut()
+            os.kill(os.getpid(), number)
 
-    for before in (False, True):
-        seen.clear()
-        with pytest.raises((KeyboardInterrupt, SystemExit)):
-            write_lattice(tmp_path / "a.zarr", heightmap, ROBOT, source, tiling, each=cut_after_the_second)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the process was started with
+    try:
+        write_lattice(place / "a.zarr", heightmap, ROBOT, source, TILING, each=cut_after_the_second)
+    except (KeyboardInterrupt, SystemExit):
         assert seen == [True, True]
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        sys.exit(CUT_OFF)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
+def test_a_writer_that_is_cut_off_leaves_nothing_behind(tmp_path, number) -> None:
+    """Ctrl-C and SIGTERM after a tile: no folder, no half of one; a lattice that was there before is kept."""
+    code = "import sys, pathlib; from tests.unit.test_tiles import cut_off_writer as cut; "
+    code += f"cut(pathlib.Path(sys.argv[1]), {int(number)})"
+    for before in (False, True):
+        done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == CUT_OFF, done.stderr
         assert [place.name for place in tmp_path.iterdir()] == (["a.zarr"] if before else [])
-        write_lattice(tmp_path / "a.zarr", heightmap, ROBOT, source, tiling)
-    assert load_lattice(tmp_path / "a.zarr").frame == tiling.frame
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        write_lattice(tmp_path / "a.zarr", rough(120, 120, resolution_m=0.5), ROBOT, PhysicsPredictor(), TILING)
+    assert load_lattice(tmp_path / "a.zarr").frame == TILING.frame
 
 
 def test_what_is_no_lattice_is_left_alone_with_all_that_is_beside_it(tmp_path) -> None:
