@@ -14,7 +14,7 @@ demo: $(INSTALLED) ## start the service, ask it everything, draw a picture (ARGS
 	$(BIN)/joulemap demo $(ARGS)
 
 # A process for each core; the tests of a file stay together, because they share what is made for them.
-PARALLEL := -n logical --maxprocesses 8 --dist loadfile
+PARALLEL := -n logical --maxprocesses 8 --dist loadfile --max-worker-restart 0
 
 test: lint ## what must pass before a change is taken: linters, types, layers, documentation, tests
 	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(ARGS)
