@@ -83,7 +83,7 @@ def _ending_with(file: socket.socket) -> Iterator[None]:
     fcntl.fcntl(file, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(file, fcntl.F_SETFL, before | os.O_ASYNC)  # nothing handles SIGIO: it ends the process
     gone = select.poll()
-    gone.register(file, 0)  # POLLHUP and POLLERR are always told
+    gone.register(file, 0)  # POLLHUP and POLLERR are always reported
     if gone.poll(0):
         os._exit(0)
     try:

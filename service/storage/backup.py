@@ -82,7 +82,7 @@ def back_up(
             gone = set()
             for number, (table, row_id, source, place) in enumerate(wanted):
                 try:
-                    with suppress(FileNotFoundError):  # it is told below
+                    with suppress(FileNotFoundError):  # it is reported below
                         store.vault.fetch(place, source)
                     found = _copy_all(source, partial, place)
                     deleted = table is not None and not _is_there(store, table, row_id)

@@ -51,7 +51,7 @@ def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
     order : mapping
         As of `order_of`.
     topic : str
-        Under which the share of the work that is done is told.
+        Under which the share of the work that is done is reported.
 
     Returns
     -------

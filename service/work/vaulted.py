@@ -148,7 +148,7 @@ def calibrate(order: Mapping[str, Any], topic: str, *, url: str, folder: Path) -
     order : mapping
         As of `order_of`, with places in `folder`.
     topic : str
-        Under which the share of the work that is done is told.
+        Under which the share of the work that is done is reported.
     url : str
         Of the object store.
     folder : Path
