@@ -197,7 +197,7 @@ def cluster_worker(address: str, folder: Path) -> Iterator[None]:
 
 
 def test_an_object_store_that_is_away_is_told_and_waited_for(tmp_path: Path, wire: Wire, hill_tif: bytes) -> None:
-    settings = settings_for(tmp_path, store="s3://maps/away")
+    settings = settings_for(tmp_path, store="s3://maps/away", workers=1)  # a worker that knows the way to the store
     with TestClient(create_app(settings)) as client:
         heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
         wait_until(lambda: client.get("/readyz").status_code == 200)
