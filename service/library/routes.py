@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,10 @@ from joulemap.model.errors import InputError
 from joulemap.planner.budget import Verdict
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.plan import Plan, RoundTrip
-from joulemap.planner.route import Profile, Route, geojson
+from joulemap.planner.route import Profile, Route
+from joulemap.service.exports.geojson import geojson_document
+from joulemap.service.exports.routes import route_file, route_format_of
+from joulemap.service.exports.track import Track, track_of_plan, track_of_tour
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.words import duration_words, energy_words, route_words, saving_words, verdict_words
 
@@ -157,21 +161,55 @@ class PlannedRoute:
         ax.legend(frameon=False)
         return ax
 
-    def to_geojson(self) -> dict[str, Any]:
+    @property
+    def track(self) -> Track:
+        """The routes as what files are written from."""
+        return track_of_plan(self.found, self.lattice, warnings=self.warnings)
+
+    def to_geojson(self, *, coordinates: str = "wgs84") -> dict[str, Any]:
         """Return both routes, and the alternatives, as GeoJSON.
+
+        Parameters
+        ----------
+        coordinates : str, optional
+            "wgs84" (longitude, latitude [degrees], as RFC 7946 wants them) or "map" (x, y [m] in the CRS of the map,
+            which the member `crs` names).
 
         Returns
         -------
         dict
-            A FeatureCollection of lines with heights, in the CRS of the map, which its member `crs` names.
+            A FeatureCollection of lines with heights.
+
+        Raises
+        ------
+        InputError
+            If the map has no CRS, and degrees are wanted.
         """
-        return route_collection(
-            [
-                (self.route, {"kind": "energy_optimal", "planner": self.found.planner, "saving_j": self.saving_j}),
-                (self.shortest, {"kind": "shortest"}),
-                *((other, {"kind": "alternative"}) for other in self.alternatives),
-            ]
-        )
+        return geojson_document(self.track, coordinates=coordinates)
+
+    def save(self, path: str | Path, *, format: str | None = None, coordinates: str | None = None) -> Path:
+        """Write the route for another program; the name says for which, like route.gpx or route.plan.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; one that is there is replaced.
+        format : str, optional
+            A name of `joulemap.service.exports.routes.ROUTE_FORMATS`; by default the suffix decides.
+        coordinates : str, optional
+            Of GeoJSON, as for `to_geojson`.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the format is unknown, or the map has no CRS and the format needs degrees.
+        """
+        return _save(self.track, path, format, coordinates)
 
     def to_geodataframe(self) -> GeoDataFrame:
         """Return the routes as a table with a geometry, a row each. Needs the extra `geo`.
@@ -278,22 +316,54 @@ class PlannedTour:
             ax.annotate(name, (leg.points[0, 0], leg.points[0, 1]), ha="center", va="center", fontsize=7, zorder=5)
         return ax
 
-    def to_geojson(self) -> dict[str, Any]:
+    @property
+    def track(self) -> Track:
+        """The legs as what files are written from."""
+        return track_of_tour(self.found, self.lattice, warnings=self.warnings)
+
+    def to_geojson(self, *, coordinates: str = "wgs84") -> dict[str, Any]:
         """Return the legs as GeoJSON.
+
+        Parameters
+        ----------
+        coordinates : str, optional
+            "wgs84" or "map", as for `PlannedRoute.to_geojson`.
 
         Returns
         -------
         dict
-            A FeatureCollection with a line for each leg, in the CRS of the map.
+            A FeatureCollection with a line for each leg.
+
+        Raises
+        ------
+        InputError
+            If the map has no CRS, and degrees are wanted.
         """
-        return route_collection(
-            [
-                (leg, {"kind": "leg", "number": k, "from_stop": a, "to_stop": b})
-                for k, (leg, a, b) in enumerate(
-                    zip(self.legs, self.order, (*self.order[1:], self.order[0]), strict=True), 1
-                )
-            ]
-        )
+        return geojson_document(self.track, coordinates=coordinates)
+
+    def save(self, path: str | Path, *, format: str | None = None, coordinates: str | None = None) -> Path:
+        """Write the tour for another program, as `PlannedRoute.save`.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; one that is there is replaced.
+        format : str, optional
+            By default the suffix decides.
+        coordinates : str, optional
+            Of GeoJSON.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the format is unknown, or the map has no CRS and the format needs degrees.
+        """
+        return _save(self.track, path, format, coordinates)
 
     def to_geodataframe(self) -> GeoDataFrame:
         """Return the legs as a table with a geometry, a row each. Needs the extra `geo`.
@@ -382,23 +452,10 @@ class Feasibility:
         return html_table(verdict_words(self.verdict), rows)
 
 
-def route_collection(routes: Sequence[tuple[Route, dict[str, Any]]]) -> dict[str, Any]:
-    """Return routes as one GeoJSON document.
-
-    Parameters
-    ----------
-    routes : sequence of (Route, dict)
-        Each with the properties that are added to its own.
-
-    Returns
-    -------
-    dict
-        A FeatureCollection; the CRS of the map is named once, in its member `crs`.
-    """
-    features = [geojson(route, **properties) for route, properties in routes]
-    named = [feature.pop("crs", None) for feature in features]
-    collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
-    return collection | ({"crs": named[0]} if named and named[0] is not None else {})
+def _save(track: Track, path: str | Path, format: str | None, coordinates: str | None) -> Path:
+    file = Path(path)
+    file.write_bytes(route_file(track, route_format_of(file, format), coordinates=coordinates))
+    return file
 
 
 def _numbers(route: Route) -> dict[str, float]:

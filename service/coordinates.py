@@ -1,0 +1,373 @@
+"""Places on Earth: WGS 84 longitude and latitude from and to the map's own coordinates, and which of both was meant."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from joulemap.model.errors import InputError, PointError
+from joulemap.model.frames import GridFrame
+
+if TYPE_CHECKING:  # they take their time to load
+    from joulemap.planner.plan import Plan, RoundTrip
+    from joulemap.planner.route import Route
+
+Answer = TypeVar("Answer", "Plan", "RoundTrip", "Route")
+PlaceLike = Sequence[float] | Mapping[str, float]
+"""World x, y [m] in the CRS of the map, or {"lat": ..., "lon": ...} [degrees]."""
+
+DECIMALS = 9
+"""Of degrees in files: 0.1 mm, a hundredth of the 1 cm within which positions hold."""
+
+_LATITUDE, _LONGITUDE = ("lat", "latitude"), ("lon", "longitude", "lng")
+
+
+def to_wgs84(crs: str | None, xy: ArrayLike) -> NDArray[np.float64]:
+    """Return points of a map as longitude and latitude.
+
+    Parameters
+    ----------
+    crs : str or None
+        Coordinate reference system of the map.
+    xy : array_like, (n, 2 or more)
+        World x, y [m]; further columns are not used.
+
+    Returns
+    -------
+    ndarray of float64, (n, 2)
+        Longitude, latitude [degrees], WGS 84.
+
+    Raises
+    ------
+    InputError
+        If the map has no CRS, or one without a known place on Earth.
+    """
+    points = np.asarray(xy, dtype=np.float64)
+    found = np.column_stack(_transformer(known_crs(crs), True).transform(points[:, 0], points[:, 1]))
+    if not np.isfinite(found).all():
+        raise InputError(f"the map's points are no places on Earth in its coordinate system {_short(crs)}")
+    return found
+
+
+def from_wgs84(crs: str | None, lonlat: ArrayLike) -> NDArray[np.float64]:
+    """Return places on Earth in the coordinates of a map.
+
+    Parameters
+    ----------
+    crs : str or None
+        Coordinate reference system of the map.
+    lonlat : array_like, (n, 2 or more)
+        Longitude, latitude [degrees], WGS 84; further columns are not used.
+
+    Returns
+    -------
+    ndarray of float64, (n, 2)
+        World x, y [m]; infinite where the CRS does not reach.
+
+    Raises
+    ------
+    InputError
+        If the map has no CRS, or one without a known place on Earth.
+    """
+    points = np.asarray(lonlat, dtype=np.float64)
+    return np.column_stack(_transformer(known_crs(crs), False).transform(points[:, 0], points[:, 1]))
+
+
+def known_crs(crs: str | None) -> str:
+    """Return the CRS of a map that has one.
+
+    Parameters
+    ----------
+    crs : str or None
+        Coordinate reference system of the map.
+
+    Returns
+    -------
+    str
+        The same.
+
+    Raises
+    ------
+    InputError
+        If it is None.
+    """
+    if crs is None:
+        raise InputError(
+            "the map has no coordinate reference system, so its places have no latitude and longitude: make it from a "
+            "heightmap that names one, or name it yourself with `crs`, like EPSG:32630"
+        )
+    return crs
+
+
+@dataclass(frozen=True)
+class WorldPoint:
+    """A place in the coordinates of a map.
+
+    Attributes
+    ----------
+    x, y : float
+        World coordinates [m].
+    note : str or None
+        What the user should know, where numbers were read as latitude and longitude.
+    """
+
+    x: float
+    y: float
+    note: str | None = None
+
+
+def world_point(frame: GridFrame, place: Any, *, name: str = "point") -> WorldPoint:
+    """Return the place that is meant, in the coordinates of a map.
+
+    Two numbers are x, y where they lie on the map. Elsewhere they are latitude, longitude if that is a place on the
+    map, and a note says so. An object with `lat` and `lon` is always in degrees.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Of the map.
+    place : sequence of float or mapping
+        World x, y [m]; latitude, longitude [degrees]; or an object with `lat` and `lon`. A height is not used.
+    name : str, optional
+        What messages call the place.
+
+    Returns
+    -------
+    WorldPoint
+        It may lie outside the map, if nothing else can be meant.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or the map has no CRS and degrees are given.
+    PointError
+        If it is longitude, latitude: the wrong way round.
+    """
+    if isinstance(place, Mapping):
+        return _of_object(frame, place, name)
+    try:
+        if isinstance(place, str) or not 2 <= len(place) <= 3:
+            raise ValueError
+        x, y = float(place[0]), float(place[1])
+    except (TypeError, ValueError):
+        raise InputError(
+            f'{name} is {str(place)[:80]!r}: give x and y in metres, or {{"lat": ..., "lon": ...}}'
+        ) from None
+    if _on_map(frame, x, y) or frame.crs is None or not (math.isfinite(x) and math.isfinite(y)):
+        return WorldPoint(x, y)
+    if abs(x) <= 90.0 and abs(y) <= 180.0 and _on_map(frame, *(here := _projected(frame.crs, x, y))):
+        words = f"{name} {x:g},{y:g} was read as latitude,longitude: x {here[0]:.2f}, y {here[1]:.2f} m on the map"
+        return WorldPoint(*here, words)
+    if abs(y) <= 90.0 and abs(x) <= 180.0 and _on_map(frame, *_projected(frame.crs, y, x)):
+        raise PointError(
+            f"{name} ({x:g}, {y:g}) lies outside the map; as longitude,latitude it would lie inside: write latitude "
+            f"first, {y:g},{x:g}",
+            x=x,
+            y=y,
+        )
+    return WorldPoint(x, y)
+
+
+def _degrees(place: Mapping[str, Any], name: str) -> tuple[float, float]:
+    """Latitude and longitude of an object."""
+    try:
+        keys = {str(key).lower(): value for key, value in place.items()}
+        known = [next((key for key in names if key in keys), None) for names in (_LATITUDE, _LONGITUDE)]
+        if None in known or len(keys) != 2:
+            raise ValueError
+        lat, lon = (float(keys[key]) for key in known if key is not None)
+    except (AttributeError, TypeError, ValueError):
+        raise InputError(
+            f'{name} is {str(place)[:80]}: an object has `lat` and `lon` in degrees, like {{"lat": 36.72, '
+            '"lon": -4.49}'
+        ) from None
+    if not (abs(lat) <= 90.0 and abs(lon) <= 180.0):
+        raise PointError(
+            f"{name} is latitude {lat:g}, longitude {lon:g}: a latitude lies within -90..90 degrees and a longitude "
+            "within -180..180",
+            lat=str(lat),
+            lon=str(lon),
+        )
+    return lat, lon
+
+
+def _of_object(frame: GridFrame, place: Mapping[str, Any], name: str) -> WorldPoint:
+    lat, lon = _degrees(place, name)
+    x, y = _projected(known_crs(frame.crs), lat, lon)
+    if not _on_map(frame, x, y):
+        west, south, east, north = frame.bounds
+        low, high = (to_wgs84(frame.crs, [corner])[0] for corner in ((west, south), (east, north)))
+        raise PointError(
+            f"{name} (latitude {lat:g}, longitude {lon:g}) lies outside the map, which spans latitude "
+            f"{low[1]:.5f}..{high[1]:.5f}, longitude {low[0]:.5f}..{high[0]:.5f}",
+            lat=lat,
+            lon=lon,
+        )
+    return WorldPoint(x, y)
+
+
+def _on_map(frame: GridFrame, x: float, y: float) -> bool:
+    west, south, east, north = frame.bounds
+    return west <= x <= east and south <= y <= north
+
+
+def _projected(crs: str, lat: float, lon: float) -> tuple[float, float]:
+    x, y = from_wgs84(crs, [(lon, lat)])[0]
+    return float(x), float(y)
+
+
+def _short(crs: str | None) -> str:
+    return str(crs) if crs is None or '"' not in crs else crs.split('"')[1]
+
+
+def _transformer(crs: str, towards_wgs84: bool) -> Transformer:
+    return _transformer_of(crs, towards_wgs84, threading.get_ident())  # PROJ's objects belong to one thread
+
+
+@lru_cache(maxsize=64)
+def _transformer_of(crs: str, towards_wgs84: bool, _thread: int) -> Transformer:
+    try:
+        own, earth = CRS.from_user_input(crs).to_2d(), CRS.from_epsg(4326)
+        ends = (own, earth) if towards_wgs84 else (earth, own)
+        return Transformer.from_crs(*ends, always_xy=True)
+    except (CRSError, ProjError) as error:
+        raise InputError(
+            f"the map's coordinate system {_short(crs)} has no known place on Earth: {str(error)[:200]}"
+        ) from error
+
+
+class Places:
+    """Reads the places of a question, and keeps what the user should know of them.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Of the map that the question is about.
+
+    Attributes
+    ----------
+    notes : list of str
+        One for each place that was read as latitude and longitude.
+    """
+
+    def __init__(self, frame: GridFrame) -> None:
+        self.frame = frame
+        self.notes: list[str] = []
+
+    def __call__(self, place: Any, name: str) -> tuple[float, float]:
+        """Return a place as `world_point` does.
+
+        Parameters
+        ----------
+        place : sequence of float or mapping
+            As `world_point` takes it.
+        name : str
+            What messages call it.
+
+        Returns
+        -------
+        tuple of float
+            World x, y [m].
+
+        Raises
+        ------
+        InputError, PointError
+            As `world_point`.
+        """
+        found = world_point(self.frame, place, name=name)
+        if found.note is not None:
+            self.notes.append(found.note)
+        return found.x, found.y
+
+    def path(self, points: Any) -> NDArray[np.float64]:
+        """Return the points of a path in the coordinates of the map.
+
+        Parameters
+        ----------
+        points : sequence of places
+            All in the same form: x, y [m], latitude, longitude, or objects with `lat` and `lon`.
+
+        Returns
+        -------
+        ndarray of float64, (n, 2)
+            World x, y [m]. They are read as latitude and longitude if the first of them is.
+
+        Raises
+        ------
+        InputError, PointError
+            As `world_point`.
+        """
+        try:
+            array = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
+        except (TypeError, ValueError, KeyError):  # objects, or no points: the message names the first that is none
+            return np.array([self(point, f"point {k} of the path") for k, point in enumerate(points)])
+        if len(array) == 0:
+            return array
+        begin = world_point(self.frame, array[0].tolist(), name="the path, which begins at")
+        if begin.note is None:
+            return array
+        self.notes.append(begin.note)
+        return from_wgs84(self.frame.crs, array[:, ::-1])
+
+    def areas(self, areas: Sequence[Sequence[Any]]) -> list[list[list[float]]]:
+        """Return areas in the coordinates of the map, beyond which they may reach.
+
+        Parameters
+        ----------
+        areas : sequence of sequence of places
+            The corners of each, all in the same form.
+
+        Returns
+        -------
+        list of list of [x, y]
+            World coordinates [m]. Corners of two numbers are latitude, longitude if none of an area is on the map as x,
+            y, and one is as latitude, longitude.
+
+        Raises
+        ------
+        InputError, PointError
+            As `world_point`.
+        """
+        return [self._area(corners, f"area {k}") for k, corners in enumerate(areas)]
+
+    def _area(self, corners: Sequence[Any], name: str) -> list[list[float]]:
+        if any(isinstance(corner, Mapping) for corner in corners):
+            lonlat = [_degrees(corner, f"corner {k} of {name}")[::-1] for k, corner in enumerate(corners)]
+            return from_wgs84(self.frame.crs, lonlat).tolist()
+        plain = [[float(value) for value in corner[:2]] for corner in corners]
+        if self.frame.crs is None or any(_on_map(self.frame, x, y) for x, y in plain):
+            return plain
+        if all(abs(lat) <= 90.0 and abs(lon) <= 180.0 for lat, lon in plain):
+            found = from_wgs84(self.frame.crs, [(lon, lat) for lat, lon in plain]).tolist()
+            if any(_on_map(self.frame, x, y) for x, y in found):
+                self.notes.append(f"the corners of {name} were read as latitude,longitude")
+                return found
+        return plain
+
+    def noted(self, answer: Answer) -> Answer:
+        """Return an answer with the notes.
+
+        Parameters
+        ----------
+        answer : Plan, RoundTrip or Route
+            From the planner.
+
+        Returns
+        -------
+        Plan, RoundTrip or Route
+            The same where there is nothing to note.
+        """
+        if not self.notes:
+            return answer
+        if hasattr(answer, "route"):
+            return replace(answer, route=self.noted(answer.route))
+        return replace(answer, notes=type(answer.notes)([*self.notes, *answer.notes]))  # type: ignore

@@ -1,0 +1,46 @@
+"""ArduPilot, Mission Planner, MAVProxy: a .waypoints file (QGC WPL 110)."""
+
+from __future__ import annotations
+
+from joulemap.service.exports.mission import CHANGE_SPEED, GROUND_SPEED, UNCHANGED_THROTTLE, WAYPOINT, mission_of
+from joulemap.service.exports.positions import degree_text
+from joulemap.service.exports.track import Track
+
+_ABSOLUTE_HEIGHT, _RELATIVE_HEIGHT = 0, 3  # MAV_FRAME_GLOBAL and MAV_FRAME_GLOBAL_RELATIVE_ALT
+
+
+def write(track: Track) -> bytes:
+    """Return what is driven as a waypoint file.
+
+    Parameters
+    ----------
+    track : Track
+        Of a path, a tour or a drive.
+
+    Returns
+    -------
+    bytes
+        Text: home, the speed, then a waypoint for each corner that the energy needs, at height 0 above home.
+
+    Raises
+    ------
+    InputError
+        If the map has no known place on Earth.
+
+    References
+    ----------
+    MAVLink Developer Guide, Mission Plain-Text File Format.
+    """
+    mission = mission_of(track)
+    rows = [
+        (_ABSOLUTE_HEIGHT, WAYPOINT, (0, 0, 0, 0), mission.waypoints[0], mission.height_m),
+        (_RELATIVE_HEIGHT, CHANGE_SPEED, (GROUND_SPEED, mission.speed_mps, UNCHANGED_THROTTLE, 0), (0.0, 0.0), 0.0),
+        *((_RELATIVE_HEIGHT, WAYPOINT, (0, 0, 0, 0), place, 0.0) for place in mission.waypoints),
+    ]
+    lines = ["QGC WPL 110"]
+    for number, (frame, command, params, (lon, lat), height) in enumerate(rows):
+        current = int(number == 0)
+        values = [f"{value:g}" for value in params]
+        place = [degree_text(lat), degree_text(lon), f"{height:.3f}"]
+        lines.append("\t".join([str(number), str(current), str(frame), str(command), *values, *place, "1"]))
+    return ("\n".join(lines) + "\n").encode()

@@ -1,0 +1,64 @@
+"""GPX 1.1: a track for each line. Tracks, not routes: a device leads along a route on roads of its own."""
+
+from __future__ import annotations
+
+import math
+from xml.etree import ElementTree as xml
+
+from joulemap.service.exports.positions import degree_text, degrees_of
+from joulemap.service.exports.track import Track
+
+NAMESPACE = "http://www.topografix.com/GPX/1/1"
+
+
+def write(track: Track) -> bytes:
+    """Return a track as a GPX file.
+
+    Parameters
+    ----------
+    track : Track
+        Each of its lines is a track; the first is driven.
+
+    Returns
+    -------
+    bytes
+        UTF-8.
+
+    Raises
+    ------
+    InputError
+        If the map has no known place on Earth.
+
+    References
+    ----------
+    GPX 1.1 Schema, TopoGrafix 2004.
+    """
+    root = xml.Element("gpx", {"version": "1.1", "creator": "joulemap", "xmlns": NAMESPACE})
+    xml.SubElement(xml.SubElement(root, "metadata"), "name").text = track.name
+    for line in track.lines:
+        part = xml.SubElement(root, "trk")
+        xml.SubElement(part, "name").text = line.title
+        xml.SubElement(part, "desc").text = described(line.properties)
+        xml.SubElement(part, "type").text = line.kind
+        segment = xml.SubElement(part, "trkseg")
+        for (lon, lat), z in zip(degrees_of(track, line), line.points[:, 2], strict=True):
+            point = xml.SubElement(segment, "trkpt", {"lat": degree_text(lat), "lon": degree_text(lon)})
+            if math.isfinite(z):
+                xml.SubElement(point, "ele").text = f"{z:.3f}"
+    return xml.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def described(properties: dict[str, object]) -> str:
+    """Return properties as one line of text.
+
+    Parameters
+    ----------
+    properties : dict
+        Of a line.
+
+    Returns
+    -------
+    str
+        Names and values.
+    """
+    return "; ".join(f"{key} {value}" for key, value in properties.items() if key != "kind")

@@ -1,0 +1,83 @@
+"""Positions as files have them: longitude and latitude, rounded, so that what is read again may still be driven."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.planner.edges import Points, world_points
+from joulemap.planner.lattice import CostLattice
+from joulemap.service.coordinates import DECIMALS, from_wgs84, to_wgs84
+from joulemap.service.exports.clearance import FURTHEST_M, cleared
+from joulemap.service.exports.track import Line, Track
+
+
+def degrees_of(track: Track, line: Line) -> NDArray[np.float64]:
+    """Return the corners of a line as a file has them.
+
+    Parameters
+    ----------
+    track : Track
+        That the line is part of.
+    line : Line
+        The line.
+
+    Returns
+    -------
+    ndarray of float64, (n, 2)
+        Longitude, latitude [degrees], rounded, within 1 cm of the corners. Read again, all legs may be driven that may
+        be driven, unless a passage is as narrow as a line.
+
+    Raises
+    ------
+    InputError
+        If the map has no known place on Earth.
+    """
+    plain = to_wgs84(track.crs, line.points)
+    if track.lattice is None:
+        return np.round(plain, DECIMALS)
+    lattice = track.lattice
+    places = cleared(
+        lattice,
+        world_points(lattice, line.points),
+        furthest_m=FURTHEST_M,
+        quantise=lambda points: read_again(lattice, points),
+    )
+    x, y = lattice.frame.xy(places[:, 0], places[:, 1])
+    return np.round(to_wgs84(track.crs, np.column_stack([x, y])), DECIMALS)
+
+
+def read_again(lattice: CostLattice, points: Points) -> Points:
+    """Return places of a lattice after they were written in degrees and read again.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Whose frame counts.
+    points : ndarray of float, (n, 2)
+        Fractional (row, col).
+
+    Returns
+    -------
+    ndarray of float, (n, 2)
+        Moved by 0.1 mm at most.
+    """
+    frame = lattice.frame
+    lonlat = np.round(to_wgs84(frame.crs, np.column_stack(frame.xy(points[:, 0], points[:, 1]))), DECIMALS)
+    return world_points(lattice, from_wgs84(frame.crs, lonlat))
+
+
+def degree_text(value: float) -> str:
+    """Return degrees as text.
+
+    Parameters
+    ----------
+    value : float
+        Longitude or latitude [degrees].
+
+    Returns
+    -------
+    str
+        With as many decimals as files have.
+    """
+    return f"{value:.{DECIMALS}f}"

@@ -1,0 +1,180 @@
+"""What a route's file is written from: priced lines on a map, whether of a path, a tour or a suggested drive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.route import Profile, Route
+
+if TYPE_CHECKING:  # it takes its time to load
+    from joulemap.planner.plan import Plan, RoundTrip
+
+OPTIMAL, SHORTEST, ALTERNATIVE, TOUR_LEG, DRIVE = "energy_optimal", "shortest", "alternative", "tour_leg", "drive"
+BESIDE = (SHORTEST, ALTERNATIVE)
+"""Kinds of lines that are shown beside what is driven."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A polyline.
+
+    Attributes
+    ----------
+    kind : str
+        One of this module's kinds.
+    points : ndarray of float, (n, 3)
+        World x, y, z [m]; z is NaN where unknown.
+    properties : dict
+        JSON-able: `energy_j`, `length_m`, `duration_s` and more.
+    profile : Profile or None
+        The line metre by metre; None where it was not priced.
+    """
+
+    kind: str
+    points: NDArray[np.float64]
+    properties: dict[str, Any] = field(default_factory=dict)
+    profile: Profile | None = None
+
+    @property
+    def title(self) -> str:
+        """The kind in words."""
+        number = self.properties.get("number")
+        return self.kind.replace("_", " ") + (f" {number}" if number is not None else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Lines for a file.
+
+    Attributes
+    ----------
+    name : str
+        What the file calls itself.
+    lines : tuple of Line
+        Those that are driven first, in their order.
+    crs : str or None
+        Coordinate reference system of the points.
+    speed_mps : float
+        How fast they are driven [m/s].
+    lattice : CostLattice or None
+        With which missions are simplified; None: they keep all corners.
+    extra : dict
+        JSON-able members of a GeoJSON document.
+    """
+
+    name: str
+    lines: tuple[Line, ...]
+    crs: str | None
+    speed_mps: float
+    lattice: CostLattice | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def driven(self) -> tuple[Line, ...]:
+        """The lines that are driven one after another."""
+        return tuple(line for line in self.lines if line.kind not in BESIDE)
+
+
+def line_of(route: Route, kind: str, **properties: Any) -> Line:
+    """Return a route as a line.
+
+    Parameters
+    ----------
+    route : Route
+        From the planner.
+    kind : str
+        One of this module's kinds.
+    **properties : Any
+        More properties, JSON-able.
+
+    Returns
+    -------
+    Line
+        With energy, length and duration among its properties.
+    """
+    own = {"energy_j": route.energy_j, "length_m": route.length_m, "duration_s": route.duration_s}
+    return Line(kind, route.points, {"kind": kind, **own, **properties}, route.profile)
+
+
+def track_of_plan(plan: Plan, lattice: CostLattice, *, warnings: Sequence[str] = (), battery: Any = None) -> Track:
+    """Return a path, the shortest one and the alternatives as a track.
+
+    Parameters
+    ----------
+    plan : Plan
+        From the planner.
+    lattice : CostLattice
+        That it was planned on.
+    warnings : sequence of str, optional
+        Of the cost map.
+    battery : object, optional
+        The verdict, JSON-able.
+
+    Returns
+    -------
+    Track
+        Of all its lines.
+    """
+    best = line_of(plan.route, OPTIMAL, planner=plan.planner, saving_j=plan.saving_j)
+    others = (line_of(other, ALTERNATIVE, number=k) for k, other in enumerate(plan.others, start=1))
+    extra = {"warnings": [*warnings, *plan.route.notes], "battery": battery}
+    lines = (best, line_of(plan.shortest, SHORTEST), *others)
+    return Track("joulemap path", lines, plan.route.crs, lattice.robot.speed_mps, lattice, extra)
+
+
+def track_of_tour(trip: RoundTrip, lattice: CostLattice, *, warnings: Sequence[str] = ()) -> Track:
+    """Return a tour as a track.
+
+    Parameters
+    ----------
+    trip : RoundTrip
+        From the planner.
+    lattice : CostLattice
+        That it was planned on.
+    warnings : sequence of str, optional
+        Of the cost map.
+
+    Returns
+    -------
+    Track
+        A line for each leg, in the order of driving.
+    """
+    ends = zip(trip.legs, trip.order, (*trip.order[1:], trip.order[0]), strict=True)
+    lines = tuple(
+        line_of(leg, TOUR_LEG, number=k, from_stop=here, to_stop=there)
+        for k, (leg, here, there) in enumerate(ends, start=1)
+    )
+    extra = {"warnings": [*warnings, *trip.notes]}
+    return Track("joulemap tour", lines, trip.legs[0].crs, lattice.robot.speed_mps, lattice, extra)
+
+
+def track_of_drive(drive: dict[str, Any], crs: str | None) -> Track:
+    """Return a suggested drive as a track.
+
+    Parameters
+    ----------
+    drive : dict
+        As `NextDrive.as_dict` returns it, with places of a map.
+    crs : str or None
+        Coordinate reference system of its points.
+
+    Returns
+    -------
+    Track
+        One line; what it takes is not known, and its heights are not either.
+    """
+    points = np.array(drive["points"], dtype=np.float64)
+    speeds = drive["speeds_mps"]
+    keys = ("effect", "label", "length_m", "total_length_m", "speeds_mps")
+    line = Line(
+        DRIVE,
+        np.column_stack([points, np.full(len(points), np.nan)]),
+        {"kind": DRIVE, **{key: drive[key] for key in keys}},
+    )
+    return Track(f"joulemap drive for {drive['label']}", (line,), crs, float(speeds[0]))
