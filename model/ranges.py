@@ -80,8 +80,23 @@ BATTERY = {
     "capacity_wh": ROBOT["battery_wh"],
     "charge": Range(0.0, 1.0),
     "reserve": Range(0.0, 1.0),
+    "health": Range(0.05, 1.0),
+    "temperature_c": Range(-60.0, 80.0),
+    "nominal_voltage_v": ROBOT["nominal_voltage_v"],
+    "resistance_ohm": Range(0.0, 100.0),
+    "cutoff_v": Range(0.0, 2000.0),
+    "max_power_w": Range(0.1, 1e7),
 }
 """By attribute of `Battery`."""
+
+BATTERY_CURVES = {
+    "open_circuit_v": (Range(0.0, 1.0), Range(0.1, 4000.0)),
+    "capacity_curve": (Range(-60.0, 80.0), Range(0.01, 1.2)),
+}
+"""Of both numbers of a point, by attribute of `Battery`."""
+
+CURVE_POINTS = 200
+"""Most points of a battery's curve."""
 
 COORDINATE_M = Range(-1e9, 1e9)
 """World coordinates [m]. Beyond these a cell's place would be lost in rounding."""

@@ -1,4 +1,4 @@
-"""Robot and Battery: read from TOML, checked once in the constructor, trusted afterwards."""
+"""A robot: read from TOML, checked once in the constructor, trusted afterwards."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model import ranges
-from joulemap.model.errors import InputError, RobotError, nearest_name
+from joulemap.model.battery import Battery as Battery
+from joulemap.model.errors import RobotError, nearest_name
 
 GRAVITY_MPS2 = 9.80665
 """Standard gravity [m/s2]. Source: CGPM 1901."""
@@ -227,60 +228,6 @@ class Robot:
     def battery(self) -> Battery:
         """The robot's own battery, full and without a reserve."""
         return Battery(capacity_wh=self.battery_wh)
-
-
-@dataclass(frozen=True)
-class Battery:
-    """A battery and its state at the start of a path.
-
-    Attributes
-    ----------
-    capacity_wh : float
-        Energy when full [Wh].
-    charge : float
-        State of charge now, 0 to 1.
-    reserve : float
-        Share of the capacity that must remain at the end, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If a value is outside its range.
-    """
-
-    capacity_wh: float
-    charge: float = 1.0
-    reserve: float = 0.0
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, Real):
-                raise InputError(
-                    f"battery: {field.name} is {ranges.short(value)!r}; it must be a number", key=field.name
-                )
-            allowed = ranges.BATTERY[field.name]
-            if value not in allowed:
-                percent = allowed.high == 1.0 and value in ranges.Range(1.0, 100.0)
-                hint = f": for {value:g} % write {value / 100:g}" if percent else ""
-                words = "lies between 0 and 1" if allowed.high == 1.0 else f"must be {allowed}"
-                raise InputError(
-                    f"battery: {field.name} is {ranges.short(value)}; it {words}{hint}",
-                    key=field.name,
-                    value=ranges.short(value),
-                    limit=[allowed.low, allowed.high],
-                )
-            object.__setattr__(self, field.name, float(value))
-
-    def __repr__(self) -> str:
-        return (
-            f"Battery of {self.capacity_wh:g} Wh, charge {100 * self.charge:.4g} %, reserve {100 * self.reserve:.4g} %"
-        )
-
-    @property
-    def available_j(self) -> float:
-        """Energy above the reserve [J]; negative when the charge is already below it."""
-        return (self.charge - self.reserve) * self.capacity_wh * 3600.0
 
 
 def _hint(name: str, value: Any, known: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.energy.route_errors import NORMAL_FREEDOM, fit_route_errors
 from joulemap.model.errors import InputError, ModelError
 
 FloatArray = NDArray[np.float64]
@@ -23,6 +24,8 @@ LEAST_SHARE = 0.2
 """Errors are relative to the energy, but at least to this share of that of level ground."""
 FEWEST = 20
 """Held-out segments that a spread needs."""
+_FEWEST_GROUPS = 3
+"""Degrees of freedom of the error of a run that are assumed at least: with two or fewer it would have no variance."""
 _NORMAL_99 = 0.9248
 """Mean square of a standard normal variable, given that it is among the 99 % smallest in size."""
 
@@ -39,12 +42,16 @@ class Spread:
         Half widths of the intervals in standard deviations, by level of `LEVELS`; wider than those of a normal
         distribution where the errors have heavier tails.
     run_share : float
-        Standard deviation of the relative error of a whole run (weather, load, mud), which does not average out along a
-        route.
+        Scale of the relative error of a whole run (weather, load, mud, and what the model itself does not know), which
+        does not average out along a route.
     correlation_m : float
         Driven distance over which the remaining errors of neighbouring segments are correlated [m].
     segments : int
         Number of held-out segments; 0 where the values are assumed.
+    freedom : float or None
+        Degrees of freedom of Student's t of the remaining errors; None for a normal distribution.
+    run_freedom : float or None
+        The same of the error of a whole run: few runs, or campaigns, leave its scale uncertain.
     """
 
     factor: float = 1.0
@@ -52,11 +59,16 @@ class Spread:
     run_share: float = 0.05
     correlation_m: float = 1.0
     segments: int = 0
+    freedom: float | None = None
+    run_freedom: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("factor", "correlation_m"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"{name} of a spread must be positive, got {getattr(self, name)}")
+        for name in ("freedom", "run_freedom"):
+            if (given := getattr(self, name)) is not None and not 2.0 < given < math.inf:
+                raise InputError(f"{name} of a spread must be above 2, or none for a normal distribution, got {given}")
         if len(self.quantiles) != len(LEVELS):
             raise InputError(f"a spread needs {len(LEVELS)} quantiles, got {len(self.quantiles)}")
 
@@ -116,8 +128,38 @@ class Spread:
         energy = np.asarray(energy_j, dtype=np.float64)
         return energy - half, energy + half
 
+    def along(self, energy_j: ArrayLike, std_j: ArrayLike) -> tuple[FloatArray, FloatArray | None]:
+        """Return the distribution of the energy up to the end of each segment of a route.
+
+        Parameters
+        ----------
+        energy_j : array_like, (n,)
+            Predicted energies of the 1 m segments, in driving order [J].
+        std_j : array_like, (n,)
+            Their standard deviations [J].
+
+        Returns
+        -------
+        scale_j : ndarray of float64, (n,)
+            Scale of the cumulative energy [J], as `route_std`.
+        freedom : ndarray of float64, (n,), or None
+            Degrees of freedom of Student's t; None for a normal distribution.
+
+        References
+        ----------
+        Satterthwaite 1946: the degrees of freedom of a sum of two variances.
+        """
+        scale = self.route_std(energy_j, std_j)
+        if self.freedom is None and self.run_freedom is None:
+            return scale, None
+        of_run = np.square(self.run_share * np.cumsum(np.asarray(energy_j, dtype=np.float64)))
+        rest = np.maximum(scale**2 - of_run, 0.0)
+        within, between = ((given or NORMAL_FREEDOM) for given in (self.freedom, self.run_freedom))
+        parts = of_run**2 / between + rest**2 / within
+        return scale, np.where(parts > 0.0, (of_run + rest) ** 2 / np.where(parts > 0.0, parts, 1.0), within)
+
     def route_std(self, energy_j: ArrayLike, std_j: ArrayLike) -> FloatArray:
-        """Return the standard deviation of the energy up to the end of each segment of a route.
+        """Return the scale of the energy up to the end of each segment of a route.
 
         Parameters
         ----------
@@ -129,7 +171,7 @@ class Spread:
         Returns
         -------
         ndarray of float64, (n,)
-            Standard deviation of the cumulative energy [J].
+            Scale of the cumulative energy [J]: the standard deviation where the distribution is normal.
 
         Notes
         -----
@@ -169,7 +211,14 @@ def segment_std(price_j: ArrayLike, relative: ArrayLike, level_j: ArrayLike, *, 
     return np.asarray(factor * np.asarray(relative) * np.maximum(price_j, LEAST_SHARE * np.asarray(level_j)))
 
 
-def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, run: ArrayLike) -> Spread:
+def fit_spread(
+    energy_j: ArrayLike,
+    predicted_j: ArrayLike,
+    std_j: ArrayLike,
+    run: ArrayLike,
+    *,
+    group: ArrayLike | None = None,
+) -> Spread:
     """Fit a spread to held-out segments.
 
     Parameters
@@ -182,6 +231,8 @@ def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, ru
         The network's own standard deviations [J].
     run : array_like, (n,)
         The run of each segment; segments of a run are in driving order.
+    group : array_like, (n,), optional
+        What was left out together, such as campaigns. By default every run.
 
     Returns
     -------
@@ -197,15 +248,18 @@ def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, ru
     -----
     The factor makes the mean square of the standardised errors, without their largest hundredth, that of a normal
     distribution truncated at the same place. The quantiles are those of the standardised errors, with the finite-sample
-    correction. The usual `run_share` counts as one run more: one run that happens to be well predicted says little of
-    the next.
+    correction. How errors add up along a route is fitted by `fit_route_errors`. The usual `run_share` counts as one
+    group more where it is larger: one run that happens to be well predicted says little of the next. The error of a run
+    has as many degrees of freedom as there are groups, or fewer where the sums have fatter tails.
 
     References
     ----------
     Lei et al. 2018, "Distribution-free predictive inference for regression" (split conformal prediction).
     """
     energy, predicted = np.asarray(energy_j, dtype=np.float64), np.asarray(predicted_j, dtype=np.float64)
-    std, runs = np.asarray(std_j, dtype=np.float64), np.asarray(run)
+    std = np.asarray(std_j, dtype=np.float64)
+    runs = np.unique(np.asarray(run), return_inverse=True)[1]
+    groups = runs if group is None else np.unique(np.asarray(group), return_inverse=True)[1]
     if energy.size < FEWEST:
         raise InputError(f"{energy.size} held-out segments are too few for a spread, {FEWEST} are needed")
     error = (energy - predicted) / std
@@ -214,18 +268,16 @@ def fit_spread(energy_j: ArrayLike, predicted_j: ArrayLike, std_j: ArrayLike, ru
     factor = max(math.sqrt(float(np.mean(kept**2)) / _NORMAL_99), 1e-3)
     places = [min(size.size - 1, math.ceil((size.size + 1) * level) - 1) for level in LEVELS]
     quantiles = tuple(float(size[k]) / factor for k in places)
-    shares, products, squares = [], 0.0, 0.0
-    for one in np.unique(runs):
-        mine = runs == one
-        if mine.sum() < 2:
-            continue
-        share = energy[mine].sum() / predicted[mine].sum()
-        shares.append(share - 1.0)
-        rest = np.clip((energy[mine] - share * predicted[mine]) / std[mine], -4.0 * factor, 4.0 * factor)
-        rest -= rest.mean()
-        products += float((rest[1:] * rest[:-1]).sum())
-        squares += float((rest**2).sum())
-    neighbour = min(max(products / squares if squares else 0.0, 0.0), 0.9)
-    correlation = (1.0 + neighbour) / (1.0 - neighbour)  # of a first-order autoregression: sum of its correlations
-    run_share = math.sqrt(float(np.mean(np.square([*shares, Spread.run_share]))))
-    return Spread(factor, quantiles, run_share, correlation, int(energy.size))
+    found = fit_route_errors(energy - predicted, predicted, factor * std, runs, groups)
+    more = max(Spread.run_share, found.run_share)
+    run_share = math.sqrt((found.groups * found.run_share**2 + more**2) / (found.groups + 1))
+    freedom, of_run = found.freedom, min(found.freedom, float(max(found.groups, _FEWEST_GROUPS)))
+    return Spread(
+        factor,
+        quantiles,
+        run_share,
+        found.correlation_m,
+        int(energy.size),
+        freedom if freedom < NORMAL_FREEDOM else None,
+        of_run if of_run < NORMAL_FREEDOM else None,
+    )
