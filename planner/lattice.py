@@ -24,6 +24,7 @@ class Blocked(IntEnum):
     STEP = 3  # a height jump above the wheel radius
     GRADE = 4  # steeper along the motion than max_grade_deg (this heading only)
     CROSS_SLOPE = 5  # steeper across the motion than max_cross_slope_deg (this heading only)
+    AVOID = 6  # a question asked to keep out, see `avoid`
 
     @property
     def label(self) -> str:

@@ -13,12 +13,13 @@ import numpy as np
 
 from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
+from joulemap.planner.avoid import Polygon, checked_polygons, window_of, without
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import check_neighbours
-from joulemap.planner.moves import MoveTable, distance_table, move_table
+from joulemap.planner.moves import MoveTable, distance_table, move_table, repriced
 from joulemap.planner.places import end_point
 from joulemap.planner.planners import PLANNERS, Options, planner_named
 from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
@@ -177,10 +178,45 @@ class RoutePlanner:
         self._tables: dict[tuple[bool, int], MoveTable] = {}
         self._bounds: tuple[BoundTable | None] | None = None
         self._making = threading.RLock()  # what is kept is made once; questions then share it without a lock
+        self._avoiding: tuple[tuple[Polygon, ...], RoutePlanner] | None = None
 
     def prepare(self) -> None:
         """Price the moves of refined routes now, so that the first question does not wait for it."""
         self._table(ANY_ANGLE_NEIGHBOURS, distance=True)
+
+    def avoiding(self, polygons: Sequence[Sequence[Sequence[float]]]) -> RoutePlanner:
+        """Return the planner of the same map with the cells of some polygons blocked.
+
+        The one that was asked for last is kept; only the moves around the polygons are priced again.
+
+        Parameters
+        ----------
+        polygons : sequence of sequence of (x, y)
+            Corners [m]; none of them returns this planner.
+
+        Returns
+        -------
+        RoutePlanner
+            It needs as much memory as this one.
+
+        Raises
+        ------
+        InputError
+            If a polygon has fewer than three corners, or all together have too many.
+        PointError
+            If a corner is not finite, or a polygon lies outside the map.
+        """
+        if not polygons:
+            return self
+        areas = checked_polygons(polygons, self.lattice.frame)
+        with self._making:
+            if self._avoiding is None or self._avoiding[0] != areas:
+                self._avoiding = None  # its memory is given back first
+                self._avoiding = areas, _Avoiding(self, areas)
+            return self._avoiding[1]
+
+    def _priced(self, neighbours: int) -> MoveTable:
+        return move_table(self.lattice, neighbours=neighbours)
 
     def _table(self, neighbours: int, *, distance: bool) -> MoveTable:
         key = (distance, neighbours)
@@ -190,7 +226,7 @@ class RoutePlanner:
                     self._tables[key] = (
                         distance_table(self._table(neighbours, distance=False))
                         if distance
-                        else move_table(self.lattice, neighbours=neighbours)
+                        else self._priced(neighbours)
                     )
         return self._tables[key]
 
@@ -380,3 +416,18 @@ class RoutePlanner:
     def _route(self, points: Points, notes: list[str]) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])
         return price_route(self.lattice, np.column_stack([x, y]), notes=notes)
+
+
+class _Avoiding(RoutePlanner):
+    """A planner whose moves are those of another one, but for some areas."""
+
+    def __init__(self, whole: RoutePlanner, areas: tuple[Polygon, ...]) -> None:
+        super().__init__(without(whole.lattice, areas))
+        self._whole, self._areas = whole, areas
+
+    def _priced(self, neighbours: int) -> MoveTable:
+        table = self._whole._table(neighbours, distance=False)
+        table = replace(table, energy=table.energy.copy())
+        for area in self._areas:
+            table = repriced(table, self.lattice, window_of(self.lattice.frame, area))
+        return table

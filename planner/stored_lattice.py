@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from joulemap.model.errors import InputError, JoulemapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.planner.avoid import Polygon, without
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_io import open_group
 
@@ -71,10 +73,25 @@ class StoredLattice:
             self.chunk = int(self._arrays["traction_per_m"].chunks[0])
         except (KeyError, TypeError, JoulemapError) as error:
             raise InputError(f"{path} is a damaged cost lattice: {error}", path=str(path)) from error
-        self._kept_bytes = kept_bytes
-        self._kept: OrderedDict[tuple[str, int, int], NDArray[Any]] = OrderedDict()
-        self._size = 0
-        self._lock = threading.Lock()
+        self._chunks = _Chunks(self.chunk, kept_bytes)
+        self._avoided: tuple[Polygon, ...] = ()
+
+    def avoiding(self, areas: tuple[Polygon, ...]) -> StoredLattice:
+        """Return the same lattice, which shares what was read, with the cells of some polygons blocked.
+
+        Parameters
+        ----------
+        areas : tuple of Polygon
+            From `avoid.checked_polygons`.
+
+        Returns
+        -------
+        StoredLattice
+            Its windows have them blocked.
+        """
+        other = copy(self)
+        other._avoided = areas
+        return other
 
     @property
     def arrays(self) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
@@ -112,7 +129,8 @@ class StoredLattice:
             else:
                 arrays[name] = self.read(of, _FILLS[name], row0, row1, col0, col1)
         placed = self.frame.window(row0, row1, col0, col1)
-        return CostLattice(placed, self.robot, provenance=self.provenance, **arrays)
+        lattice = CostLattice(placed, self.robot, provenance=self.provenance, **arrays)
+        return without(lattice, self._avoided) if self._avoided and (what is None or "blocked" in what) else lattice
 
     def limits(self, row0: int, row1: int, col0: int, col1: int) -> CostLattice:
         """Return a window with gradients and blocked cells only.
@@ -151,7 +169,7 @@ class StoredLattice:
         rows, cols = self.frame.shape
         for i in range(max(row0, 0) // side, -(-min(row1, rows) // side)):
             for j in range(max(col0, 0) // side, -(-min(col1, cols) // side)):
-                chunk = self._chunk(of, i, j)
+                chunk = self._chunks.get(of, i, j)
                 top, left = max(i * side, row0), max(j * side, col0)
                 down, right = min(i * side + chunk.shape[0], row1), min(j * side + chunk.shape[1], col1)
                 out[top - row0 : down - row0, left - col0 : right - col0] = chunk[
@@ -159,18 +177,28 @@ class StoredLattice:
                 ]
         return out
 
-    def _chunk(self, of: zarr.Array[Any], i: int, j: int) -> NDArray[Any]:
+
+class _Chunks:
+    """The chunks that were read last."""
+
+    def __init__(self, side: int, most_bytes: int) -> None:
+        self._side, self._most = side, most_bytes
+        self._kept: OrderedDict[tuple[str, int, int], NDArray[Any]] = OrderedDict()
+        self._size = 0
+        self._lock = threading.Lock()
+
+    def get(self, of: zarr.Array[Any], i: int, j: int) -> NDArray[Any]:
         key = of.path, i, j
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        side = self.chunk
+        side = self._side
         data = np.asarray(of[i * side : (i + 1) * side, j * side : (j + 1) * side])
         with self._lock:
             if key not in self._kept:
                 self._kept[key] = data
                 self._size += data.nbytes
-                while self._size > self._kept_bytes and len(self._kept) > 1:
+                while self._size > self._most and len(self._kept) > 1:
                     self._size -= self._kept.popitem(last=False)[1].nbytes
         return data

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from joulemap.model.errors import InputError
+from joulemap.planner.avoid import checked_polygons
 from joulemap.planner.bound import quick_bound
 from joulemap.planner.coarse import CoarseLevel, coarse_level
 from joulemap.planner.edges import Points, path_price
@@ -75,6 +77,33 @@ class StoredPlanner:
             moves = MovePrices(self.stored.headings, neighbours)
             self._levels[neighbours] = moves, coarse_level(self.stored, moves, progress=progress)
         return self._levels[neighbours]
+
+    def avoiding(self, polygons: Sequence[Sequence[Sequence[float]]]) -> StoredPlanner:
+        """Return the planner of the same map with the cells of some polygons blocked.
+
+        Parameters
+        ----------
+        polygons : sequence of sequence of (x, y)
+            Corners [m]; none of them returns this planner.
+
+        Returns
+        -------
+        StoredPlanner
+            It shares the coarse level, whose bounds hold for less ground too.
+
+        Raises
+        ------
+        InputError
+            If a polygon has fewer than three corners, or all together have too many.
+        PointError
+            If a corner is not finite, or a polygon lies outside the map.
+        """
+        if not polygons:
+            return self
+        other = copy(self)
+        other.stored = self.stored.avoiding(checked_polygons(polygons, self.stored.frame))
+        other._strip = Strip(other.stored)
+        return other
 
     def read_along(self, xy: ArrayLike) -> None:
         """Read what a polyline needs to be priced on `lattice`.
