@@ -193,7 +193,7 @@ class Pack:
             Voltage [V], linear between the points of the curve.
         """
         at, volts = np.array(self.curve).T
-        return np.interp(charge, at, volts)
+        return np.interp(np.asarray(charge, dtype=np.float64), at, volts)
 
     def most_power_w(self, charge: ArrayLike) -> NDArray[np.float64]:
         """Return the most power at which the voltage holds.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,6 +76,8 @@ class Route:
         Coordinate reference system of the points.
     notes : list of str
         What the caller should know of the route.
+    spread : mapping or None
+        The model's record of its errors on runs left out, from the lattice; None where it has none.
     """
 
     points: NDArray[np.float64]
@@ -85,6 +89,7 @@ class Route:
     profile: Profile
     crs: str | None = None
     notes: list[str] = field(default_factory=list)
+    spread: Mapping[str, Any] | None = None
 
     def in_words(self) -> str:
         """Return length, energy and duration in words and units."""
@@ -161,6 +166,7 @@ def price_route(lattice: CostLattice, xy: ArrayLike, *, notes: list[str] | None 
         profile=profile,
         crs=lattice.frame.crs,
         notes=list(notes or []),
+        spread=lattice.provenance.get("model", {}).get("spread"),
     )
 
 

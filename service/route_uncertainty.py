@@ -1,4 +1,4 @@
-"""The uncertainty of a route's energy: the lattice's standard deviations joined with the model's error per run."""
+"""The distribution of a route's energy: the lattice's standard deviations joined with the model's error per run."""
 
 from __future__ import annotations
 
@@ -6,44 +6,97 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.odds import QUANTILES, EnergyOdds
 from joulemap.planner.route import Route
 
 
-def std_along(lattice: CostLattice, routes: Sequence[Route]) -> NDArray[np.float64] | None:
-    """Return the standard deviation of the energy along routes that are driven one after another.
+def odds_along(routes: Sequence[Route]) -> EnergyOdds | None:
+    """Return the distribution of the energy along routes that are driven one after another.
 
     Parameters
     ----------
-    lattice : CostLattice
-        That all routes were priced with.
     routes : sequence of Route
-        In the order of driving.
+        In the order of driving, priced on one lattice.
 
     Returns
     -------
-    ndarray of float64, (n,), or None
-        Standard deviation [J] of the energy from the start to the end of each of the n pieces of all profiles; None
-        where the lattice's model does not know its uncertainty.
+    EnergyOdds or None
+        Of the energy from the start to the end of each of the n pieces of all profiles; None where the model does not
+        know its uncertainty.
 
     Notes
     -----
     The error that a whole run has in common is fully correlated over all pieces. The rest is fully correlated within a
     metre, and beyond that over the model's correlation length (see `Spread.route_std`).
     """
-    spread = lattice.provenance.get("model", {}).get("spread")
-    if spread is None or lattice.std_j is None:
-        return None
     profiles = [route.profile for route in routes]
+    if routes[0].spread is None or any(profile.std_j is None for profile in profiles):
+        return None
+    spread = Spread.from_dict(routes[0].spread)
     driven = np.cumsum([0.0, *(route.length_m for route in routes)])
     distance = np.concatenate([[0.0], *(p.distance_m + d for p, d in zip(profiles, driven, strict=False))])
     marks = np.append(np.arange(math.ceil(driven[-1])), driven[-1])
-    by_metre = [
-        np.diff(np.interp(marks, distance, np.cumsum(np.concatenate([[0.0], *pieces]))))
+    mean_j, std_j = (
+        np.cumsum(np.concatenate([[0.0], *pieces]))
         for pieces in ([p.energy_j for p in profiles], [p.std_j for p in profiles if p.std_j is not None])
-    ]
-    along = np.append(0.0, Spread.from_dict(spread).route_std(*by_metre))
-    return np.interp(distance[1:], marks, along)
+    )
+    by_metre = [np.diff(np.interp(marks, distance, along)) for along in (mean_j, std_j)]
+    scale, freedom = spread.along(*by_metre)
+    if freedom is not None:
+        freedom = np.interp(distance[1:], marks[1:], freedom) if freedom.size else np.zeros(0)
+    return EnergyOdds(mean_j[1:], np.interp(distance[1:], marks, np.append(0.0, scale)), freedom)
+
+
+def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | None:
+    """Return the distribution of the energy of routes of which only the energy is known, such as those of a field.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        That they were priced with.
+    energy_j : array_like, (n,)
+        Expected energies [J].
+
+    Returns
+    -------
+    EnergyOdds or None
+        As if all of it were driven on ground of the lattice's mean energy and standard deviation per metre; None where
+        the lattice's model does not know its uncertainty.
+    """
+    given = lattice.provenance.get("model", {}).get("spread")
+    if given is None or lattice.std_j is None:
+        return None
+    spread, energy = Spread.from_dict(given), np.asarray(energy_j, dtype=np.float64)
+    per_metre, std = (float(np.nanmean(values)) for values in (lattice.energy_per_m, lattice.std_j))
+    length_m = np.maximum(energy, 0.0) / max(per_metre, 1e-9)
+    of_run = (spread.run_share * energy) ** 2
+    rest = std**2 * spread.correlation_m * length_m
+    return EnergyOdds(energy, np.sqrt(of_run + rest), spread.freedom_of(of_run, rest))
+
+
+def quantiles_of_route(route: Route) -> dict[str, float | None]:
+    """Return the distribution of a route's energy as answers have it.
+
+    Parameters
+    ----------
+    route : Route
+        Priced on a lattice.
+
+    Returns
+    -------
+    dict
+        `energy_std_j`, `energy_p05_j`, `energy_p50_j` and `energy_p95_j` [J], all None where the model does not know
+        its uncertainty.
+    """
+    names = [f"energy_p{100 * share:02.0f}_j" for share in QUANTILES]
+    odds = odds_along([route])
+    if odds is None:
+        return dict.fromkeys(["energy_std_j", *names])
+    return {
+        "energy_std_j": odds.final_std_j,
+        **{name: odds.final_quantile(share) for name, share in zip(names, QUANTILES, strict=True)},
+    }

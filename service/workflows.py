@@ -12,21 +12,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from joulemap.model.battery import Battery
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError, NoRouteError, TooLargeError
 from joulemap.model.frames import GridFrame, heading_bins
-from joulemap.model.robot import Battery, Robot
+from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.windows import Ground
-from joulemap.planner.budget import Verdict, judge_along
+from joulemap.planner.budget import Verdict, judge_course
+from joulemap.planner.course import course_of
 from joulemap.planner.edges import energy_per_m_at
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
-from joulemap.planner.route import Route, price_route
+from joulemap.planner.route import Route
 from joulemap.planner.tiles import Tiling
+from joulemap.service.coordinates import PlaceLike
+from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.models import DEFAULT_MODEL, find_predictor, planning_robot
-from joulemap.service.route_uncertainty import std_along
+from joulemap.service.places import Places
+from joulemap.service.route_uncertainty import odds_along
 
 if TYPE_CHECKING:  # a cost map is made without them, and they take their time to load
     from joulemap.planner.plan import RoutePlanner
@@ -356,9 +361,9 @@ def assess(
     planner: RoutePlanner | StoredPlanner | CostLattice,
     *,
     battery: Battery,
-    path: ArrayLike | None = None,
-    start: Sequence[float] | None = None,
-    goal: Sequence[float] | None = None,
+    path: ArrayLike | Sequence[Any] | None = None,
+    start: PlaceLike | None = None,
+    goal: PlaceLike | None = None,
     round_trip: bool = False,
     snap: bool = False,
 ) -> Assessment:
@@ -373,9 +378,9 @@ def assess(
     battery : Battery
         Its capacity, charge and reserve.
     path : array_like, (n, 2), optional
-        World points [m], in the order of driving.
-    start, goal : sequence of float, optional
-        World x, y [m].
+        World points [m], or places as `Places.path` takes them, in the order of driving.
+    start, goal : sequence of float or mapping, optional
+        World x, y [m], or a place as `world_point` takes it.
     round_trip : bool, optional
         Judge the way back too. A given path is driven back in the opposite direction, each leg at its reversed
         heading. From goal to start the best route is searched anew: on a slope it need not be the same.
@@ -405,25 +410,26 @@ def assess(
         raise InputError("give either `path`, or `start` and `goal`")
     back = None
     lattice = planner if isinstance(planner, CostLattice) else planner.lattice
+    places = Places(lattice.frame)
     if path is not None:
-        points = np.asarray(path, dtype=np.float64)
+        points = places.path(path)
         if isinstance(planner, StoredPlanner):
             planner.read_along(points)
-        out = price_route(lattice, points)
+        out = price_given_path(lattice, points)
         if round_trip:
-            back = price_route(lattice, points[::-1])
+            back = price_given_path(lattice, points[::-1])
     else:
         assert start is not None
         assert goal is not None
         router = RoutePlanner(planner) if isinstance(planner, CostLattice) else planner
-        there, home = (float(start[0]), float(start[1])), (float(goal[0]), float(goal[1]))
+        there, home = places(start, "start"), places(goal, "goal")
         out = router.plan(there, home, snap=snap).route
         if round_trip:
             if snap:  # back from where the way there ended, and to where it began
                 there, home = ((float(x), float(y)) for x, y in out.points[[0, -1], :2])
             back = router.plan(home, there).route
     routes = [route for route in (out, back) if route is not None]
-    return Assessment(judge_routes(lattice, routes, battery), out, back)
+    return Assessment(judge_routes(lattice, routes, battery), places.noted(out), back)
 
 
 def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:
@@ -442,9 +448,18 @@ def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery
     -------
     Verdict
         With a probability where the lattice's model knows its own uncertainty.
+
+    Raises
+    ------
+    InputError
+        If the battery's cut-off voltage is above every voltage that it has.
     """
-    pieces = np.concatenate([route.profile.energy_j for route in routes])
-    return judge_along(pieces, battery, std_j=std_along(lattice, routes))
+    return judge_course(
+        course_of(routes),
+        battery,
+        nominal_voltage_v=lattice.robot.nominal_voltage_v,
+        odds=odds_along(routes),
+    )
 
 
 def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:

@@ -143,20 +143,33 @@ class Spread:
         scale_j : ndarray of float64, (n,)
             Scale of the cumulative energy [J], as `route_std`.
         freedom : ndarray of float64, (n,), or None
-            Degrees of freedom of Student's t; None for a normal distribution.
-
-        References
-        ----------
-        Satterthwaite 1946: the degrees of freedom of a sum of two variances.
+            Degrees of freedom of Student's t, by Satterthwaite (1946) that of a sum of two variances; None for a normal
+            distribution.
         """
         scale = self.route_std(energy_j, std_j)
-        if self.freedom is None and self.run_freedom is None:
-            return scale, None
         of_run = np.square(self.run_share * np.cumsum(np.asarray(energy_j, dtype=np.float64)))
-        rest = np.maximum(scale**2 - of_run, 0.0)
+        return scale, self.freedom_of(of_run, np.maximum(scale**2 - of_run, 0.0))
+
+    def freedom_of(self, of_run: FloatArray, rest: FloatArray) -> FloatArray | None:
+        """Return the degrees of freedom of energies.
+
+        Parameters
+        ----------
+        of_run : ndarray of float, (n,)
+            Squared scale of the error that a whole run has in common [J2].
+        rest : ndarray of float, (n,)
+            Squared scale of the remaining errors [J2].
+
+        Returns
+        -------
+        ndarray of float64, (n,), or None
+            Of Student's t of their sum; None for a normal distribution.
+        """
+        if self.freedom is None and self.run_freedom is None:
+            return None
         within, between = ((given or NORMAL_FREEDOM) for given in (self.freedom, self.run_freedom))
         parts = of_run**2 / between + rest**2 / within
-        return scale, np.where(parts > 0.0, (of_run + rest) ** 2 / np.where(parts > 0.0, parts, 1.0), within)
+        return np.where(parts > 0.0, (of_run + rest) ** 2 / np.where(parts > 0.0, parts, 1.0), within)
 
     def route_std(self, energy_j: ArrayLike, std_j: ArrayLike) -> FloatArray:
         """Return the scale of the energy up to the end of each segment of a route.

@@ -19,7 +19,7 @@ from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.route import Route, price_route
 from joulemap.service.models import planning_robot
-from joulemap.service.route_uncertainty import std_along
+from joulemap.service.route_uncertainty import quantiles_of_route
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float]
@@ -213,13 +213,9 @@ def _reroute(planners: tuple[RoutePlanner, RoutePlanner], task: Task) -> Reroute
     after = planners[1].plan(*task).route
     if after.energy_j > repriced.energy_j:  # the any-angle step is no exact search
         after = repriced
-    along = [std_along(lattice, [route]) for route in (repriced, after)]
+    stds = tuple(quantiles_of_route(route)["energy_std_j"] for route in (repriced, after))
     old_j = price_route(planners[0].lattice, after.points).energy_j
-    return Rerouted(task, before, repriced, after, old_j, (_last(along[0]), _last(along[1])))
-
-
-def _last(std_j: FloatArray | None) -> float | None:
-    return None if std_j is None else float(std_j[-1]) if std_j.size else 0.0
+    return Rerouted(task, before, repriced, after, old_j, (stds[0], stds[1]))
 
 
 def drawn_tasks(places: FloatArray, *, seed: int) -> list[Task]:

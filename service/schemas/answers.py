@@ -12,12 +12,14 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from joulemap.model.battery import Battery
 from joulemap.model.errors import ConflictError, JoulemapError
-from joulemap.model.robot import Battery, Robot
+from joulemap.model.robot import Robot
 from joulemap.planner.budget import Verdict
 from joulemap.planner.plan import Plan
-from joulemap.planner.route import Route, geojson
+from joulemap.planner.route import Route
 from joulemap.service.problems import jsonable, problem_of
+from joulemap.service.route_uncertainty import quantiles_of_route
 from joulemap.service.schemas.base import Problem, RobotOut, UnreadableOut
 from joulemap.service.schemas.loop import CalibrationOut, RunOut, RunsOut
 from joulemap.service.schemas.maps import CostmapOut, HeightmapOut
@@ -257,11 +259,11 @@ def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
     Returns
     -------
     Battery
-        Capacity [Wh], charge and reserve.
+        With its capacity [Wh].
     """
     given = request or BatteryIn()
-    capacity = robot.battery_wh if given.capacity_wh is None else given.capacity_wh
-    return Battery(capacity, charge=given.charge, reserve=given.reserve)
+    values = given.model_dump(exclude_none=True)
+    return Battery(**{"capacity_wh": robot.battery_wh} | values)
 
 
 def verdict_out(verdict: Verdict) -> VerdictOut:
@@ -295,6 +297,7 @@ def route_values(route: Route) -> dict[str, Any]:
     """
     return {
         "energy_j": route.energy_j,
+        **quantiles_of_route(route),
         "energy_wh": route.energy_j / 3600.0,
         "length_m": route.length_m,
         "duration_s": route.duration_s,
@@ -377,40 +380,6 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
         warnings=[*warnings, *route.notes],
         crs=route.crs,
     )
-
-
-def path_geojson(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> dict[str, Any]:
-    """Return a plan as a GeoJSON FeatureCollection.
-
-    Parameters
-    ----------
-    plan : Plan
-        From the planner.
-    verdict : Verdict or None
-        None where none was asked for.
-    warnings : list of str
-        Of the cost map.
-
-    Returns
-    -------
-    dict
-        The energy-optimal path, the shortest one and the alternatives; the CRS is given once, at the top.
-    """
-    best = geojson(plan.route, kind="energy_optimal", planner=plan.planner, saving_j=plan.saving_j)
-    shortest = geojson(plan.shortest, kind="shortest")
-    others = [geojson(other, kind="alternative") for other in plan.others]
-    crs = best.pop("crs", None)
-    for feature in (shortest, *others):
-        feature.pop("crs", None)
-    collection: dict[str, Any] = {
-        "type": "FeatureCollection",
-        "features": [best, shortest, *others],
-        "warnings": [*warnings, *plan.route.notes],
-        "battery": verdict_out(verdict).model_dump() if verdict is not None else None,
-    }
-    if crs is not None:
-        collection["crs"] = crs
-    return collection
 
 
 def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityOut:

@@ -6,11 +6,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, WrapValidator, field_validator, model_validator
 
-from joulemap.model.ranges import BATTERY, SEARCH_S
+from joulemap.model.ranges import BATTERY, CURVE_POINTS, SEARCH_S
 from joulemap.planner.plan import PLANNERS
 from joulemap.service.schemas.base import (
-    PathPoint,
-    Point,
+    Areas,
+    PathPlace,
+    Place,
     Point3,
     Request,
     ResponseModel,
@@ -19,9 +20,22 @@ from joulemap.service.schemas.base import (
     within,
 )
 
+_UNKNOWN = "null where the model does not know its uncertainty"
+_STD = Field(description=f"standard deviation of energy_j [J]; {_UNKNOWN}", examples=[1234.5])
+_P05, _P50, _P95 = (
+    Field(description=f"energy that {percent} % of drives do not exceed [J]; {_UNKNOWN}", examples=[energy])
+    for percent, energy in ((5, 10432.1), (50, 12345.6), (95, 14259.1))
+)
+CurvePoint = Annotated[list[float], Field(min_length=2, max_length=2)]
+
 
 class BatteryIn(Request):
-    """A battery. What is left out is as in the robot's own battery, full and without a reserve."""
+    """A battery. What is left out is as in the robot's own battery, full and without a reserve.
+
+    With capacity, charge, reserve, health and temperature alone, a verdict counts energy. Once one of `open_circuit_v`,
+    `resistance_ohm`, `cutoff_v` and `max_power_w` is given, it counts losses inside the battery and its voltage under
+    the power of every metre too.
+    """
 
     capacity_wh: Annotated[float, within(BATTERY["capacity_wh"])] | None = Field(
         default=None, description="energy when full [Wh]", examples=[280.0]
@@ -37,7 +51,41 @@ class BatteryIn(Request):
         examples=[0.2],
     )
 
-    @field_validator("charge", "reserve", mode="before")
+    health: Annotated[float, within(BATTERY["health"])] = Field(
+        default=1.0, description="share of the capacity that age has left, 0.05..1"
+    )
+    temperature_c: Annotated[float, within(BATTERY["temperature_c"])] | None = Field(
+        default=None, description="temperature of the battery [degC]; below 15 degC it needs `capacity_curve`"
+    )
+    capacity_curve: list[CurvePoint] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=CURVE_POINTS,
+        description="points [temperature in degC, share of the capacity that the battery gives there], ascending",
+        examples=[[[-20.0, 0.6], [0.0, 0.85], [20.0, 1.0]]],
+    )
+    nominal_voltage_v: Annotated[float, within(BATTERY["nominal_voltage_v"])] | None = Field(
+        default=None, description="nominal voltage [V]; default: that of the robot"
+    )
+    open_circuit_v: list[CurvePoint] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=CURVE_POINTS,
+        description="points [state of charge, voltage without a load in V] from 0 to 1, ascending; default: the curve "
+        "of a plain lithium-ion pack of the nominal voltage",
+        examples=[[[0.0, 21.0], [0.2, 26.5], [1.0, 33.2]]],
+    )
+    resistance_ohm: Annotated[float, within(BATTERY["resistance_ohm"])] | None = Field(
+        default=None, description="internal resistance of the pack [ohm]; default: that of a plain pack"
+    )
+    cutoff_v: Annotated[float, within(BATTERY["cutoff_v"])] | None = Field(
+        default=None, description="voltage under load below which the robot switches off [V]; default: a plain pack's"
+    )
+    max_power_w: Annotated[float, within(BATTERY["max_power_w"])] | None = Field(
+        default=None, description="most power that the battery gives [W]; default: no limit of its own"
+    )
+
+    @field_validator("charge", "reserve", "health", mode="before")
     @classmethod
     def _no_percentage(cls, value: Any, info: ValidationInfo) -> Any:
         if isinstance(value, int | float) and 1 < value <= 100:
@@ -50,8 +98,8 @@ class BatteryIn(Request):
 class PathRequest(Request):
     """From where to where, and how to search."""
 
-    start: Point = Field(examples=[[12.5, 40.5]])
-    goal: Point = Field(examples=[[80.0, 15.0]])
+    start: Place = Field(examples=[[12.5, 40.5]])
+    goal: Place = Field(examples=[[80.0, 15.0]])
     planner: Literal[PLANNERS] = Field(default="astar", description="the sampling planners use the whole time limit")  # type: ignore[valid-type]
     neighbours: Literal[8, 16, 32] = Field(
         default=16, description="moves per cell of the grid planners without `refine`; with it they are 32"
@@ -69,6 +117,7 @@ class PathRequest(Request):
         default=False,
         description="move a start or goal on blocked ground to the nearest free place; a warning says where that is",
     )
+    avoid: Areas = Field(default=[])
     battery: BatteryIn | None = Field(default=None, description="given: the answer says whether this battery lasts")
     robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 
@@ -85,6 +134,15 @@ class PieceOut(ResponseModel):
     cumulative_j: float = Field(description="energy from the start to the end of the piece [J]")
 
 
+class PlaceOut(ResponseModel):
+    """A place on the way, where something happens."""
+
+    distance_m: float = Field(description="from the start; over both ways of a round trip [m]")
+    time_s: float = Field(description="from the start, at the robot's speed [s]")
+    x: float = Field(description="[m]")
+    y: float = Field(description="[m]")
+
+
 class VerdictOut(ResponseModel):
     """Whether the battery lasts."""
 
@@ -99,8 +157,32 @@ class VerdictOut(ResponseModel):
     charge_at_start: float = Field(description="state of charge before the task, 0..1")
     charge_at_end: float = Field(description="state of charge after the task, 0..1")
     reserve: float = Field(description="share of the capacity that must remain, 0..1")
-    energy_std_j: float | None = Field(
-        description="standard deviation of energy_j [J]; null where the model does not know its uncertainty"
+    energy_std_j: float | None = _STD
+    energy_p05_j: float | None = _P05
+    energy_p50_j: float | None = _P50
+    energy_p95_j: float | None = _P95
+    verdict: Literal["yes", "likely", "marginal", "no"] = Field(
+        description="yes: lasts with a probability of 95 % or more; likely: 2/3 or more; marginal: 1/3 or more; no: "
+        "less. Without a probability, as if whole routes erred by half of their energy (a standard deviation)"
+    )
+    verdict_text: str = Field(description="one sentence: how likely, what it takes, where most of it goes")
+    charge_for_yes: float | None = Field(
+        description="least state of charge at the start for a yes, 0..1; null where a full battery is not enough"
+    )
+    yes_until_m: float | None = Field(
+        description="distance up to which it is a yes [m]; null where it is one to the end"
+    )
+    reserve_at: PlaceOut | None = Field(
+        description="where and when the reserve is touched, at the expected energy; null where it is not"
+    )
+    overload_at: PlaceOut | None = Field(
+        description="where the power is first more than the battery can give; null where it never is, and for a "
+        "battery of which only energy is known"
+    )
+    overload_w: float | None = Field(description="power there [W]")
+    most_power_w: float | None = Field(description="most power that the battery can give there [W]")
+    least_voltage_v: float | None = Field(
+        description="least voltage under load [V], before any overload; null for a battery of which only energy is known"
     )
     probability: float | None = Field(
         description="probability that the battery lasts, 0.01..0.99: 0.99 means at least 0.99 and 0.01 at most 0.01, "
@@ -120,6 +202,10 @@ class RouteOut(ResponseModel):
     """A path with its energy."""
 
     energy_j: float = Field(description="energy [J]", examples=[12345.6])
+    energy_std_j: float | None = _STD
+    energy_p05_j: float | None = _P05
+    energy_p50_j: float | None = _P50
+    energy_p95_j: float | None = _P95
     energy_wh: float = Field(description="energy [Wh]", examples=[3.43])
     length_m: float = Field(description="horizontal length [m]", examples=[97.1])
     duration_s: float = Field(description="time at the robot's speed [s]", examples=[194.2])
@@ -152,11 +238,11 @@ class PathOut(RouteOut):
 class FeasibilityRequest(Request):
     """A task, either a path or start and goal, and a battery."""
 
-    path: Annotated[list[PathPoint], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
+    path: Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
         default=None, min_length=2, max_length=100_000, description="world points [m], in order"
     )
-    start: Point | None = Field(default=None, examples=[[12.5, 40.5]])
-    goal: Point | None = Field(default=None, examples=[[80.0, 15.0]])
+    start: Place | None = Field(default=None, examples=[[12.5, 40.5]])
+    goal: Place | None = Field(default=None, examples=[[80.0, 15.0]])
     snap: bool = Field(
         default=False,
         description="move a start or goal on blocked ground to the nearest free place; a warning says where that is. A "
@@ -165,6 +251,7 @@ class FeasibilityRequest(Request):
     round_trip: bool = Field(
         default=False, description="also drive back: a given path in reverse, else the best way back"
     )
+    avoid: Areas = Field(default=[])
     battery: BatteryIn | None = Field(default=None, description="default: the robot's own, full, without a reserve")
     robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 

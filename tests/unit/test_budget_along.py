@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from joulemap.model.robot import Battery
+from joulemap.model.battery import Battery
 from joulemap.planner.budget import judge, judge_along
 
 PIECES = st.lists(st.floats(-5000.0, 5000.0), min_size=1, max_size=30)

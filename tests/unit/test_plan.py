@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from joulemap.model.battery import Battery
 from joulemap.model.errors import BlockedError, InputError, NegativeCycleError, NoRouteError, PointError
-from joulemap.model.robot import Battery, Robot
+from joulemap.model.robot import Robot
 from joulemap.planner.budget import judge
 from joulemap.planner.edges import price_world_path
 from joulemap.planner.plan import PLANNERS, RoutePlanner

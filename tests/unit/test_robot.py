@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError, RobotError
 from joulemap.model.ranges import ROBOT
-from joulemap.model.robot import GRAVITY_MPS2, Battery, Robot
+from joulemap.model.robot import GRAVITY_MPS2, Robot
 
 
 def test_price_is_hotel_plus_traction_with_brakes_and_regeneration() -> None:

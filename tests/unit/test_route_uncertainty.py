@@ -10,16 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from joulemap.model.battery import Battery
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.frames import GridFrame
-from joulemap.model.robot import Battery, Robot
+from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.budget import judge, judge_along
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.route import price_route
-from joulemap.service.route_uncertainty import std_along
+from joulemap.service.route_uncertainty import odds_along
 from joulemap.service.workflows import assess
 
 INDEPENDENT = Spread(run_share=0.0, correlation_m=1.0)
@@ -67,10 +68,10 @@ def test_against_the_whole_covariance(std: list[float], correlation_m: float, n:
 def test_a_route_of_16_m_is_16_segments_however_it_is_cut(corners: list[tuple[float, float]]) -> None:
     route = price_route(level(INDEPENDENT), corners)
     assert route.length_m == pytest.approx(16.0)
-    along = std_along(level(INDEPENDENT), [route])
-    assert along is not None
-    assert along[-1] == pytest.approx(3.0 * 4.0, rel=1e-5)
-    assert std_along(level(None), [route]) is None
+    odds = odds_along([route])
+    assert odds is not None
+    assert odds.final_std_j == pytest.approx(3.0 * 4.0, rel=1e-5)
+    assert odds_along([price_route(level(None), corners)]) is None
 
 
 def test_the_way_back_shares_the_error_of_the_run() -> None:

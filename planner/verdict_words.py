@@ -1,0 +1,89 @@
+"""A verdict in one sentence: how likely, what it takes, where most of it goes, and what would make it a yes."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from joulemap.planner.course import Course, Stretch
+from joulemap.planner.words import probability_words
+
+if TYPE_CHECKING:
+    from joulemap.planner.budget import Verdict
+
+_LEVEL = 0.02  # rise over length below which a stretch is no climb
+
+
+def verdict_in_words(verdict: Verdict, course: Course) -> str:
+    """Return a verdict as a sentence.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        On a course.
+    course : Course
+        What is driven.
+
+    Returns
+    -------
+    str
+        Such as "Likely: 78 % to return with the reserve; expected 23.7 kJ (90 % between 19.0 and 28.4) of 31.0 kJ; the
+        climb at 210 m takes 51 %; a charge of 71 % makes it a yes."
+    """
+    parts = [f"{verdict.verdict.capitalize()}: {_chance(verdict, course)}", _energy(verdict)]
+    if verdict.overload_at is not None:
+        parts.append(
+            f"the {verdict.overload_w:.0f} W at {verdict.overload_at.distance_m:.0f} m are more than the "
+            f"{verdict.most_power_w:.0f} W that the battery can give there"
+        )
+    if (stretch := course.dearest()) is not None:
+        parts.append(_stretch(stretch, course))
+    if verdict.verdict != "yes":
+        parts.append(_advice(verdict))
+    return "; ".join(part for part in parts if part) + "."
+
+
+def _chance(verdict: Verdict, course: Course) -> str:
+    task = "return" if course.ways > 1 else "arrive"
+    task += " with the reserve" if verdict.reserve > 0.0 else ""
+    if verdict.probability is None:
+        return f"to {task}, without odds because the model has seen no runs"
+    return f"{probability_words(verdict.probability)} to {task}"
+
+
+def _energy(verdict: Verdict) -> str:
+    between = ""
+    if verdict.energy_p05_j is not None and verdict.energy_p95_j is not None:
+        between = f" (90 % between {verdict.energy_p05_j / 1000:.3g} and {verdict.energy_p95_j / 1000:.3g})"
+    words = f"expected {verdict.energy_j / 1000:.3g} kJ{between}"
+    if verdict.available_j < 0.0:
+        return f"{words}, and the charge is below the reserve already"
+    return f"{words} of {verdict.available_j / 1000:.3g} kJ"
+
+
+def _stretch(stretch: Stretch, course: Course) -> str:
+    length = stretch.end_m - stretch.start_m
+    steep = stretch.rise_m / length if length > 0.0 and math.isfinite(stretch.rise_m) else 0.0
+    what = "climb" if steep > _LEVEL else "stretch"
+    way = (
+        ""
+        if course.ways < 2
+        else (" of the way out", " of the way back")[stretch.way]
+        if course.ways == 2
+        else (f" of leg {stretch.way + 1}")
+    )
+    return f"the {what} at {stretch.start_m:.0f} m{way} takes {stretch.share:.0%}"
+
+
+def _advice(verdict: Verdict) -> str:
+    """What would make it a yes."""
+    if verdict.overload_at is not None:
+        return "a battery that gives more power, or a way around it, is needed"
+    if verdict.charge_for_yes is not None:
+        if verdict.charge_for_yes > verdict.charge_at_start:
+            return f"a charge of {math.ceil(100 * verdict.charge_for_yes - 1e-9)} % makes it a yes"
+        return "its peaks of power are close to the most that the battery can give"
+    words = "even a full battery does not make it a yes"
+    if verdict.yes_until_m:
+        words += f", but the first {math.floor(verdict.yes_until_m)} m are one"
+    return words

@@ -1,0 +1,1 @@
+"""Are the odds right? Intervals and probabilities of route energies beside what was measured, on runs left out."""

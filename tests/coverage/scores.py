@@ -1,0 +1,116 @@
+"""Routes cut from held-out runs, and how well distributions of their energy hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.planner.odds import EnergyOdds
+
+FloatArray = NDArray[np.float64]
+
+LEVELS = (0.5, 0.8, 0.9)
+MARGIN = 0.2  # of the verdict to compare with
+CHARGES = np.linspace(0.7, 1.5, 17)
+"""Energy that there is, over the expected energy: verdicts of every route are judged at all of them."""
+CUTS = 10  # times that the runs are cut into routes
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Held-out segments of about 1 m, in driving order."""
+
+    measured: FloatArray
+    predicted: FloatArray
+    std: FloatArray
+    run: NDArray[np.int64]
+    group: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Routes, one entry each: measured energy, and its distribution."""
+
+    name: str
+    measured: FloatArray
+    odds: EnergyOdds
+
+    def joined(self, other: Judged) -> Judged:
+        parts = [self.odds, other.odds]
+        mean, scale = (np.concatenate([getattr(p, key) for p in parts]) for key in ("mean_j", "scale_j"))
+        freedom = np.concatenate([np.full(p.mean_j.size, 1e6) if p.freedom is None else p.freedom for p in parts])
+        return Judged(self.name, np.concatenate([self.measured, other.measured]), EnergyOdds(mean, scale, freedom))
+
+
+def judged(name: str, spread: Spread, test: Held, *, shortest: int, longest: int, cuts: int = CUTS) -> Judged:
+    """The routes of runs; `std` of the segments is that before `Spread.factor`."""
+    rows = []
+    for seed in range(cuts):
+        for route in _routes(test.run, np.random.default_rng([7, seed]), shortest, longest):
+            scale, freedom = spread.along(test.predicted[route], spread.factor * test.std[route])
+            mean = float(test.predicted[route].sum())
+            rows.append((test.measured[route].sum(), mean, scale[-1], 1e6 if freedom is None else freedom[-1]))
+    measured, mean_j, scale_j, degrees = np.array(rows).T
+    return Judged(name, measured, EnergyOdds(mean_j, scale_j, degrees))
+
+
+def _routes(
+    run: NDArray[np.int64], rng: np.random.Generator, shortest: int, longest: int
+) -> Iterator[NDArray[np.int64]]:
+    """Stretches of each run that do not overlap, of lengths whose logarithm is uniform."""
+    for one in np.unique(run):
+        mine = np.flatnonzero(run == one)
+        at = 0
+        while mine.size - at >= shortest:
+            length = round(float(np.exp(rng.uniform(np.log(shortest), np.log(longest)))))
+            yield mine[at : at + length]
+            at += length
+
+
+def scores(routes: Judged) -> dict[str, Any]:
+    """Coverage of intervals, Brier scores, and the reliability curve."""
+    covered = {}
+    for level in LEVELS:
+        low, high = (routes.odds.quantile(0.5 + side * level / 2) for side in (-1, 1))
+        covered[f"{100 * level:.0f}"] = float(np.mean((routes.measured >= low) & (routes.measured <= high)))
+    lasts, ours, plain, careful = [], [], [], []
+    for charge in CHARGES:
+        there = charge * routes.odds.mean_j
+        lasts.append(routes.measured <= there)
+        ours.append(routes.odds.lasts(there))
+        plain.append(there >= routes.odds.mean_j)
+        careful.append(there >= (1.0 + MARGIN) * routes.odds.mean_j)
+    happened, said = np.concatenate(lasts).astype(float), np.concatenate(ours)
+    return {
+        "routes": int(routes.measured.size),
+        "coverage": covered,
+        "below the mean": float(np.mean(routes.measured <= routes.odds.mean_j)),
+        "brier": {
+            "odds": float(np.mean((said - happened) ** 2)),
+            "mean": float(np.mean((np.concatenate(plain) - happened) ** 2)),
+            "margin of 20 %": float(np.mean((np.concatenate(careful) - happened) ** 2)),
+        },
+        "reliability": _reliability(said, happened),
+    }
+
+
+def _reliability(said: FloatArray, happened: FloatArray) -> list[tuple[float, float, int]]:
+    """Mean probability, share that lasted, and count, in tenths of the probability."""
+    tenth = np.minimum((said * 10).astype(int), 9)
+    return [
+        (float(said[tenth == k].mean()), float(happened[tenth == k].mean()), int((tenth == k).sum()))
+        for k in range(10)
+        if (tenth == k).any()
+    ]
+
+
+def pooled(parts: Sequence[Judged], name: str) -> Judged:
+    first = parts[0]
+    for other in parts[1:]:
+        first = first.joined(other)
+    return Judged(name, first.measured, first.odds)
