@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.errors import BlockedError
+from joulemap.model.frames import heading_bins, heading_vector
 from joulemap.planner.edges import Points, leg_prices_between
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.search import joining_legs
@@ -62,6 +64,41 @@ def check_place(lattice: CostLattice, x: float, y: float, *, name: str) -> tuple
         nearest=[free_x, free_y],
         nearest_m=away_m,
     )
+
+
+def free_places(lattice: CostLattice) -> NDArray[np.bool_]:
+    """Return which cells may be driven in some heading: where `check_place` raises nothing.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+
+    Returns
+    -------
+    ndarray of bool, (rows, cols)
+        True there.
+    """
+    east, north = heading_vector(heading_bins(lattice.headings))
+    free = np.empty(lattice.frame.shape, dtype=np.bool_)
+    _fill_free(lattice.blocked, lattice.gradient, east, north, *lattice.max_tangents, free)
+    return free
+
+
+@njit(cache=True, nogil=True)
+def _fill_free(blocked, gradient, east, north, max_grade, max_cross, free):
+    for i in range(blocked.shape[0]):
+        for j in range(blocked.shape[1]):
+            free[i, j] = False
+            if blocked[i, j] != 0:
+                continue
+            to_east, to_north = gradient[i, j, 0], gradient[i, j, 1]
+            for k in range(east.size):
+                grade = abs(to_east * east[k] + to_north * north[k])
+                cross = abs(to_east * north[k] - to_north * east[k])
+                if not (grade > max_grade or cross > max_cross):
+                    free[i, j] = True
+                    break
 
 
 def end_point(lattice: CostLattice, x: float, y: float, *, name: str, snap: bool = False) -> tuple[Points, str | None]:
