@@ -11,9 +11,12 @@ from joulemap.service.commands import (
     calibration,
     data_directory,
     distillation,
+    doctor,
+    exports,
     fields,
     heightmaps,
     keys,
+    logs,
     maps,
     models,
     reproduction,
@@ -62,9 +65,9 @@ def joulemap(
 
 
 for _panel, _commands in (
-    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour, fields.field)),
+    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour, fields.field, exports.export)),
     ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
-    ("Keep", (data_directory.check, data_directory.backup, data_directory.restore)),
+    ("Keep", (data_directory.check, data_directory.backup, data_directory.restore, doctor.doctor)),
     (
         "Learn",
         (
@@ -82,6 +85,7 @@ for _panel, _commands in (
 ):
     for _command in _commands:
         app.command(cls=Command, rich_help_panel=_panel)(_command)
+app.command("import", cls=Command, rich_help_panel="Learn")(logs.import_logs)
 app.add_typer(keys.keys, rich_help_panel="Serve")
 
 

@@ -13,8 +13,11 @@ import httpx
 from pydantic import BaseModel
 
 from joulemap.model.errors import BusyError, ConflictError, InputError, JoulemapError, RateError
+from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.service.coordinates import PlaceLike
 from joulemap.service.library.heightmaps import robot_of
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.loop import CalibrationOut, RunsOut
@@ -24,7 +27,7 @@ from joulemap.service.schemas.tours import TourOut
 
 Answer = TypeVar("Answer", bound=BaseModel)
 Job = TypeVar("Job", CostmapOut, CalibrationOut)
-Point = Sequence[float]
+Point = PlaceLike
 GroundLike = str | Path | bytes | Heightmap | HeightmapOut
 """A heightmap, its file, or the id or description of one that was sent."""
 RobotLike = Robot | Mapping[str, Any] | str | Path | None
@@ -189,19 +192,25 @@ class Client:
         heightmap: GroundLike | None = None,
         odometry_track_m: float | None = None,
         terrain_from_name: bool = False,
+        mapping: MappingLike | None = None,
+        accept_implausible: bool = False,
     ) -> RunsOut:
         """Send measured runs: all of them are kept, or none.
 
         Parameters
         ----------
         files : str, Path or sequence of these
-            CSV or Parquet files.
+            CSV, Parquet, MCAP, ROS bags, flight logs or FIT files.
         heightmap : optional
             The heightmap that they were driven on, as in `costmap`.
         odometry_track_m : float, optional
             The runs have wheel speeds only: the effective track width of the robot [m].
         terrain_from_name : bool, optional
             Whether the name of a file says on what ground it was driven.
+        mapping : mapping, sequence of str, str or Path, optional
+            Where columns are taken from, as in `joulemap.read_runs`.
+        accept_implausible : bool, optional
+            Whether runs are kept whose numbers are hardly in the units that they are read in.
 
         Returns
         -------
@@ -219,6 +228,10 @@ class Client:
             query["heightmap_id"] = self._ground_id(heightmap)
         if odometry_track_m is not None:
             query |= {"odometry_track_m": odometry_track_m, "terrain_from_name": terrain_from_name}
+        if mapping is not None:
+            query["map"] = [f"{column}={source}" for column, source in read_mapping(mapping).items()]
+        if accept_implausible:
+            query["accept_implausible"] = True
         sent = [("file", (path.name, path.read_bytes())) for path in paths]
         return self._ask(RunsOut, "POST", "/v1/runs", files=sent, params=query)
 
@@ -398,6 +411,20 @@ class ServedCostMap:
         return self.about.warnings
 
     @property
+    def grid(self) -> GridFrame:
+        """Where its cells lie."""
+        frame = self.about.frame
+        if frame is None:
+            raise ConflictError(f"cost map {self.id} is {self.about.status}: wait until it is done", id=self.id)
+        west, _, _, north = frame.bounds
+        return GridFrame(west, north, frame.spacing_m, frame.rows, frame.cols, frame.crs)
+
+    @property
+    def crs(self) -> str | None:
+        """Its coordinate system, None where the heightmap did not name one."""
+        return self.grid.crs
+
+    @property
     def _place(self) -> str:
         return f"/v1/costmaps/{self.id}"
 
@@ -406,8 +433,8 @@ class ServedCostMap:
 
         Parameters
         ----------
-        start, goal : sequence of float
-            World x, y [m].
+        start, goal : sequence of float or mapping
+            World x, y [m]; or latitude, longitude, as `joulemap.service.coordinates.world_point` reads them.
         progress : callable, optional
             Called with the share done, 0..1.
         **options
@@ -424,7 +451,7 @@ class ServedCostMap:
         PointError, BlockedError, NoRouteError
             As `CostMap.plan`.
         """
-        body = {"start": list(start), "goal": list(goal), **options}
+        body = {"start": _sent(start), "goal": _sent(goal), **options}
         if progress is None:
             return self._client._ask(PathOut, "POST", f"{self._place}/paths", json=body)
         for name, document in self._client.events(f"{self._place}/paths", body):
@@ -433,24 +460,90 @@ class ServedCostMap:
             progress(float(document))
         raise BusyError("the connection ended before the answer came", url=self._client.url)
 
-    def plan_geojson(self, start: Point, goal: Point, **options: Any) -> dict[str, Any]:
+    def plan_geojson(self, start: Point, goal: Point, *, coordinates: str = "wgs84", **options: Any) -> dict[str, Any]:
         """Find the same routes, as GeoJSON.
 
         Parameters
         ----------
-        start, goal : sequence of float
-            World x, y [m].
+        start, goal : sequence of float or mapping
+            As in `plan`.
+        coordinates : str, optional
+            "wgs84" (longitude, latitude [degrees]) or "map" (x, y [m] in the CRS of the map).
         **options
             As in `plan`.
 
         Returns
         -------
         dict
-            A FeatureCollection of lines with heights, in the CRS of the map.
+            A FeatureCollection of lines with heights.
+
+        Raises
+        ------
+        InputError
+            If the map has no CRS, and degrees are wanted.
         """
-        body = {"start": list(start), "goal": list(goal), **options}
-        answer = self._client._send("POST", f"{self._place}/paths", json=body, params={"format": "geojson"})
-        return _document(answer.content)
+        return _document(self.plan_file(start, goal, format="geojson", coordinates=coordinates, **options))
+
+    def plan_file(
+        self, start: Point, goal: Point, *, format: str, coordinates: str | None = None, **options: Any
+    ) -> bytes:
+        """Find the same routes, as a file for another program.
+
+        Parameters
+        ----------
+        start, goal : sequence of float or mapping
+            As in `plan`.
+        format : str
+            "gpx", "qgc-plan", ...: a name of `joulemap.service.exports.routes.ROUTE_FORMATS`.
+        coordinates : str, optional
+            Of GeoJSON, "wgs84" or "map".
+        **options
+            As in `plan`.
+
+        Returns
+        -------
+        bytes
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the map has no CRS and the format needs degrees.
+        """
+        body = {"start": _sent(start), "goal": _sent(goal), **options}
+        return self._file("paths", body, format, coordinates)
+
+    def tour_file(
+        self, stops: Sequence[Point], *, format: str, coordinates: str | None = None, **options: Any
+    ) -> bytes:
+        """Find the same tour as `tour`, as a file for another program.
+
+        Parameters
+        ----------
+        stops : sequence of points
+            As in `tour`.
+        format : str
+            As in `plan_file`.
+        coordinates : str, optional
+            Of GeoJSON, "wgs84" or "map".
+        **options
+            As in `tour`.
+
+        Returns
+        -------
+        bytes
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the map has no CRS and the format needs degrees.
+        """
+        return self._file("tours", {"stops": [_sent(stop) for stop in stops], **options}, format, coordinates)
+
+    def _file(self, question: str, body: dict[str, Any], format: str, coordinates: str | None) -> bytes:
+        query = {"format": format} | ({} if coordinates is None else {"coordinates": coordinates})
+        return self._client._send("POST", f"{self._place}/{question}", json=body, params=query).content
 
     def tour(self, stops: Sequence[Point], **options: Any) -> TourOut:
         """Find the round trip of least energy over several stops, home first.
@@ -472,7 +565,7 @@ class ServedCostMap:
         PointError, BlockedError, NoRouteError
             As `CostMap.tour`.
         """
-        body = {"stops": [list(stop) for stop in stops], **options}
+        body = {"stops": [_sent(stop) for stop in stops], **options}
         return self._client._ask(TourOut, "POST", f"{self._place}/tours", json=body)
 
     def feasibility(
@@ -486,6 +579,7 @@ class ServedCostMap:
         charge: float = 1.0,
         reserve: float = 0.0,
         capacity_wh: float | None = None,
+        battery: Mapping[str, Any] | None = None,
     ) -> FeasibilityOut:
         """Say whether the battery lasts for a route, or for the best one between two points.
 
@@ -505,6 +599,8 @@ class ServedCostMap:
             Share of the capacity that must remain, 0..1.
         capacity_wh : float, optional
             Energy of the full battery [Wh]; by default the robot's.
+        battery : mapping, optional
+            More that is known of the battery, as `joulemap.Battery` has it: `resistance_ohm`, `cutoff_v`, ...
 
         Returns
         -------
@@ -517,14 +613,14 @@ class ServedCostMap:
             If it is neither a route nor both ends.
         """
         body: dict[str, Any] = {"round_trip": round_trip, "snap": snap}
-        body["battery"] = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh}
+        body["battery"] = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh, **(battery or {})}
         points = route.path if isinstance(route, PathOut | TourOut) else route
         if isinstance(route, PathOut) and round_trip:
             points = None
             start, goal = ([v for v in place[:2] if v is not None] for place in (route.path[0], route.path[-1]))
         for name, value in (("start", start), ("goal", goal)):
-            body |= {} if value is None else {name: list(value)}
-        body |= {} if points is None else {"path": [list(point) for point in points]}
+            body |= {} if value is None else {name: _sent(value)}
+        body |= {} if points is None else {"path": [_sent(point) for point in points]}
         return self._client._ask(FeasibilityOut, "POST", f"{self._place}/feasibility", json=body)
 
     def at(self, point: Point) -> AtOut:
@@ -540,7 +636,8 @@ class ServedCostMap:
         AtOut
             With the reasons where headings are blocked.
         """
-        return self._client._ask(AtOut, "GET", f"{self._place}/at", params={"x": point[0], "y": point[1]})
+        place = dict(point) if isinstance(point, Mapping) else {"x": point[0], "y": point[1]}
+        return self._client._ask(AtOut, "GET", f"{self._place}/at", params=place)
 
     def data(self, format: str = "geotiff") -> bytes:
         """Return the whole cost map as a file.
@@ -548,7 +645,7 @@ class ServedCostMap:
         Parameters
         ----------
         format : str, optional
-            "geotiff", "npz", or "zarr", which is zipped.
+            "geotiff", "cog", "npz", "zarr" and "nav2-map", which are zipped, or "nav2-graph".
 
         Returns
         -------
@@ -556,6 +653,10 @@ class ServedCostMap:
             The file.
         """
         return self._client._send("GET", f"{self._place}/data", params={"format": format}).content
+
+
+def _sent(point: Any) -> Any:
+    return dict(point) if isinstance(point, Mapping) else list(point)
 
 
 def _robot_values(robot: RobotLike) -> dict[str, Any]:

@@ -1,15 +1,20 @@
-"""Logs in CSV: read block by block, so that memory is taken for numbers and not for their texts."""
+"""Logs in CSV: read block by block, so that memory is taken for numbers and not for their texts.
+
+The separator is the comma, the semicolon or the tab, whichever the header line has most of. Where it is not the comma,
+a comma in a number is the decimal point. Lines before the header that begin with # or % are comments.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from joulemap.model.errors import RunsError
+from joulemap.model.runs.formats.contract import Log, Stream, content_of
 from joulemap.model.runs.table import (
     FloatArray,
     TableLimits,
@@ -19,15 +24,67 @@ from joulemap.model.runs.table import (
     not_a_number,
     numbers_of,
 )
+from joulemap.model.terrain.formats.contract import SourceFile
 
-_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+_SEPARATORS = (",", ";", "\t")
+_COMMENT = re.compile(rb"[#%][^\r\n]*[\r\n]*")
+_OTHER_ENCODING = "cp1252"  # what spreadsheets write in Western Europe and America
 _BLOCK_BYTES = 1 << 22
 _BLOCK_CELLS = 500_000  # of a table with quotes
 _EMPTY_LINES = re.compile(rb"[\r\n]*")
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 
 Block = tuple[list[int], list[str]]
 """Cells of each row, and all cells of these rows one after the other."""
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Take any file: what is no text is refused as it is read.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Its name.
+
+    Returns
+    -------
+    bool
+        True.
+    """
+    return True
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read a table from a text in CSV.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The text.
+    mapping : mapping of str to str
+        Not used: all columns are read.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Counts by rule, which are added to.
+
+    Returns
+    -------
+    Log
+        Of one stream.
+
+    Raises
+    ------
+    RunsError
+        As `read_csv`.
+    TooLargeError
+        As `read_csv`.
+    """
+    numbers, texts, _ = read_csv(content_of(source), source.name, repairs, limits)
+    return Log((Stream("", numbers, texts),))
 
 
 def read_csv(
@@ -64,27 +121,51 @@ def read_csv(
     except csv.Error as error:
         raise RunsError(f"run {name}: not a readable CSV file: {error}", run=name) from error
     except UnicodeDecodeError as error:
-        raise RunsError(f"run {name} is neither a text in CSV (UTF-8) nor a Parquet file: {error}", run=name) from error
+        text = _other_text(content)
+        if text is not None:
+            return read_csv(text, name, repairs, limits)
+        from joulemap.model.runs.formats import formats_in_words
+
+        raise RunsError(
+            f"run {name} is neither a text in CSV (UTF-8) nor another log that is read ({formats_in_words()}): {error}",
+            run=name,
+        ) from error
+
+
+def _other_text(content: bytes) -> bytes | None:
+    """A text of another encoding as UTF-8; None where the content is no text."""
+    try:
+        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+            return content.decode("utf-16").encode()
+        if _CONTROL.search(content):
+            return None
+        return content.decode(_OTHER_ENCODING).encode()
+    except UnicodeError:
+        return None
 
 
 def _read(
     content: bytes, start: int, name: str, repairs: dict[str, int], limits: TableLimits
 ) -> tuple[dict[str, FloatArray], dict[str, TextArray], int]:
-    start = _EMPTY_LINES.match(content, start).end()  # type: ignore[union-attr]
+    start = _header_begins(content, start)
     end = _line_end(content, start)
-    columns = content.count(b",", start, end) + 1
+    first = content[start:end]
+    separator = max(_SEPARATORS, key=lambda mark: first.count(mark.encode()))
+    columns = first.count(separator.encode()) + 1
     last = content.endswith((b"\n", b"\r"))
     lines = content.count(b"\n", end) + content.count(b"\r", end) - content.count(b"\r\n", end) - last
     limits.check(0, columns, name)
     quoted = b'"' in content
-    header = _header(content, start, end, quoted)
+    header = _header(content, start, end, quoted, separator)
     if not header:
         raise RunsError(f"run {name}: the file is empty", run=name)
-    separator = next((mark for mark in _OTHER_SEPARATORS if len(header) == 1 and mark in header[0]), None)
-    if separator is not None:
+    named = [column for column in header if column]
+    if len(named) < len(header) - 1:
+        raise RunsError(f"run {name}: {len(header) - len(named)} of its {len(header)} columns have no name", run=name)
+    if len(named) > 2 and all(map(_is_a_number, named)):
         raise RunsError(
-            f"run {name}: its columns are separated by {_OTHER_SEPARATORS[separator]}; write commas, and a point in "
-            "numbers",
+            f"run {name}: its first line is {', '.join(named)[:80]!r}: write a line with the names of the columns "
+            "above it",
             run=name,
         )
     check_names(header, name)
@@ -92,7 +173,10 @@ def _read(
 
     def _blocks() -> Iterator[Block]:
         width = len(header)
-        blocks = _quoted_blocks(content, start, width, name) if quoted else _plain_blocks(content, end, width, name)
+        if quoted:
+            blocks = _quoted_blocks(content, start, width, name, separator)
+        else:
+            blocks = _plain_blocks(content, end, width, name, separator)
         return _whole_rows(blocks, width, name, repairs)
 
     parts: dict[str, list[FloatArray]] = {column: [] for column in header}
@@ -103,9 +187,9 @@ def _read(
                 continue
             entries = cells[k :: len(header)]
             try:
-                parts[column].append(numbers_of(entries))
+                parts[column].append(_numbers(entries, separator))
             except ValueError:
-                if must_be_number(column):
+                if must_be_number(column) and column != "t":  # a time may be a text
                     raise not_a_number(name, column, entries, rows) from None
                 del parts[column]  # a column of text, which is read again below
         rows += len(widths)
@@ -113,6 +197,33 @@ def _read(
     words = {column: k for k, column in enumerate(header) if column not in parts}
     texts = _texts(_blocks(), words, len(header), rows, name, limits) if words else {}
     return numbers, texts, rows
+
+
+def _numbers(entries: list[str], separator: str) -> FloatArray:
+    try:
+        return numbers_of(entries)
+    except ValueError:
+        if separator == ",":
+            raise
+        return numbers_of([entry.replace(",", ".") for entry in entries])
+
+
+def _is_a_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _header_begins(content: bytes, start: int) -> int:
+    """Where the header line is: behind empty lines and comments."""
+    while True:
+        start = _EMPTY_LINES.match(content, start).end()  # type: ignore[union-attr]
+        comment = _COMMENT.match(content, start)
+        if comment is None or comment.end() >= len(content):
+            return start
+        start = comment.end()
 
 
 def _texts(
@@ -134,12 +245,12 @@ def _line_end(content: bytes, start: int) -> int:
     return min(ends, default=len(content))
 
 
-def _header(content: bytes, start: int, end: int, quoted: bool) -> list[str]:
+def _header(content: bytes, start: int, end: int, quoted: bool, separator: str) -> list[str]:
     line = content[start:end].decode("utf-8")
     if quoted:
-        names = next((row for row in csv.reader(_text(content, start)) if row), [])
+        names = next((row for row in csv.reader(_text(content, start), delimiter=separator) if row), [])
     else:
-        names = line.split(",") if line else []
+        names = line.split(separator) if line else []
     return [name.strip() for name in names]
 
 
@@ -149,7 +260,7 @@ def _text(content: bytes, start: int) -> io.TextIOWrapper:
     return io.TextIOWrapper(stream, encoding="utf-8", newline="")
 
 
-def _plain_blocks(content: bytes, start: int, columns: int, name: str) -> Iterator[Block]:
+def _plain_blocks(content: bytes, start: int, columns: int, name: str, separator: str) -> Iterator[Block]:
     """A table without quotes needs no parser."""
     rows = 0
     while start < len(content):
@@ -162,15 +273,15 @@ def _plain_blocks(content: bytes, start: int, columns: int, name: str) -> Iterat
         start = end + 1
         if not lines:
             continue
-        widths = [line.count(",") + 1 for line in lines]
+        widths = [line.count(separator) + 1 for line in lines]
         if max(widths) > columns:
             raise _wrong_width(widths, columns, rows, name)
         rows += len(widths)
-        yield widths, ",".join(lines).split(",")
+        yield widths, separator.join(lines).split(separator)
 
 
-def _quoted_blocks(content: bytes, start: int, columns: int, name: str) -> Iterator[Block]:
-    rows = (row for row in csv.reader(_text(content, start)) if row)
+def _quoted_blocks(content: bytes, start: int, columns: int, name: str, separator: str) -> Iterator[Block]:
+    rows = (row for row in csv.reader(_text(content, start), delimiter=separator) if row)
     next(rows, None)  # the header
     widths: list[int] = []
     cells: list[str] = []

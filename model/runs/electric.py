@@ -102,9 +102,11 @@ def electric(
 def _logged(numbers: dict[str, FloatArray], key: str, repairs: dict[str, int]) -> FloatArray | None:
     """A total, positive while the battery discharges."""
     values = numbers.pop(key, None)
-    if values is not None and np.isfinite(values).any() and np.nanmedian(values) < 0:
-        add_count(repairs, f"{key}_sign_flipped", 1)
-        return -values
+    if values is not None:
+        flowing = values[np.isfinite(values) & (values != 0)]  # at rest some ammeters say 0
+        if flowing.size and np.median(flowing) < 0:
+            add_count(repairs, f"{key}_sign_flipped", 1)
+            return -values
     return values
 
 

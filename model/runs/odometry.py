@@ -7,8 +7,8 @@ the sides, larger than the measured one. Positions drift within minutes; on flat
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,25 +19,16 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.ranges import TRACK_M
 from joulemap.model.runs.arcs import STILL_M, STOP_S, equal_parts, rows_missing, station_at, stops_of
 from joulemap.model.runs.electric import Currents
+from joulemap.model.runs.logs import Table, read_log
 from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import LIMITS, TableLimits, columns_there
-from joulemap.model.runs.table_files import read_table
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
 _SIDES = ("speed_left", "speed_right")
-_OTHER_NAMES = {
-    "time": "t",
-    "velL": "speed_left",
-    "velR": "speed_right",
-    "curL": "current_left",
-    "curR": "current_right",
-}
-"""As in the logs of BorealTC (LaRocque et al., IROS 2024)."""
-
 _NUMBERED = re.compile(r"[\W_]*\d*$")
 
 
@@ -77,8 +68,9 @@ def read_odometry(
     name: str | None = None,
     currents: Currents = "auto",
     limits: TableLimits = LIMITS,
+    mapping: Mapping[str, str] | None = None,
 ) -> Run:
-    """Read a log of wheel speeds (CSV or Parquet) as a run that starts at (0, 0) and heads north.
+    """Read a log of wheel speeds as a run that starts at (0, 0) and heads north.
 
     Its columns are t [s], speed_left and speed_right [m/s], and current, several current_* [A] or power [W]; optionally
     voltage [V] and any others. Columns named as in BorealTC (velL, curL, ...) are known too. The rules of
@@ -96,6 +88,8 @@ def read_odometry(
         As in `read_run`.
     limits : TableLimits, optional
         How large the table may be.
+    mapping : mapping of str to str, optional
+        As in `read_run`.
 
     Returns
     -------
@@ -111,13 +105,40 @@ def read_odometry(
     """
     path = Path(path)
     name = name or path.name
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise RunsError(f"run {path}: {error}", path=str(path)) from error
     repairs: dict[str, int] = {}
-    numbers, texts = read_table(content, name, repairs, limits=limits)
-    numbers = {_OTHER_NAMES.get(key, key): values for key, values in numbers.items()}
+    table = read_log(path, name, repairs, limits=limits, mapping=mapping)
+    return odometry_run(table, odometry, name=name, repairs=repairs, currents=currents)
+
+
+def odometry_run(
+    table: Table, odometry: Odometry, *, name: str, repairs: dict[str, int], currents: Currents = "auto"
+) -> Run:
+    """Make a run of a table of wheel speeds.
+
+    Parameters
+    ----------
+    table : Table
+        As `read_log` returns it; its columns are taken out of it.
+    odometry : Odometry
+        How wheel speeds become a track.
+    name : str
+        Of the run.
+    repairs : dict
+        What was counted while it was read.
+    currents : {"auto", "signed", "magnitude"}
+        As in `read_run`.
+
+    Returns
+    -------
+    Run
+        As `read_odometry`.
+
+    Raises
+    ------
+    RunsError
+        If a column is missing.
+    """
+    numbers, texts = table.numbers, table.texts
     for column in ("t", *_SIDES):
         if column not in numbers:
             raise RunsError(
@@ -129,7 +150,8 @@ def read_odometry(
     terrain = terrain_in_name(name) if odometry.terrain_from_name else None
     if terrain is not None and "terrain" not in texts:
         texts["terrain"] = np.full(x.size, terrain)
-    return run_of(numbers | {"x": x, "y": y} | motion, texts, name=name, repairs=repairs, currents=currents)
+    run = run_of(numbers | {"x": x, "y": y} | motion, texts, name=name, repairs=repairs, currents=currents)
+    return replace(run, reading=table.reading)
 
 
 def terrain_in_name(name: str) -> str | None:

@@ -7,11 +7,13 @@ in their dictionary until their size is known, and columns of lists or structure
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.runs.formats.contract import Log, Stream, content_of
 from joulemap.model.runs.table import (
     FloatArray,
     TableLimits,
@@ -21,12 +23,61 @@ from joulemap.model.runs.table import (
     not_a_number,
     numbers_of,
 )
+from joulemap.model.terrain.formats.contract import SourceFile
 
 PARQUET_MAGIC = b"PAR1"
 """How the bytes of every Parquet file begin."""
 
 _BATCH_CELLS = 1_000_000
 _BATCH_TEXTS = 1_000  # where texts come in full, however long they are
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the mark at the start of the file.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a Parquet file.
+    """
+    return head.startswith(PARQUET_MAGIC)
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the table of a Parquet file.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The file.
+    mapping : mapping of str to str
+        Not used: all columns are read.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Not used: nothing is repaired.
+
+    Returns
+    -------
+    Log
+        Of one stream.
+
+    Raises
+    ------
+    RunsError
+        As `read_parquet`.
+    TooLargeError
+        As `read_parquet`.
+    """
+    numbers, texts, _ = read_parquet(content_of(source), source.name, limits)
+    return Log((Stream("", numbers, texts),))
 
 
 def read_parquet(
@@ -184,6 +235,6 @@ def _sort(
     try:
         numbers[column] = numbers_of(entries)
     except ValueError:
-        if must_be_number(column):
+        if must_be_number(column) and column != "t":  # a time may be a text
             raise not_a_number(name, column, entries, 0) from None
         texts[column] = array

@@ -1,4 +1,4 @@
-"""Measured runs: read a log (CSV or Parquet), repair the usual faults of loggers by stated rules, count every repair.
+"""Measured runs: read a log of any format, repair the usual faults of loggers by stated rules, count every repair.
 
 Rules, in this order. Their keys in `Run.repairs` are given in brackets; a key is there only if its count is not zero:
 
@@ -27,7 +27,8 @@ Dropped rows and long blanks leave gaps, which `joulemap.model.runs.segments` do
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,9 +38,9 @@ from numpy.typing import NDArray
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.electric import Currents, electric
 from joulemap.model.runs.fixes import positions, usable_fixes
+from joulemap.model.runs.logs import read_log
 from joulemap.model.runs.reckoning import fill_by_wheels
 from joulemap.model.runs.table import LEAST_ROWS, LIMITS, TableLimits, add_count, columns_there
-from joulemap.model.runs.table_files import read_table
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -75,6 +76,8 @@ class Run:
         How the currents of several motors were summed; None where the log leaves no choice.
     of_motors : bool
         Whether the current is the sum of those of several motors.
+    reading : dict of str to str
+        By joulemap's column that the log has under another name or in another unit: what was taken, with its unit.
     """
 
     name: str
@@ -90,6 +93,7 @@ class Run:
     power_w: FloatArray | None = None
     currents: Currents | None = None
     of_motors: bool = False
+    reading: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.breaks.size != self.t.size:
@@ -139,11 +143,13 @@ def read_run(
     crs: str | None = None,
     currents: Currents = "auto",
     limits: TableLimits = LIMITS,
+    mapping: Mapping[str, str] | None = None,
 ) -> Run:
-    """Read a run from a file in CSV or Parquet.
+    """Read a run from a file of any format that is known.
 
     It needs the columns `t` [s], `x` and `y` [m] (or `lat` and `lon` [deg] with the map's `crs`), and `current`,
-    several `current_*` [A] or `power` [W]. `voltage` [V] and any other column are optional.
+    several `current_*` [A] or `power` [W]. `voltage` [V] and any other column are optional. Columns of other names and
+    units are recognised where their names say so, or are given by a mapping.
 
     Parameters
     ----------
@@ -157,6 +163,8 @@ def read_run(
         How the currents of several motors are summed (`joulemap.model.runs.electric`).
     limits : TableLimits, optional
         How large the table may be.
+    mapping : mapping of str to str, optional
+        Where joulemap's columns are taken from, as `joulemap.model.runs.mapping.read_mapping` returns it.
 
     Returns
     -------
@@ -171,27 +179,24 @@ def read_run(
         If it is larger than the limits.
     """
     path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise RunsError(f"run {path}: {error}", path=str(path)) from error
-    return parse_run(content, name=name or path.name, crs=crs, currents=currents, limits=limits)
+    return parse_run(path, name=name or path.name, crs=crs, currents=currents, limits=limits, mapping=mapping)
 
 
 def parse_run(
-    content: str | bytes,
+    content: str | bytes | Path,
     *,
     name: str,
     crs: str | None = None,
     currents: Currents = "auto",
     limits: TableLimits = LIMITS,
+    mapping: Mapping[str, str] | None = None,
 ) -> Run:
-    """Read a run from a text in CSV, or from the bytes of a file.
+    """Read a run from a text in CSV, from the bytes of a file, or from a file.
 
     Parameters
     ----------
-    content : str or bytes
-        Of the whole file.
+    content : str, bytes or Path
+        Of the whole file, or the file.
     name : str
         Of the run.
     crs : str, optional
@@ -199,6 +204,8 @@ def parse_run(
     currents : {"auto", "signed", "magnitude"}
         As in `read_run`.
     limits : TableLimits, optional
+        As in `read_run`.
+    mapping : mapping of str to str, optional
         As in `read_run`.
 
     Returns
@@ -214,8 +221,9 @@ def parse_run(
         As `read_run`.
     """
     repairs: dict[str, int] = {}
-    numbers, texts = read_table(content, name, repairs, limits=limits)
-    return run_of(numbers, texts, name=name, crs=crs, repairs=repairs, currents=currents)
+    table = read_log(content, name, repairs, limits=limits, mapping=mapping)
+    run = run_of(table.numbers, table.texts, name=name, crs=crs, repairs=repairs, currents=currents)
+    return replace(run, reading=table.reading)
 
 
 def run_of(
@@ -256,7 +264,12 @@ def run_of(
     """
     repairs = {} if repairs is None else repairs
     if "t" not in numbers:
-        raise RunsError(f"run {name}: there is no column 't' (seconds){columns_there(numbers)}", run=name, column="t")
+        raise RunsError(
+            f"run {name}: there is no column 't' (seconds){columns_there(numbers)}; a mapping says which it is, like "
+            "t=timestamp_ms:ms",
+            run=name,
+            column="t",
+        )
     rows = _ordered_rows(numbers["t"], name, repairs)
     numbers = {key: values[rows] for key, values in numbers.items()}
     texts = {key: values[rows] for key, values in texts.items()}

@@ -150,13 +150,36 @@ def warp_command(options: str, *, nodata_declared: bool) -> str:
     return f"`rio warp IN OUT {options} --resampling bilinear{nodata}`"
 
 
+def utm_zone(longitude: float, latitude: float) -> str | None:
+    """Return the UTM zone of a place.
+
+    Parameters
+    ----------
+    longitude, latitude : float
+        WGS 84 [deg].
+
+    Returns
+    -------
+    str or None
+        Such as EPSG:32630; None beyond 80 degrees south and 84 degrees north, where there is none.
+
+    Notes
+    -----
+    The zones are six degrees wide; the exceptions around Norway and Svalbard are not made, because their regular zones
+    serve as well.
+    """
+    if not _UTM_LATITUDES[0] <= latitude <= _UTM_LATITUDES[1]:
+        return None
+    zone = int((longitude + 180.0) % 360.0 // 6.0) + 1
+    return f"EPSG:{326 if latitude >= 0 else 327}{zone:02d}"
+
+
 def _advice(centre: tuple[float, float] | None, nodata_declared: bool) -> str:
     """What to do instead, and what to type for it."""
-    if centre is None or not _UTM_LATITUDES[0] <= centre[1] <= _UTM_LATITUDES[1]:
+    target = utm_zone(*centre) if centre is not None else None
+    if target is None:
         words = "reproject it to its UTM zone (EPSG:326 and the two digits of the zone, EPSG:327 in the south)"
         target = "EPSG:326xx"
     else:
-        zone = min(int((centre[0] + 180.0) // 6.0) + 1, 60)
-        words = f"reproject it to UTM zone {zone}{'N' if centre[1] >= 0 else 'S'}"
-        target = f"EPSG:{326 if centre[1] >= 0 else 327}{zone:02d}"
+        words = f"reproject it to UTM zone {target[-2:].lstrip('0')}{'N' if target[5:8] == '326' else 'S'}"
     return f"{words} with {warp_command(f'--dst-crs {target}', nodata_declared=nodata_declared)}"

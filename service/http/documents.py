@@ -61,7 +61,7 @@ def upload_body() -> dict[str, Any]:
 
 def runs_body() -> dict[str, Any]:
     """Return the `openapi_extra` of the upload of runs: a form with a file for each, or one file itself."""
-    run = {**_FILE, "description": "a measured run: CSV or Parquet"}
+    run = {**_FILE, "description": "a measured run: CSV, Parquet, MCAP, ROS bag, flight log or FIT"}
     files = {"type": "array", "items": run, "minItems": 1}
     return _form_or_file({"file": files}, {"text/csv": {"type": "string"}, "application/octet-stream": _FILE})
 

@@ -7,7 +7,7 @@ import gc
 import logging
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from importlib.metadata import version
@@ -255,7 +255,13 @@ class Service:
                 left.unlink(missing_ok=True)
 
     async def keep_runs(
-        self, files: Sequence[tuple[str, Path]], *, heightmap_id: str | None = None, odometry: Odometry | None = None
+        self,
+        files: Sequence[tuple[str, Path]],
+        *,
+        heightmap_id: str | None = None,
+        odometry: Odometry | None = None,
+        mapping: Mapping[str, str] | None = None,
+        accept_implausible: bool = False,
     ) -> RunsRow:
         """Read, check and keep runs that were sent together.
 
@@ -267,11 +273,15 @@ class Service:
             Id of the heightmap that they were driven on.
         odometry : Odometry, optional
             How runs without positions are read.
+        mapping : mapping of str to str, optional
+            Where columns are taken from, as `read_mapping` returns it.
+        accept_implausible : bool, optional
+            Whether runs are kept whose numbers are hardly in the units that they are read in.
 
         Returns
         -------
         RunsRow
-            The new row.
+            The new row. Runs in other formats, columns or units are kept in joulemap's, as CSV.
 
         Raises
         ------
@@ -294,13 +304,25 @@ class Service:
             "limits_of_run": asdict(_run_limits(self.settings)),
             "crs": ground["crs"] if ground is not None else None,
             "odometry": asdict(odometry) if odometry is not None else None,
+            "mapping": dict(mapping or {}),
+            "accept_implausible": accept_implausible,
         }
-        stats = [
-            await self.readers.read("run", path=str(path), name=name, **asked)
-            for name, (_, path) in zip(names, files, strict=True)
-        ]
-        check_together(stats, ground)
-        return await anyio.to_thread.run_sync(self.store.add_runs, files, stats)
+        made = [path.with_name(f"{path.name}.csv") for _, path in files]
+        try:
+            stats = [
+                await self.readers.read("run", path=str(path), name=name, out=str(out), **asked)
+                for name, (_, path), out in zip(names, files, made, strict=True)
+            ]
+            check_together(stats, ground)
+            kept = [
+                (name, out if one.pop("written") else path)
+                for (name, path), out, one in zip(files, made, stats, strict=True)
+            ]
+            return await anyio.to_thread.run_sync(self.store.add_runs, kept, stats)
+        finally:
+            for out in made:  # or what a process that was killed had written
+                out.unlink(missing_ok=True)
+                out.with_name(f"{out.name}.part").unlink(missing_ok=True)
 
     def delete_costmap(self, costmap_id: str) -> None:
         """Delete a cost map; one that is being made is stopped.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,18 @@ import numpy as np
 
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.odometry import Odometry, cut_travel, read_odometry
-from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.logs import Table, read_log
+from joulemap.model.runs.odometry import Odometry, cut_travel, odometry_run, read_odometry
+from joulemap.model.runs.plausible import implausible
+from joulemap.model.runs.reader import Run, parse_run, run_of
+from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.table import TableLimits
+from joulemap.model.runs.writers import write_csv
+from joulemap.model.terrain.coordinate_systems import utm_zone
 from joulemap.service.intake.limits import RunLimits
 from joulemap.service.intake.maps import Guard
+
+_PLAIN = "CSV text"  # the format in which logs are written
 
 
 def check_together(runs: Sequence[Mapping[str, Any]], ground: Mapping[str, Any] | None) -> None:
@@ -63,8 +71,13 @@ def read_sent_run(
     limits_of_run: Mapping[str, Any],
     crs: str | None = None,
     odometry: Mapping[str, Any] | None = None,
+    mapping: Mapping[str, str] | None = None,
+    out: str | None = None,
+    accept_implausible: bool = False,
+    any_place: bool = False,
+    always: bool = False,
 ) -> dict[str, Any]:
-    """Read one run and return what it contains.
+    """Read one run, write it in joulemap's columns where it is in others, and return what it contains.
 
     Parameters
     ----------
@@ -80,19 +93,31 @@ def read_sent_run(
         Coordinate system of the heightmap, for columns ``lat`` and ``lon``.
     odometry : mapping, optional
         How a run without positions is read: the fields of `Odometry`.
+    mapping : mapping of str to str, optional
+        Where joulemap's columns are taken from, as `read_mapping` returns it.
+    out : str, optional
+        CSV file to write where the log is in another format, or in other columns or units; whole or not at all.
+    accept_implausible : bool, optional
+        Whether numbers are kept that are hardly in the units that they are read in.
+    any_place : bool, optional
+        Whether positions in degrees may lie anywhere; without a `crs` they are then judged in their UTM zone.
+    always : bool, optional
+        Whether `out` is written of a log in joulemap's own columns too.
 
     Returns
     -------
     dict
         JSON-able: rows, seconds, target, further columns, number of 1 m segments, ``repairs`` and ``left_out`` (counts
-        by rule), bounds [west, south, east, north] [m] and odometry.
+        by rule), bounds [west, south, east, north] [m], odometry, format, ``reading`` (what was taken from where),
+        ``warnings``, metres, median of the energy per metre, and whether `out` was ``written``.
 
     Raises
     ------
     TooLargeError
         If it is larger than the limits.
     RunsError
-        If nothing can be read, or if it contains no segment.
+        If nothing can be read, if its numbers cannot be in the units that they are read in, or if it contains no
+        segment.
     """
     file, limits = Path(path), RunLimits(**limits_of_run)
     size = file.stat().st_size
@@ -104,15 +129,45 @@ def read_sent_run(
             limit_mb=limits.mb,
         )
     with guard.reading(file):
-        return _read(file, name, limits, crs, None if odometry is None else Odometry(**odometry))
+        how = None if odometry is None else Odometry(**odometry)
+        repairs: dict[str, int] = {}
+        table = read_log(file, name, repairs, limits=_table_limits(limits), mapping=mapping)
+        if any_place and crs is None and "x" not in table.numbers:
+            crs = _zone_of(table)
+        if how is None:
+            # a table has its columns for itself: cleaning takes some out
+            run = run_of(dict(table.numbers), dict(table.texts), name=name, crs=crs, repairs=repairs)
+        else:
+            run = odometry_run(
+                replace(table, numbers=dict(table.numbers), texts=dict(table.texts)), how, name=name, repairs=repairs
+            )
+        found = _about(run, name, limits, how, accept_implausible)
+        found |= {"format": table.format, "reading": table.reading, "written": False}
+        if out is not None and (always or table.reading or table.format != _PLAIN):
+            begun = Path(f"{out}.part")
+            try:
+                write_csv(begun, table)
+                os.replace(begun, out)
+            finally:
+                begun.unlink(missing_ok=True)
+            found["written"] = True
+        return found
 
 
-def _read(file: Path, name: str, limits: RunLimits, crs: str | None, odometry: Odometry | None) -> dict[str, Any]:
-    table = TableLimits(limits.rows, limits.columns, limits.cells, limits.text_mb)
-    if odometry is not None:
-        run = read_odometry(file, odometry, name=name, limits=table)
-    else:
-        run = parse_run(file.read_bytes(), name=name, crs=crs, limits=table)
+def _table_limits(limits: RunLimits) -> TableLimits:
+    return TableLimits(limits.rows, limits.columns, limits.cells, limits.text_mb)
+
+
+def _zone_of(table: Table) -> str | None:
+    lat, lon = table.numbers.get("lat"), table.numbers.get("lon")
+    if lat is None or lon is None or not (np.isfinite(lat) & np.isfinite(lon)).any():
+        return None
+    return utm_zone(float(np.nanmedian(lon)), float(np.nanmedian(lat)))
+
+
+def _about(
+    run: Run, name: str, limits: RunLimits, odometry: Odometry | None, accept_implausible: bool
+) -> dict[str, Any]:
     known = np.isfinite(run.x) & np.isfinite(run.y)
     x, y = run.x[known], run.y[known]
     km = float(np.hypot(np.diff(x), np.diff(y)).sum()) / 1000.0
@@ -124,7 +179,15 @@ def _read(file: Path, name: str, limits: RunLimits, crs: str | None, odometry: O
             limit_km=limits.km,
         )
     cut = cut_segments if odometry is None else cut_travel
-    segments = cut(run, charge=not run.has_energy)
+    segments: Segments = cut(run, charge=not run.has_energy)
+    wrong = implausible(run, segments)
+    if wrong and not accept_implausible:
+        raise RunsError(
+            f"run {name} is not plausible: {'; '.join(wrong)} Nothing is kept. A mapping says the unit, such as "
+            "current=current:mA; `accept_implausible` keeps it as it is",
+            run=name,
+            implausible=wrong,
+        )
     if len(segments) == 0:
         raise RunsError(
             f"run {name} contains no segment of 1 m: did the robot move, and is its position recorded?",
@@ -143,6 +206,9 @@ def _read(file: Path, name: str, limits: RunLimits, crs: str | None, odometry: O
         "left_out": segments.left_out,
         "bounds": [float(v) for v in (x.min(), y.min(), x.max(), y.max())],
         "odometry": None if odometry is None else asdict(odometry),
+        "metres": float(segments.driven_m.sum()),
+        "per_m": float(np.median(segments.energy_j / segments.driven_m)),
+        "warnings": wrong,
     }
 
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
 
 from joulemap.model.errors import NotFoundError
+from joulemap.model.runs.formats import suffixes
+from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.runs.reader import Run
 from joulemap.service.intake.trial import refuse_deadly
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.words import duration_words, runs_words
 
-RUN_SUFFIXES = (".csv", ".parquet")
+RUN_SUFFIXES = suffixes()
 """Files that a folder of runs is searched for."""
 
 
@@ -42,6 +45,11 @@ class Runs:
         """Rows that were repaired or dropped, by run and rule."""
         return {run.name: run.repairs for run in self.runs if run.repairs}
 
+    @property
+    def reading(self) -> dict[str, dict[str, str]]:
+        """What was taken from columns of other names, in other units, or from messages, by run and column."""
+        return {run.name: run.reading for run in self.runs if run.reading}
+
     def __len__(self) -> int:
         return len(self.runs)
 
@@ -67,15 +75,18 @@ RunsLike = Runs | str | Path | Sequence[str | Path]
 """Runs, or a file, a folder, a pattern such as "logs/*.csv", or several of these."""
 
 
-def read_runs(files: RunsLike, *, crs: str | None = None) -> Runs:
+def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike | None = None) -> Runs:
     """Read measured runs.
 
     Parameters
     ----------
     files : str, Path or sequence of these
-        Files (CSV or Parquet), folders, or patterns such as "logs/*.csv".
+        Files (CSV, Parquet, MCAP, ROS bags, flight logs, FIT), folders, or patterns such as "logs/*.csv".
     crs : str, optional
         Coordinate system of the heightmap, for logs that have `lat` and `lon` instead of `x` and `y`.
+    mapping : mapping, sequence of str, str or Path, optional
+        Where joulemap's columns are taken from, with their units: `{"t": "timestamp_ms:ms"}`, `["t=timestamp_ms:ms"]`,
+        or a TOML file. Usual names and units are recognised without it; `Runs.reading` says what was taken.
 
     Returns
     -------
@@ -88,15 +99,26 @@ def read_runs(files: RunsLike, *, crs: str | None = None) -> Runs:
         If a file, folder or pattern names no file.
     RunsError
         If a file is no usable run. The message names the file, the column and the row.
+
+    Warns
+    -----
+    UserWarning
+        If numbers are hardly in the units that they are read in.
     """
+    from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.files import distinct_names
+    from joulemap.model.runs.plausible import implausible
     from joulemap.model.runs.reader import read_run
 
     if isinstance(files, Runs):
         return files
     paths = find_run_files(files)
     names = distinct_names(paths)
-    runs = tuple(read_run(path, name=name, crs=crs) for path, name in zip(paths, names, strict=True))
+    entries = read_mapping(mapping)
+    runs = tuple(read_run(path, name=name, crs=crs, mapping=entries) for path, name in zip(paths, names, strict=True))
+    for run in runs:
+        for found in implausible(run, cut_segments(run, charge=not run.has_energy)):
+            warnings.warn(f"run {run.name}: {found}", stacklevel=2)
     return Runs(tuple(paths), runs)
 
 
@@ -106,7 +128,7 @@ def find_run_files(files: RunsLike | None) -> list[Path]:
     Parameters
     ----------
     files : str, Path, sequence of these, Runs or None
-        Files, folders (every CSV and Parquet file in them) or patterns. None means no file.
+        Files, folders (every log in them) or patterns. None means no file.
 
     Returns
     -------
@@ -135,7 +157,9 @@ def find_run_files(files: RunsLike | None) -> list[Path]:
             here = sorted(Path(name) for name in glob(str(each)))
         if not here:
             where = f"the folder {each} holds no" if place.is_dir() else f"{str(each)!r} names no"
-            raise NotFoundError(f"{where} CSV or Parquet file (looked for from {Path.cwd()})", pattern=str(each))
+            raise NotFoundError(
+                f"{where} log: {', '.join(RUN_SUFFIXES)} (looked for from {Path.cwd()})", pattern=str(each)
+            )
         found |= {path.resolve(): path for path in here if path.resolve() not in found}
     refuse_deadly(list(found.values()))
     return list(found.values())

@@ -44,6 +44,19 @@ class RunOut(ResponseModel):
         description="[west, south, east, north] of the positions [m]; without positions, from the start",
     )
     odometry: OdometryOut | None = Field(default=None, description="null for a run with positions")
+    format: str | None = Field(
+        default=None, description="of the file that was sent; null for runs of older versions", examples=["CSV text"]
+    )
+    reading: dict[str, str] = Field(
+        default={},
+        description="by column that the log has under another name, in another unit or in messages: what was taken",
+        examples=[{"current": "batt_current_mA [mA]"}],
+    )
+    warnings: list[str] = Field(default=[], description="what is implausible and was accepted")
+    metres: float | None = Field(default=None, description="length of all segments [m]", examples=[142.6])
+    per_m: float | None = Field(
+        default=None, description="median of the energy [J/m] or charge [A s/m] of a metre", examples=[124.6]
+    )
 
 
 class RunsOut(ResponseModel):

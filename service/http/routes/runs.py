@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import LONGEST_NAME, NAME_PATTERN, TRACK_M
+from joulemap.model.runs.mapping import read_mapping
 from joulemap.model.runs.odometry import Odometry
 from joulemap.service.http.documents import problems, runs_body
 from joulemap.service.http.state import KernelsDep, Limit, Offset, ServiceDep
@@ -48,6 +49,19 @@ async def send_runs(
     terrain_from_name: Annotated[
         bool, Query(description="with odometry_track_m: the file snow_02.csv was driven on snow")
     ] = False,
+    entries: Annotated[
+        list[Annotated[str, Query(max_length=2_000)]] | None,
+        Query(
+            alias="map",
+            max_length=200,
+            description="where a column is taken from, with a unit or factor: `t=timestamp_ms:ms`, "
+            "`current=left+right`, `voltage=/battery.voltage`; usual names, units and message types are recognised",
+            examples=[["t=timestamp_ms:ms", "current=batt_current_mA:mA"]],
+        ),
+    ] = None,
+    accept_implausible: Annotated[
+        bool, Query(description="keep runs whose numbers are hardly in the units that they are read in")
+    ] = False,
     name: Annotated[
         str,
         Query(
@@ -58,17 +72,26 @@ async def send_runs(
         ),
     ] = "run.csv",
 ) -> RunsOut:
-    """Send measured runs (CSV, Parquet): each as a form field `file`, or one as the raw body. All are kept or none."""
+    """Send measured runs: each as a form field `file`, or one as the raw body. All are kept or none.
+
+    Formats: CSV of any shape, Parquet, MCAP, ROS bags, ArduPilot and MAVLink logs, PX4 ULog, FIT. What is in other
+    columns or units is kept in joulemap's; `reading` says what was taken from where.
+    """
     if terrain_from_name and odometry_track_m is None:
         raise InputError("terrain_from_name goes with odometry_track_m", field="terrain_from_name")
     if heightmap_id is not None and odometry_track_m is not None:
         raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
-    odometry = None if odometry_track_m is None else Odometry(odometry_track_m, terrain_from_name)
+    how: dict[str, Any] = {
+        "heightmap_id": heightmap_id,
+        "odometry": None if odometry_track_m is None else Odometry(odometry_track_m, terrain_from_name),
+        "mapping": read_mapping(entries),
+        "accept_implausible": accept_implausible,
+    }
     if media_type(request) == "multipart/form-data":
         async with request.form(max_files=service.settings.max_runs, max_fields=20) as form:
-            row = await take_runs(request, form, service, heightmap_id=heightmap_id, odometry=odometry)
+            row = await take_runs(request, form, service, **how)
     else:
-        row = await take_raw_run(request, service, name=name, heightmap_id=heightmap_id, odometry=odometry)
+        row = await take_raw_run(request, service, name=name, **how)
     response.headers["Location"] = f"/v1/runs/{row.id}"
     return runs_out(row)
 

@@ -1,0 +1,28 @@
+"""The formats of logs: one line in `FORMATS` for each, and a module that recognises and decodes its files."""
+
+from __future__ import annotations
+
+from joulemap.model.runs.formats.contract import LogFormat
+
+FORMATS = [
+    LogFormat("Parquet file", (".parquet",), "..parquet_table", "parquet"),
+    LogFormat("MCAP recording", (".mcap",), ".mcap_recording", "logs"),
+    LogFormat("ROS 1 bag", (".bag",), ".ros1_bag", "logs"),
+    LogFormat("ROS 2 bag (SQLite)", (".db3",), ".ros2_sqlite", "logs"),
+    LogFormat("ArduPilot dataflash log", (".bin",), ".ardupilot", "logs"),
+    LogFormat("MAVLink telemetry log", (".tlog",), ".mavlink_telemetry", "logs"),
+    LogFormat("PX4 ULog", (".ulg",), ".ulog", "logs"),
+    LogFormat("FIT file", (".fit",), ".fit", "logs"),
+    LogFormat("CSV text", (".csv", ".tsv", ".txt"), "..csv_table"),
+]
+"""All formats that are read, in the order in which they are tried. A module name with dots in front lies here."""
+
+
+def formats_in_words() -> str:
+    """Return the formats with their suffixes, as messages, the help and the API's description list them."""
+    return ", ".join(f"{each.name} ({', '.join(each.suffixes)})" for each in FORMATS)
+
+
+def suffixes() -> tuple[str, ...]:
+    """Return the endings of file names by which a folder is searched for logs."""
+    return tuple(suffix for each in FORMATS for suffix in each.suffixes if suffix != ".txt")

@@ -1,0 +1,124 @@
+"""ArduPilot dataflash logs (.bin): battery (BAT), receiver (GPS), estimated position (POS) and attitude (ATT)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.formats.contract import Log, mentioned, on_disk
+from joulemap.model.runs.formats.messages import Collector, log_of, reading
+from joulemap.model.runs.table import TableLimits
+from joulemap.model.terrain.formats.contract import SourceFile
+
+_MAGIC = b"\xa3\x95\x80"  # the first message describes the format of such messages
+_KINDS = {
+    "BAT": ("Volt", "Curr"),
+    "CURR": ("Volt", "Curr"),
+    "GPS": ("Lat", "Lng", "Alt", "Spd", "Status"),
+    "POS": ("Lat", "Lng", "Alt"),
+    "ATT": ("Roll", "Pitch", "Yaw"),
+    "XKF1": ("PN", "PE", "PD"),
+}
+_INSTANCES = ("Inst", "Instance", "I", "C")
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the mark of the first message.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a dataflash log.
+    """
+    return head.startswith(_MAGIC)
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the messages that a run needs.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The log.
+    mapping : mapping of str to str
+        Kinds of messages that it names are read too; the second battery is `BAT[1]`.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Not used.
+
+    Returns
+    -------
+    Log
+        A stream for each kind of message, and for each instance of it.
+
+    Raises
+    ------
+    RunsError
+        If it is corrupt, or holds nothing that a run needs.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    from pymavlink.DFReader import DFReader_binary
+
+    collector = Collector(source.name, limits)
+    log = None
+
+    def _place() -> str:
+        return f"at byte {log.offset:,} of {log.data_len:,}" if log is not None else "in its list of messages"
+
+    with on_disk(source) as path, reading("ArduPilot log", source.name, _place):
+        try:
+            log = DFReader_binary(str(path), zero_time_base=True)
+            known = set(log.name_to_id)
+            wanted = [kind for kind in known if kind in _KINDS or any(_names(mapping, kind))]
+            if not wanted:
+                raise RunsError(
+                    f"run {source.name}: the log has no messages BAT, GPS or POS; its kinds are "
+                    f"{', '.join(sorted(known))[:300]}",
+                    run=source.name,
+                )
+            while (message := log.recv_match(type=wanted)) is not None:
+                kind = message.get_type()
+                fields = message.get_fieldnames()
+                number = next((int(getattr(message, key)) for key in _INSTANCES if key in fields), 0)
+                topic = f"{kind}[{number}]" if number else kind
+                keys = fields if mentioned(mapping, topic) else [key for key in _KINDS.get(kind, ()) if key in fields]
+                values = {key: float(v) for key in keys if isinstance(v := getattr(message, key), (int, float))}
+                if kind == "GPS" and values.get("Status", 3) < 2:  # no fix
+                    values |= {"Lat": math.nan, "Lng": math.nan, "Alt": math.nan}
+                if "TimeUS" in fields:
+                    collector.add(topic, float(message.TimeUS) * 1e-6, values)
+                elif "TimeMS" in fields:  # before 2015
+                    collector.add(topic, float(message.TimeMS) * 1e-3, values)
+        finally:
+            if log is not None:
+                log.close()
+    streams = collector.streams()
+    power = ("BAT", "CURR")
+    wanted_columns = {
+        "voltage": [(f"{kind}.Volt", "V") for kind in power],
+        "current": [(f"{kind}.Curr", "A") for kind in power],
+        "lat": [("POS.Lat", "deg"), ("GPS.Lat", "deg")],
+        "lon": [("POS.Lng", "deg"), ("GPS.Lng", "deg")],
+        "x": [("XKF1.PE", "m")],
+        "y": [("XKF1.PN", "m")],
+        "z": [("POS.Alt", "m"), ("GPS.Alt", "m")],
+        "heading": [("ATT.Yaw", "deg")],
+        "roll": [("ATT.Roll", "deg")],
+        "pitch": [("ATT.Pitch", "deg")],
+        "speed": [("GPS.Spd", "m/s")],
+    }
+    return log_of(streams, wanted_columns, prefer=(("lat", "lon"), ("x", "y")))
+
+
+def _names(mapping: Mapping[str, str], kind: str) -> list[str]:
+    return [source for source in mapping.values() if f"{kind}." in source or f"{kind}[" in source]

@@ -1,0 +1,238 @@
+"""What a format of logs consists of: a line in the registry, and a module that recognises and decodes its files.
+
+A table (CSV, Parquet) is one stream, whose stamps are one of its columns. A log of messages (a bag, a flight log) has a
+stream for each topic, with stamps of its own. `joulemap.model.runs.logs` makes a run's table of either.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, cast
+
+from joulemap.model.errors import RunsError
+from joulemap.model.terrain.formats.contract import SourceFile
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from joulemap.model.runs.table import FloatArray, TableLimits
+
+HEAD_BYTES = 512
+"""First bytes of a file, by which its format is recognised."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Values that were logged together.
+
+    Attributes
+    ----------
+    name : str
+        The topic or the kind of message; empty for a table.
+    numbers : dict of str to ndarray of float, (n,)
+        Columns of numbers by their full names, such as `/battery.voltage`; NaN is blank.
+    texts : dict of str to ndarray of str, (n,)
+        Columns of text.
+    t : ndarray of float, (n,), optional
+        Stamps [s]; None where they are one of the columns.
+    """
+
+    name: str
+    numbers: dict[str, FloatArray]
+    texts: dict[str, NDArray[np.str_]] = field(default_factory=dict)
+    t: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a file holds, before its columns have joulemap's names and units.
+
+    Attributes
+    ----------
+    streams : tuple of Stream
+        At least one.
+    usual : dict of str to str
+        By joulemap's column, where it is found because of the type of a message: as a mapping writes it.
+    others : dict of str to tuple of str
+        By joulemap's column, further places where it could be taken from.
+    """
+
+    streams: tuple[Stream, ...]
+    usual: Mapping[str, str] = field(default_factory=dict)
+    others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+class LogModule(Protocol):
+    """The functions of a format's module."""
+
+    def recognise(self, head: bytes, name: str) -> bool:
+        """Decide whether a file is of this format.
+
+        Parameters
+        ----------
+        head : bytes
+            The first bytes of the file, 512 at most.
+        name : str
+            The file's name, for a format whose content has no mark.
+
+        Returns
+        -------
+        bool
+            True where `decode` is to read the file.
+        """
+
+    def decode(
+        self, source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]
+    ) -> Log:
+        """Read the columns that a run needs, and those that the mapping names.
+
+        Parameters
+        ----------
+        source : SourceFile
+            The file.
+        mapping : mapping of str to str
+            What the user wants to be taken from where; `mentioned` finds a topic in it.
+        limits : TableLimits
+            How large the table may be; what a file declares is compared with it before memory is allocated.
+        repairs : dict
+            Counts by rule, which are added to.
+
+        Returns
+        -------
+        Log
+            Streams of columns.
+
+        Raises
+        ------
+        RunsError
+            If the file is broken; the message says where.
+        TooLargeError
+            If it is larger than the limits.
+        """
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """One line of the registry.
+
+    Attributes
+    ----------
+    name : str
+        What people call the format.
+    suffixes : tuple of str
+        Usual endings of file names, in lower case with the dot.
+    module : str
+        Module with the functions of `LogModule`. It is imported when the first file is read.
+    extra : str
+        Extra of the distribution that brings the libraries it needs; empty where it needs none.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    module: str
+    extra: str = ""
+
+    @property
+    def code(self) -> LogModule:
+        """The format's module, imported."""
+        return cast(LogModule, import_module(self.module, __package__))
+
+    def missing(self, name: str, error: ImportError) -> RunsError:
+        """Return the error for a file of this format where a library is not installed.
+
+        Parameters
+        ----------
+        name : str
+            Of the run.
+        error : ImportError
+            What importing the library raised.
+
+        Returns
+        -------
+        RunsError
+            That says what to install.
+        """
+        return RunsError(
+            f"run {name} is a {self.name}; the library {error.name} that reads it is not installed: "
+            f"pip install 'joulemap[{self.extra}]'",
+            run=name,
+            library=error.name,
+        )
+
+
+def mentioned(mapping: Mapping[str, str], topic: str) -> bool:
+    """Decide whether a mapping takes something from a topic.
+
+    Parameters
+    ----------
+    mapping : mapping of str to str
+        From the user.
+    topic : str
+        Name of the topic.
+
+    Returns
+    -------
+    bool
+        True where one of its sources has the topic's name, followed by a point.
+    """
+    return any(f"{topic}." in source for source in mapping.values())
+
+
+@contextmanager
+def on_disk(source: SourceFile, suffix: str = "") -> Iterator[Path]:
+    """Give a file a place on disk, for libraries that read nothing else.
+
+    Parameters
+    ----------
+    source : SourceFile
+        A file, or its bytes.
+    suffix : str, optional
+        Ending of the name that the library wants.
+
+    Yields
+    ------
+    Path
+        The file; a copy of bytes, or a link to a file with another ending, is gone afterwards.
+    """
+    if isinstance(source.place, Path) and source.place.name.endswith(suffix):
+        yield source.place
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / f"log{suffix}"
+        if isinstance(source.place, Path):
+            place.symlink_to(source.place.resolve())
+        else:
+            place.write_bytes(source.place)
+        yield place
+
+
+def content_of(source: SourceFile) -> bytes:
+    """Return all bytes of a file.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The file.
+
+    Returns
+    -------
+    bytes
+        Its content.
+
+    Raises
+    ------
+    RunsError
+        If it cannot be read.
+    """
+    if isinstance(source.place, bytes):
+        return source.place
+    try:
+        return source.place.read_bytes()
+    except OSError as error:
+        raise RunsError(f"run {source.name}: {error}", run=source.name) from error

@@ -1,0 +1,118 @@
+"""FIT files (bicycle computers, watches, power meters): the messages `record`, mostly one each second."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.formats.contract import Log, mentioned
+from joulemap.model.runs.formats.messages import Collector, log_of, reading
+from joulemap.model.runs.table import TableLimits
+from joulemap.model.terrain.formats.contract import SourceFile
+
+_FIELDS = (
+    "position_lat",
+    "position_long",
+    "enhanced_altitude",
+    "altitude",
+    "enhanced_speed",
+    "speed",
+    "power",
+    "temperature",
+    "gps_accuracy",
+)
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the mark in the header.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a FIT file.
+    """
+    return head[8:12] == b".FIT" and head[0] in (12, 14)
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the records.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The file.
+    mapping : mapping of str to str
+        Where it names `record.`, all numbers of the records are read, also those of developers.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Not used.
+
+    Returns
+    -------
+    Log
+        Of one stream, `record`.
+
+    Raises
+    ------
+    RunsError
+        If it is truncated or corrupt, or has no records.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    import fitdecode
+
+    collector = Collector(source.name, limits)
+    place = 0
+
+    def _place() -> str:
+        return f"at byte {place:,}, after {collector.messages:,} records"
+
+    with (
+        reading("FIT file", source.name, _place),
+        source.open() as stream,
+        fitdecode.FitReader(
+            stream,
+            check_crc=fitdecode.CrcCheck.RAISE,
+            error_handling=fitdecode.ErrorHandling.RAISE,
+        ) as frames,
+    ):
+        for frame in frames:
+            chunk = getattr(frame, "chunk", None)
+            place = chunk.offset if chunk is not None else place
+            if not isinstance(frame, fitdecode.FitDataMessage) or frame.name != "record":
+                continue
+            values: dict[str, float] = {}
+            when = None
+            whole = mentioned(mapping, "record")
+            for field in frame.fields:
+                if field.name == "timestamp":
+                    when = field.value
+                elif (whole or field.name in _FIELDS) and isinstance(field.value, (int, float)):
+                    values[field.name] = float(field.value)
+            if isinstance(when, dt.datetime):
+                collector.add("record", when.timestamp(), values)
+            elif isinstance(when, (int, float)):
+                collector.add("record", float(when), values)
+    if not collector.messages:
+        raise RunsError(f"run {source.name}: the FIT file has no records", run=source.name)
+    return log_of(
+        collector.streams(),
+        {
+            "power": [("record.power", "W")],
+            "lat": [("record.position_lat", "semicircles")],
+            "lon": [("record.position_long", "semicircles")],
+            "z": [("record.enhanced_altitude", "m"), ("record.altitude", "m")],
+            "speed": [("record.enhanced_speed", "m/s"), ("record.speed", "m/s")],
+            "gps_error": [("record.gps_accuracy", "m")],
+            "temperature": [("record.temperature", "degC")],
+        },
+    )

@@ -1,0 +1,126 @@
+"""MAVLink telemetry logs (.tlog): each message after eight bytes of time in microseconds since 1970."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.formats.contract import Log, mentioned, on_disk
+from joulemap.model.runs.formats.messages import Collector, log_of, reading
+from joulemap.model.runs.table import TableLimits
+from joulemap.model.terrain.formats.contract import SourceFile
+
+_MARKS = (0xFD, 0xFE)  # of MAVLink 2 and 1
+_YEARS_US = (1e15, 4e15)  # 2001 to 2096
+_KINDS = {
+    "SYS_STATUS": ("voltage_battery", "current_battery"),
+    "BATTERY_STATUS": ("current_battery",),
+    "GLOBAL_POSITION_INT": ("lat", "lon", "alt", "hdg"),
+    "GPS_RAW_INT": ("lat", "lon", "alt", "fix_type"),
+    "ATTITUDE": ("roll", "pitch", "yaw"),
+    "LOCAL_POSITION_NED": ("x", "y", "z"),
+    "VFR_HUD": ("groundspeed",),
+}
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by a time of this century before the mark of a message.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a telemetry log.
+    """
+    if len(head) < 12 or head[8] not in _MARKS:
+        return False
+    (stamp,) = struct.unpack(">Q", head[:8])
+    return _YEARS_US[0] < stamp < _YEARS_US[1]
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the messages that a run needs.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The log.
+    mapping : mapping of str to str
+        Kinds of messages that it names are read too.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Not used.
+
+    Returns
+    -------
+    Log
+        A stream for each kind of message.
+
+    Raises
+    ------
+    RunsError
+        If it is corrupt, or holds nothing that a run needs.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    from pymavlink import mavutil
+
+    collector = Collector(source.name, limits)
+    log = None
+    unreadable = 0
+
+    def _place() -> str:
+        return f"after {collector.messages:,} messages" + (f", at {log.percent:.1f} % of it" if log is not None else "")
+
+    with on_disk(source, ".tlog") as path, reading("MAVLink telemetry log", source.name, _place):
+        try:
+            log = mavutil.mavlink_connection(str(path), dialect="ardupilotmega")
+            while (message := log.recv_msg()) is not None:
+                kind = message.get_type()
+                if kind == "BAD_DATA":
+                    unreadable += 1
+                    continue
+                if kind not in _KINDS and not mentioned(mapping, kind):
+                    continue
+                whole = mentioned(mapping, kind)
+                keys = message.get_fieldnames() if whole else _KINDS[kind]
+                values = {key: float(v) for key in keys if isinstance(v := getattr(message, key), (int, float))}
+                if kind == "GPS_RAW_INT" and values.get("fix_type", 3) < 2:
+                    continue
+                if kind == "BATTERY_STATUS":
+                    cells = [mv for mv in message.voltages if mv != 65535]
+                    if int(message.id) != 0 or not cells or values["current_battery"] == -1:
+                        continue  # another battery, or an unknown current
+                    values["voltage"] = float(sum(cells))
+                collector.add(kind, float(message._timestamp), values)
+        finally:
+            if log is not None:
+                log.close()
+    if unreadable > collector.messages:
+        raise RunsError(
+            f"run {source.name}: the MAVLink telemetry log is corrupt: {unreadable:,} pieces of it are no messages, "
+            f"and {collector.messages:,} are",
+            run=source.name,
+        )
+    wanted = {
+        "voltage": [("BATTERY_STATUS.voltage", "mV"), ("SYS_STATUS.voltage_battery", "mV")],
+        "current": [("BATTERY_STATUS.current_battery", "cA"), ("SYS_STATUS.current_battery", "cA")],
+        "lat": [("GLOBAL_POSITION_INT.lat", "degE7"), ("GPS_RAW_INT.lat", "degE7")],
+        "lon": [("GLOBAL_POSITION_INT.lon", "degE7"), ("GPS_RAW_INT.lon", "degE7")],
+        "x": [("LOCAL_POSITION_NED.y", "m")],
+        "y": [("LOCAL_POSITION_NED.x", "m")],
+        "z": [("GLOBAL_POSITION_INT.alt", "mm"), ("GPS_RAW_INT.alt", "mm")],
+        "roll": [("ATTITUDE.roll", "rad")],
+        "pitch": [("ATTITUDE.pitch", "rad")],
+        "heading": [("ATTITUDE.yaw", "rad")],
+        "speed": [("VFR_HUD.groundspeed", "m/s")],
+    }
+    return log_of(collector.streams(), wanted, prefer=(("lat", "lon"), ("x", "y")))

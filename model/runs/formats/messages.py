@@ -1,0 +1,221 @@
+"""What logs of messages share: values by topic, within limits, and faults of a reader as errors with their place."""
+
+from __future__ import annotations
+
+import io
+import struct
+from array import array
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from joulemap.model.errors import JoulemapError, RunsError, TooLargeError
+from joulemap.model.runs.formats.contract import Log, Stream
+from joulemap.model.runs.table import FloatArray, TableLimits
+
+_SAME_CLOCK_S = 5.0  # a stamp of the sender is believed if it is usually this near to the time of recording
+_MOST_COMPLAINTS = 200
+
+
+@dataclass
+class _Topic:
+    recorded: array[float] = field(default_factory=lambda: array("d"))
+    sent: array[float] = field(default_factory=lambda: array("d"))
+    values: dict[str, array[float]] = field(default_factory=dict)
+
+
+class Collector:
+    """Collects the values of messages as they are read.
+
+    Parameters
+    ----------
+    name : str
+        Of the run, for messages.
+    limits : TableLimits
+        How many messages and values there may be.
+    """
+
+    def __init__(self, name: str, limits: TableLimits) -> None:
+        self._name = name
+        self._limits = limits
+        self._topics: dict[str, _Topic] = {}
+        self._cells = 0
+        self.messages = 0
+
+    def add(self, topic: str, recorded_s: float, values: Mapping[str, float], sent_s: float = float("nan")) -> None:
+        """Take the values of one message.
+
+        Parameters
+        ----------
+        topic : str
+            Where it was sent.
+        recorded_s : float
+            When it was recorded [s].
+        values : mapping of str to float
+            By name of the field.
+        sent_s : float, optional
+            When the sender says that it was sent [s].
+
+        Raises
+        ------
+        TooLargeError
+            If there are more than the limits.
+        """
+        found = self._topics.setdefault(topic, _Topic())
+        before = len(found.recorded)
+        found.recorded.append(recorded_s)
+        found.sent.append(sent_s)
+        for key, value in values.items():
+            column = found.values.get(key)
+            if column is None:
+                column = found.values[key] = array("d", [float("nan")]) * before
+                self._limits.check(0, len(found.values), self._name)
+            column.append(value)
+        for column in found.values.values():
+            if len(column) <= before:
+                column.append(float("nan"))
+        self.messages += 1
+        self._cells += 2 + len(found.values)
+        if before + 1 > self._limits.rows or self._cells > self._limits.cells:
+            raise TooLargeError(
+                f"run {self._name} has more than {before:,} messages of {topic} and {self._cells:,} values in all, the "
+                f"limits are {self._limits.rows:,} and {self._limits.cells:,}: split it",
+                run=self._name,
+                rows=before + 1,
+                limit=self._limits.rows,
+            )
+
+    def streams(self) -> tuple[Stream, ...]:
+        """Return what was collected.
+
+        Returns
+        -------
+        tuple of Stream
+            One for each topic; a column's name is `topic.field`. Stamps are those of the senders where their clock is
+            that of the recording.
+        """
+        return tuple(
+            Stream(
+                topic,
+                {f"{topic}.{key}": np.frombuffer(values, dtype=np.float64) for key, values in found.values.items()},
+                {},
+                _stamps(found),
+            )
+            for topic, found in self._topics.items()
+        )
+
+
+def _stamps(topic: _Topic) -> FloatArray:
+    recorded, sent = np.array(topic.recorded), np.array(topic.sent)
+    away = np.abs(sent - recorded)
+    return sent if np.isfinite(away).all() and np.median(away) < _SAME_CLOCK_S else recorded
+
+
+def log_of(
+    streams: Sequence[Stream], wanted: Mapping[str, Sequence[tuple[str, str]]], *, prefer: Sequence[Sequence[str]] = ()
+) -> Log:
+    """Return a log in which columns are found by the types of messages.
+
+    Parameters
+    ----------
+    streams : sequence of Stream
+        All of them.
+    wanted : mapping of str to sequence of (str, str)
+        By joulemap's column, the columns that may be it, the best kind first, each with its unit.
+    prefer : sequence of sequence of str
+        Groups of joulemap's columns of which only the first that is complete is used: a position in degrees or metres.
+
+    Returns
+    -------
+    Log
+        Of each column the first candidate that is mostly known; of candidates of one kind that with most values.
+    """
+    known = {
+        column: int(np.isfinite(values).sum()) if np.isfinite(values).mean() > 0.5 else 0
+        for stream in streams
+        for column, values in stream.numbers.items()
+        if values.size
+    }
+    usual: dict[str, str] = {}
+    others: dict[str, tuple[str, ...]] = {}
+    for target, candidates in wanted.items():
+        there = [(column, unit) for column, unit in candidates if known.get(column, 0) > 1]
+        if there:
+            usual[target] = f"{there[0][0]}:{there[0][1]}"
+            if len(there) > 1:
+                others[target] = tuple(column for column, _ in there[1:4])
+    complete = next((group for group in prefer if all(target in usual for target in group)), ())
+    for group in prefer:
+        for target in group:
+            if target not in complete:
+                usual.pop(target, None)
+                others.pop(target, None)
+    return Log(tuple(stream for stream in streams if stream.t is not None and stream.t.size), usual, others)
+
+
+@contextmanager
+def reading(kind: str, name: str, place: Callable[[], str]) -> Iterator[None]:
+    """Turn whatever a library raises on a broken file into an error that says where, and keep it from printing.
+
+    Parameters
+    ----------
+    kind : str
+        What the file is, in words.
+    name : str
+        Of the run.
+    place : callable
+        Says how far the file was read.
+
+    Yields
+    ------
+    None
+        While the library reads.
+
+    Raises
+    ------
+    RunsError
+        If the library fails.
+    """
+    said = _Complaints()
+    try:
+        with redirect_stdout(said), redirect_stderr(said):
+            yield
+    except (JoulemapError, ImportError, MemoryError):
+        raise
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        raise _broken(kind, name, place(), error) from error
+    except Exception as error:  # what a library raises on a broken file is not documented
+        raise _broken(kind, name, place(), error) from error
+
+
+def _broken(kind: str, name: str, place: str, error: Exception) -> RunsError:
+    words = str(error).strip().split("\n")[0][:200] if not isinstance(error, KeyError) else f"unknown {error}"
+    what = (
+        "ends too early" if isinstance(error, (EOFError, struct.error)) or "EndOfFile" in type(error).__name__ else ""
+    )
+    return RunsError(
+        f"run {name}: the {kind} is truncated or corrupt {place}: {what or words or type(error).__name__}",
+        run=name,
+        place=place,
+    )
+
+
+class _Complaints(io.TextIOBase):
+    """Takes what a library prints about a broken file; too much of it ends the reading."""
+
+    def __init__(self) -> None:
+        self._lines = 0
+        self._first = ""
+
+    def write(self, text: str) -> int:
+        """Count a line. Raises ValueError after too many."""
+        if text.strip():
+            self._first = self._first or text.strip()
+            self._lines += 1
+            if self._lines > _MOST_COMPLAINTS:
+                raise ValueError(f"{self._first} (and {_MOST_COMPLAINTS} more of these)")
+        return len(text)

@@ -1,0 +1,123 @@
+"""PX4 logs (ULog): the battery, the receiver, the estimated position and attitude."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.runs.formats.contract import Log, Stream, mentioned
+from joulemap.model.runs.formats.messages import log_of, reading
+from joulemap.model.runs.table import TableLimits
+from joulemap.model.terrain.formats.contract import SourceFile
+
+_MAGIC = b"ULog\x01\x12\x35"
+_KINDS = (
+    "battery_status",
+    "vehicle_gps_position",
+    "sensor_gps",
+    "vehicle_global_position",
+    "vehicle_local_position",
+)
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by the mark at the start of the file.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Not used.
+
+    Returns
+    -------
+    bool
+        True for a ULog file.
+    """
+    return head.startswith(_MAGIC)
+
+
+def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+    """Read the messages that a run needs.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The log.
+    mapping : mapping of str to str
+        Messages that it names are read too; the second battery is `battery_status[1]`.
+    limits : TableLimits
+        How large it may be.
+    repairs : dict
+        Not used.
+
+    Returns
+    -------
+    Log
+        A stream for each message and instance.
+
+    Raises
+    ------
+    RunsError
+        If it is corrupt, or holds nothing that a run needs.
+    TooLargeError
+        If it is larger than the limits.
+    """
+    from pyulog import ULog
+
+    if source.size_bytes / 8 > limits.cells:
+        raise TooLargeError(
+            f"run {source.name} has {source.size_bytes / 1e6:,.0f} MB, the limit is {8e-6 * limits.cells:,.0f} MB: "
+            "split it",
+            run=source.name,
+        )
+    named = {text.split(".")[0].lstrip("+-").split("[")[0] for text in mapping.values()}
+    with reading("ULog", source.name, lambda: "in its messages"), source.open() as stream:
+        log = ULog(stream, [*_KINDS, *sorted(named - set(_KINDS))])
+        if log.file_corruption:
+            raise RunsError(
+                f"run {source.name}: the ULog is truncated or corrupt: it was read up to "
+                f"{max(log.last_timestamp, 0) * 1e-6:.3f} s, where something is no message",
+                run=source.name,
+            )
+        streams = []
+        for data in log.data_list:
+            topic = f"{data.name}[{data.multi_id}]" if data.multi_id else data.name
+            stamps = np.asarray(data.data["timestamp"], dtype=np.float64) * 1e-6
+            limits.check(stamps.size, len(data.data), source.name)
+            whole = mentioned(mapping, topic)
+            numbers = {
+                f"{topic}.{key}": np.asarray(values, dtype=np.float64)
+                for key, values in data.data.items()
+                if values.dtype.kind in "fiub" and (whole or key in _FIELDS)
+            }
+            streams.append(Stream(topic, numbers, {}, stamps))
+    if not streams:
+        raise RunsError(
+            f"run {source.name}: the ULog has no battery_status and no position; its messages are "
+            f"{', '.join(sorted(log.message_formats))[:300]}",
+            run=source.name,
+        )
+    return log_of(streams, _WANTED, prefer=(("lat", "lon"), ("x", "y")))
+
+
+_GPS = ("vehicle_gps_position", "sensor_gps")
+_WANTED = {
+    "voltage": [("battery_status.voltage_v", "V"), ("battery_status.voltage_filtered_v", "V")],
+    "current": [("battery_status.current_a", "A"), ("battery_status.current_filtered_a", "A")],
+    "lat": [("vehicle_global_position.lat", "deg")]
+    + [(f"{kind}.{key}", unit) for kind in _GPS for key, unit in (("latitude_deg", "deg"), ("lat", "degE7"))],
+    "lon": [("vehicle_global_position.lon", "deg")]
+    + [(f"{kind}.{key}", unit) for kind in _GPS for key, unit in (("longitude_deg", "deg"), ("lon", "degE7"))],
+    "x": [("vehicle_local_position.y", "m")],
+    "y": [("vehicle_local_position.x", "m")],
+    "z": [("vehicle_global_position.alt", "m")]
+    + [(f"{kind}.{key}", unit) for kind in _GPS for key, unit in (("altitude_msl_m", "m"), ("alt", "mm"))],
+    "heading": [("vehicle_local_position.heading", "rad")],
+}
+"""By joulemap's column; the local position has x north and y east."""
+
+_FIELDS = frozenset(column.partition(".")[2] for candidates in _WANTED.values() for column, _ in candidates)

@@ -1,0 +1,317 @@
+"""Which columns of a log are joulemap's columns, and in which unit: given by the user, or found by their names.
+
+A mapping is a dict from joulemap's column to a source. A source is the name of a column, several of them with signs
+between, and optionally a unit or a factor after a colon: `batt_current_mA:mA`, `left+right`, `-pack_current`,
+`wheel_rad_s:0.165`.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from joulemap.model.errors import RunsError
+from joulemap.model.runs.profiles import PROFILES
+from joulemap.model.runs.units import UNITS, conversion, known_unit, own_unit, quantity_of, unit_in_name
+
+MappingLike = Mapping[str, str] | Sequence[str] | str | Path
+"""A dict, texts such as `current=batt_current_mA:mA`, or the name of a TOML file."""
+
+_TARGET = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}")
+_SIGNS = {"+": 1, "-": -1}
+_MOST_ENTRIES = 200
+_LONGEST_SOURCE = 500
+
+_STEMS = {
+    "t": ("t", "time", "timestamp", "datetime", "secs", "seconds", "elapsed", "elapsedtime", "timesec", "unixtime"),
+    "x": ("x", "easting", "utmx", "utmeasting", "posx", "positionx"),
+    "y": ("y", "northing", "utmy", "utmnorthing", "posy", "positiony"),
+    "z": ("z", "altitude", "alt", "elevation", "gpsalt", "gpsaltitude", "posz", "positionz"),
+    "lat": ("lat", "latitude", "gpslat", "gpslatitude"),
+    "lon": ("lon", "lng", "long", "longitude", "gpslon", "gpslng", "gpslongitude"),
+    "voltage": (
+        "voltage",
+        "volts",
+        "volt",
+        "vbat",
+        "vbatt",
+        "battvoltage",
+        "batteryvoltage",
+        "batvoltage",
+        "battvolt",
+        "packvoltage",
+        "busvoltage",
+        "inputvoltage",
+    ),
+    "current": (
+        "current",
+        "amps",
+        "ibat",
+        "ibatt",
+        "battcurrent",
+        "batterycurrent",
+        "batcurrent",
+        "battcurr",
+        "packcurrent",
+        "buscurrent",
+        "inputcurrent",
+        "currentin",
+    ),
+    "power": ("power", "watts", "battpower", "batterypower", "batpower", "packpower"),
+    "speed": ("speed",),
+}
+"""Usual names of what a run needs, in lower case, without the unit and without marks between words."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a column of joulemap is taken from.
+
+    Attributes
+    ----------
+    parts : tuple of (int, str)
+        Sign and name of each column; the values are summed.
+    unit : str
+        As `units.known_unit` returns it; empty for joulemap's own.
+    """
+
+    parts: tuple[tuple[int, str], ...]
+    unit: str = ""
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns."""
+        return [column for _, column in self.parts]
+
+    def words(self, target: str) -> str:
+        """Return what is taken, as a report writes it.
+
+        Parameters
+        ----------
+        target : str
+            Joulemap's column.
+
+        Returns
+        -------
+        str
+            Such as `batt_current_mA [mA]`.
+        """
+        signed = "".join(
+            f"{'-' if sign < 0 else '+' if k else ''}{column}" for k, (sign, column) in enumerate(self.parts)
+        )
+        unit = self.unit or own_unit(target)
+        return f"{signed} [{unit}]" if unit else signed
+
+
+def read_mapping(given: MappingLike | None) -> dict[str, str]:
+    """Return a mapping from any of the ways to give one.
+
+    Parameters
+    ----------
+    given : mapping, sequence of str, str, Path or None
+        A dict; texts such as `t=timestamp_ms:ms`, several with commas between; or a TOML file of such entries.
+
+    Returns
+    -------
+    dict of str to str
+        By joulemap's column; empty for None.
+
+    Raises
+    ------
+    RunsError
+        If it is none of these, or gives a column twice.
+    """
+    if given is None:
+        return {}
+    if isinstance(given, Mapping):
+        pairs: list[tuple[object, object]] = list(given.items())
+    elif isinstance(given, Path) or (isinstance(given, str) and "=" not in given):
+        pairs = list(_from_toml(Path(given)).items())
+    else:
+        pairs = [_pair(text) for each in ([given] if isinstance(given, str) else given) for text in _entries(each)]
+    found: dict[str, str] = {}
+    if len(pairs) > _MOST_ENTRIES:
+        raise RunsError(f"a mapping has at most {_MOST_ENTRIES} entries, this one has {len(pairs)}")
+    for target, source in pairs:
+        if not isinstance(target, str) or not _TARGET.fullmatch(target):
+            raise RunsError(f"{str(target)[:80]!r} is no name of a column: write t=timestamp_ms:ms, for example")
+        if not isinstance(source, str) or not source.strip() or len(source) > _LONGEST_SOURCE:
+            raise RunsError(
+                f"the column `{target}` is taken from {str(source)[:80]!r}: write the name of a column of the log and, "
+                "after a colon, its unit"
+            )
+        if target in found:
+            raise RunsError(f"the mapping gives the column `{target}` twice")
+        found[target] = source.strip()
+    return found
+
+
+def source_of(target: str, text: str, columns: Collection[str], name: str) -> Source:
+    """Return the source that a text of a mapping means.
+
+    Parameters
+    ----------
+    target : str
+        Joulemap's column.
+    text : str
+        Such as `batt_current_mA:mA`.
+    columns : collection of str
+        Names of the columns of the log.
+    name : str
+        Of the run, for messages.
+
+    Returns
+    -------
+    Source
+        With the unit given, else the unit that the column's name says.
+
+    Raises
+    ------
+    RunsError
+        If a column or a unit is not known.
+    """
+    whole = _parts(text, columns)
+    if whole is not None:
+        units = {unit_in_name(target, column)[1] for _, column in whole}
+        return Source(whole, (units.pop() or "") if len(units) == 1 else "")
+    front, colon, word = text.rpartition(":")
+    parts = _parts(front, columns) if colon else None
+    if parts is None:
+        wanted = front if colon and known_unit(target, word.strip()) is not None else text
+        raise _no_column(target, wanted, columns, name)
+    unit = known_unit(target, word.strip())
+    if unit is None:
+        known = ", ".join(UNITS.get(quantity_of(target) or "", {})) or "none"
+        raise RunsError(
+            f"run {name}: `{target}` cannot be in {word.strip()[:40]!r}: its units are {known}, or a factor such as "
+            "0.01",
+            run=name,
+            column=target,
+        )
+    conversion(target, unit)
+    return Source(parts, unit)
+
+
+def profile_of(columns: Collection[str]) -> tuple[str, Mapping[str, str]] | None:
+    """Return the ready mapping for a log of a known kind.
+
+    Parameters
+    ----------
+    columns : collection of str
+        Names of the columns of the log.
+
+    Returns
+    -------
+    tuple of (str, mapping) or None
+        Its name, and the entries whose columns are there.
+    """
+    for profile in PROFILES:
+        if set(profile.recognised_by) <= set(columns):
+            entries = {}
+            for target, texts in profile.mapping.items():
+                there = (text for text in texts if _known(target, text, columns))
+                if (text := next(there, None)) is not None:
+                    entries[target] = text
+            return profile.name, entries
+    return None
+
+
+def guessed(columns: Iterable[str], *, taken: Collection[str], name: str) -> dict[str, Source]:
+    """Return the columns that are recognised by their usual names, with the unit that the name says.
+
+    Parameters
+    ----------
+    columns : iterable of str
+        Names of columns of numbers, and of texts for the time.
+    taken : collection of str
+        Joulemap's columns that are known already.
+    name : str
+        Of the run, for messages.
+
+    Returns
+    -------
+    dict of str to Source
+        By joulemap's column; none where two columns could be it.
+    """
+    columns = list(columns)
+    found: dict[str, Source] = {}
+    for target, stems in _STEMS.items():
+        if target in taken or target in columns:
+            continue
+        candidates = []
+        for column in columns:
+            stem, unit = unit_in_name(target, column)
+            if re.sub(r"[^a-z0-9]", "", stem.lower()) in stems:
+                candidates.append(Source(((1, column),), unit or ""))
+        if len(candidates) == 1:
+            found[target] = candidates[0]
+    return found
+
+
+def _known(target: str, text: str, columns: Collection[str]) -> bool:
+    try:
+        source_of(target, text, columns, "")
+    except RunsError:
+        return False
+    return True
+
+
+def _entries(text: str) -> list[str]:
+    """`t=a:ms,current=b` is two entries; a comma inside a name begins no new one."""
+    return re.split(r",(?=\s*[A-Za-z_][A-Za-z0-9_]*\s*=)", text)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    target, equals, source = text.partition("=")
+    if not equals:
+        raise RunsError(f"{text[:80]!r} is no entry of a mapping: write t=timestamp_ms:ms, for example")
+    return target.strip(), source.strip()
+
+
+def _from_toml(file: Path) -> dict[str, object]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunsError(f"the mapping {file}: {error.strerror or error}", path=str(file)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RunsError(
+            f'the mapping {file} is no TOML file: {str(error)[:200]}; a line is like t = "timestamp_ms:ms"',
+            path=str(file),
+        ) from error
+
+
+def _parts(text: str, columns: Collection[str]) -> tuple[tuple[int, str], ...] | None:
+    """Columns with signs; names may hold signs themselves, so the longest name that fits is taken. None if none fit."""
+    text, parts = text.strip(), list[tuple[int, str]]()
+    while text:
+        sign = 1
+        if text[0] in _SIGNS and (parts or text not in columns):
+            sign, text = _SIGNS[text[0]], text[1:].lstrip()
+        elif parts:
+            return None
+        fitting = [column for column in columns if column and text.startswith(column) and _ends(text[len(column) :])]
+        if not fitting:
+            return None
+        longest = max(fitting, key=len)
+        parts.append((sign, longest))
+        text = text[len(longest) :].lstrip()
+    return tuple(parts) or None
+
+
+def _ends(rest: str) -> bool:
+    return not rest.strip() or rest.lstrip()[0] in _SIGNS
+
+
+def _no_column(target: str, wanted: str, columns: Collection[str], name: str) -> RunsError:
+    close = get_close_matches(wanted, list(columns), 3, 0.5)
+    listed = ", ".join(close or sorted(columns)[:20]) or "none"
+    return RunsError(
+        f"run {name}: `{target}` is to be taken from {wanted[:80]!r}, which is no column of it; "
+        f"{'near it are' if close else 'it has'} {listed[:400]}",
+        run=name,
+        column=wanted[:80],
+    )

@@ -1,0 +1,246 @@
+"""Units of logged columns: which quantity a column is, the units it may be in, and the unit that its name says."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from joulemap.model.errors import RunsError
+
+UNITS: dict[str, dict[str, tuple[float, float]]] = {
+    "time": {
+        "s": (1.0, 0.0),
+        "ms": (1e-3, 0.0),
+        "us": (1e-6, 0.0),
+        "ns": (1e-9, 0.0),
+        "min": (60.0, 0.0),
+        "h": (3600.0, 0.0),
+    },
+    "length": {
+        "m": (1.0, 0.0),
+        "cm": (0.01, 0.0),
+        "mm": (1e-3, 0.0),
+        "km": (1e3, 0.0),
+        "ft": (0.3048, 0.0),
+    },
+    "angle": {
+        "deg": (1.0, 0.0),
+        "rad": (math.degrees(1.0), 0.0),
+        "degE7": (1e-7, 0.0),
+        "semicircles": (180.0 / 2**31, 0.0),
+    },
+    "voltage": {"V": (1.0, 0.0), "mV": (1e-3, 0.0), "cV": (0.01, 0.0), "dV": (0.1, 0.0)},
+    "current": {"A": (1.0, 0.0), "mA": (1e-3, 0.0), "cA": (0.01, 0.0), "dA": (0.1, 0.0)},
+    "power": {"W": (1.0, 0.0), "kW": (1e3, 0.0), "mW": (1e-3, 0.0)},
+    "speed": {
+        "m/s": (1.0, 0.0),
+        "cm/s": (0.01, 0.0),
+        "mm/s": (1e-3, 0.0),
+        "km/h": (1 / 3.6, 0.0),
+        "mph": (0.44704, 0.0),
+        "kn": (1852.0 / 3600.0, 0.0),
+    },
+    "temperature": {"degC": (1.0, 0.0), "degF": (5.0 / 9.0, -160.0 / 9.0), "K": (1.0, -273.15)},
+    "mass": {"kg": (1.0, 0.0), "g": (1e-3, 0.0), "lb": (0.45359237, 0.0)},
+}
+"""By quantity, the units it may be in, joulemap's own first: value = factor * logged + offset. SI Brochure, 9th ed.;
+feet, pounds and miles are the international ones of 1959."""
+
+_QUANTITIES = {
+    "t": "time",
+    "x": "length",
+    "y": "length",
+    "z": "length",
+    "gps_error": "length",
+    "lat": "angle",
+    "lon": "angle",
+    "heading": "angle",
+    "roll": "angle",
+    "pitch": "angle",
+    "wind_from": "angle",
+    "voltage": "voltage",
+    "power": "power",
+    "speed": "speed",
+    "speed_left": "speed",
+    "speed_right": "speed",
+    "wind_speed": "speed",
+    "temperature": "temperature",
+    "motor_temperature": "temperature",
+    "payload": "mass",
+}
+
+_SPELLINGS = {
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "millis": "ms",
+    "milliseconds": "ms",
+    "usec": "us",
+    "µs": "us",
+    "micros": "us",
+    "nsec": "ns",
+    "nanos": "ns",
+    "nanoseconds": "ns",
+    "meter": "m",
+    "meters": "m",
+    "metres": "m",
+    "feet": "ft",
+    "°": "deg",
+    "degrees": "deg",
+    "radians": "rad",
+    "e7": "degE7",
+    "1e7": "degE7",
+    "volt": "V",
+    "volts": "V",
+    "v": "V",
+    "mv": "mV",
+    "a": "A",
+    "amp": "A",
+    "amps": "A",
+    "ampere": "A",
+    "ma": "mA",
+    "watt": "W",
+    "watts": "W",
+    "w": "W",
+    "kw": "kW",
+    "mps": "m/s",
+    "ms": "ms",
+    "m_s": "m/s",
+    "kmh": "km/h",
+    "kph": "km/h",
+    "km_h": "km/h",
+    "knots": "kn",
+    "c": "degC",
+    "°c": "degC",
+    "f": "degF",
+    "°f": "degF",
+    "k": "K",
+}
+_BRACKETED = re.compile(r"^(.*?)[\s_]*[\[(]\s*([^\])]+?)\s*[\])]\s*$")
+
+
+def quantity_of(target: str) -> str | None:
+    """Return the quantity of one of joulemap's columns.
+
+    Parameters
+    ----------
+    target : str
+        Its name, such as `voltage` or `current_left`.
+
+    Returns
+    -------
+    str or None
+        A key of `UNITS`; None for a column that has no unit of its own.
+    """
+    if target == "current" or target.startswith("current_") or target in ("left_current", "right_current"):
+        return "current"
+    return _QUANTITIES.get(target)
+
+
+def own_unit(target: str) -> str:
+    """Return the unit in which joulemap keeps a column.
+
+    Parameters
+    ----------
+    target : str
+        Name of the column.
+
+    Returns
+    -------
+    str
+        Empty where it has none.
+    """
+    quantity = quantity_of(target)
+    return next(iter(UNITS[quantity])) if quantity is not None else ""
+
+
+def known_unit(target: str, word: str) -> str | None:
+    """Return a unit by its usual name.
+
+    Parameters
+    ----------
+    target : str
+        Column that is in this unit.
+    word : str
+        As somebody wrote it; a plain number is a factor, and a unit of every column.
+
+    Returns
+    -------
+    str or None
+        A key of `UNITS`, or the number; None where the quantity has no such unit.
+    """
+    quantity = quantity_of(target)
+    units = UNITS.get(quantity or "", {})
+    for found in (word, _SPELLINGS.get(word), _SPELLINGS.get(word.lower()), word.lower()):
+        if found in units:
+            return found
+    return word if _factor(word) is not None else None
+
+
+def conversion(target: str, unit: str) -> tuple[float, float]:
+    """Return how values in a unit become joulemap's.
+
+    Parameters
+    ----------
+    target : str
+        Name of the column.
+    unit : str
+        As `known_unit` returns it.
+
+    Returns
+    -------
+    tuple of float
+        Factor, and the offset that is added after it.
+
+    Raises
+    ------
+    RunsError
+        If the column is in no such unit.
+    """
+    units = UNITS.get(quantity_of(target) or "", {})
+    if unit in units:
+        return units[unit]
+    factor = _factor(unit)
+    if factor is None:
+        known = ", ".join(units) or "none"
+        raise RunsError(f"`{target}` cannot be in {unit[:40]!r}: its units are {known}, or a factor such as 0.01")
+    return factor, 0.0
+
+
+def unit_in_name(target: str, column: str) -> tuple[str, str | None]:
+    """Return the unit that the name of a column ends with.
+
+    Parameters
+    ----------
+    target : str
+        What the column is, or may be.
+    column : str
+        Such as `batt_current_mA`, `Voltage [mV]` or `speed (km/h)`.
+
+    Returns
+    -------
+    tuple of (str, str or None)
+        The name without the unit, and the unit; None where the name says none.
+    """
+    bracketed = _BRACKETED.match(column)
+    if bracketed is not None:
+        unit = known_unit(target, bracketed[2])
+        if unit is not None and _factor(unit) is None:
+            return bracketed[1], unit
+    for size in (2, 1):  # `speed_m_s` before `speed_s`
+        words = re.split(r"[_\s.]+", column)
+        if len(words) > size:
+            unit = known_unit(target, "_".join(words[-size:]))
+            if unit is not None and _factor(unit) is None:
+                return "_".join(words[:-size]), unit
+    return column, None
+
+
+def _factor(word: str) -> float | None:
+    try:
+        factor = float(word)
+    except ValueError:
+        return None
+    return factor if math.isfinite(factor) and factor != 0 else None

@@ -1,0 +1,118 @@
+"""`joulemap import`: logs of any known format as CSV files in joulemap's columns and units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from joulemap.model.runs.formats import formats_in_words
+from joulemap.service.commands.console import JsonFile, Output, progress_bar
+from joulemap.service.commands.options import Overwrite, there
+from joulemap.service.words import duration_words, runs_words
+
+
+def import_logs(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG...", help="Files, folders or patterns like 'logs/*.mcap'.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FOLDER", help="Where to write a CSV file for each log. [default: only look]"),
+    ] = None,
+    entries: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            metavar="COLUMN=SOURCE",
+            help="Where a column is taken from, with a unit or factor: 't=timestamp_ms:ms,current=batt_mA:mA'. Several "
+            "are summed with signs: 'current=left+right', 'current=-pack'. A field of a message: "
+            "'voltage=/battery.voltage'.",
+        ),
+    ] = None,
+    mapping: Annotated[
+        Path | None,
+        typer.Option("--mapping", metavar="FILE", callback=there, help="TOML file of such entries."),
+    ] = None,
+    odometry: Annotated[
+        float | None,
+        typer.Option("--odometry", metavar="TRACK", help="The logs have wheel speeds and no positions: track [m]."),
+    ] = None,
+    accept_implausible: Annotated[
+        bool,
+        typer.Option("--accept-implausible", help="Keep numbers that are hardly in the units that they are read in."),
+    ] = False,
+    memory: Annotated[float, typer.Option(min=100.0, metavar="MB", help="Memory that a log may take [MB].")] = 4000.0,
+    overwrite: Overwrite = False,
+    json_file: JsonFile = None,
+) -> None:
+    """Read **logs of other programs** and write them in joulemap's columns and units, for `--runs`.
+
+    The format is recognised by the content: CSV of any shape, Parquet, MCAP, ROS bags, ArduPilot, MAVLink, PX4, FIT.
+    Columns and topics are found by their names, units and types; the answer says what was taken from where. All logs
+    are written or none. What is implausible, such as 3,000 A at 24 V, is said before anything is written.
+
+    Examples:
+
+    `joulemap import drive.mcap`
+
+    `joulemap import logs/*.csv --map t=timestamp_ms:ms,current=batt_current_mA:mA --out runs`
+
+    `joulemap import flight.bin --out runs && joulemap evaluate --runs runs --heightmap dem.tif`
+    """
+    from joulemap.model.errors import ConflictError
+    from joulemap.model.runs.files import distinct_names
+    from joulemap.model.runs.mapping import read_mapping
+    from joulemap.model.runs.odometry import Odometry
+    from joulemap.service.intake.importing import import_logs as read_all
+    from joulemap.service.library.run_files import find_run_files
+
+    output = Output(json_file)
+    wanted = (read_mapping(mapping) if mapping is not None else {}) | read_mapping(entries)
+    files = find_run_files(logs)
+    stems = [_stem(name) for name in distinct_names(files)]
+    if len(set(stems)) < len(stems):
+        stems = [_stem(name).replace(".", "_") for name in distinct_names(files)]
+        stems = [f"{stem}_{file.suffix[1:]}" for stem, file in zip(stems, files, strict=True)]
+    if out is not None and not overwrite:
+        taken = next((out / f"{stem}.csv" for stem in stems if (out / f"{stem}.csv").exists()), None)
+        if taken is not None:
+            raise ConflictError(
+                f"{taken} is there already: choose another folder, or replace it with --overwrite", path=str(taken)
+            )
+    with progress_bar("Logs") as report:
+        found = read_all(
+            list(zip(stems, files, strict=True)),
+            out,
+            mapping=wanted,
+            odometry=Odometry(odometry) if odometry is not None else None,
+            accept_implausible=accept_implausible,
+            memory_mb=memory,
+            report=report,
+        )
+    for one in found:
+        _say(output, one)
+    if out is None:
+        output.say(f"Nothing was written: --out FOLDER writes {runs_words(len(found))}")
+    output.document({"runs": found})
+
+
+def _say(output: Output, one: dict[str, Any]) -> None:
+    unit = "J/m" if one["target"] == "energy_j" else "A s/m"
+    output.say(f"[bold]{one['name']}[/] {one['format']}" + (f" -> {one['out']}" if one["out"] else ""))
+    rows = {
+        "rows": f"{one['rows']:,} in {duration_words(one['seconds'])}",
+        "driven": f"{one['metres']:.1f} m in {one['segments']} segments, median {one['per_m']:.4g} {unit}",
+    }
+    rows |= {("kind" if column == "as" else column): f"from {source}" for column, source in one["reading"].items()}
+    if one["repairs"]:
+        rows["repairs"] = ", ".join(f"{count} {rule}" for rule, count in one["repairs"].items())
+    output.table(rows)
+    output.warn(f"{one['name']}: {warning}" for warning in one["warnings"])
+
+
+def _stem(name: str) -> str:
+    """A log's name as a file name: `monday/run_01.mcap` is `monday_run_01`."""
+    return "_".join(Path(name).with_suffix("").parts)
+
+
+import_logs.__doc__ = (import_logs.__doc__ or "") + f"\n    Formats: {formats_in_words()}.\n"

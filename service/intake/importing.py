@@ -1,0 +1,103 @@
+"""Logs on a user's own machine become CSV files in joulemap's columns: all or none, read in guarded processes."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import anyio
+
+from joulemap.model.runs.odometry import Odometry
+from joulemap.model.runs.table import LIMITS
+from joulemap.service.intake.limits import ReadLimits, RunLimits
+from joulemap.service.intake.readers import Readers
+
+_SECONDS = 600.0  # of processor time for a file, and more for a large one
+_LONGEST_KM = 100_000.0
+_LARGEST_MB = 1e6  # what matters is the memory
+
+
+def import_logs(
+    files: Sequence[tuple[str, Path]],
+    out: Path | None,
+    *,
+    mapping: Mapping[str, str],
+    odometry: Odometry | None = None,
+    accept_implausible: bool = False,
+    memory_mb: float = 4_000.0,
+    report: Callable[[float], None] = lambda share: None,
+) -> list[dict[str, Any]]:
+    """Read logs and write each as a CSV file that `--runs` takes.
+
+    Parameters
+    ----------
+    files : sequence of (str, Path)
+        Name and place of each; the names are those of the CSV files, without their ending.
+    out : Path, optional
+        Folder to write to; None writes nothing.
+    mapping : mapping of str to str
+        Where joulemap's columns are taken from, as `read_mapping` returns it.
+    odometry : Odometry, optional
+        How logs without positions are judged.
+    accept_implausible : bool, optional
+        Whether numbers are kept that are hardly in the units that they are read in.
+    memory_mb : float, optional
+        Memory that reading one log may take [1e6 bytes].
+    report : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    list of dict
+        What was read of each, as `read_sent_run` returns it, and the file that was written as `out`.
+
+    Raises
+    ------
+    RunsError
+        If a log cannot be used; nothing is written then.
+    TooLargeError
+        If a log needs more time or memory than the limits.
+    """
+    limits = RunLimits(_LARGEST_MB, LIMITS.rows, LIMITS.columns, LIMITS.cells, LIMITS.text_mb, _LONGEST_KM)
+    asked = {
+        "limits_of_run": asdict(limits),
+        "mapping": dict(mapping),
+        "odometry": asdict(odometry) if odometry is not None else None,
+        "accept_implausible": accept_implausible,
+        "any_place": True,
+        "always": True,
+    }
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out, prefix=".import-") as begun:
+        found = anyio.run(_read_all, files, Path(begun), asked, memory_mb, report)
+        for (name, _), one in zip(files, found, strict=True):
+            one["out"] = None
+            if out is not None:
+                place = out / f"{name}.csv"
+                os.replace(Path(begun) / f"{name}.csv", place)
+                one["out"] = str(place)
+    return found
+
+
+async def _read_all(
+    files: Sequence[tuple[str, Path]],
+    folder: Path,
+    asked: dict[str, Any],
+    memory_mb: float,
+    report: Callable[[float], None],
+) -> list[dict[str, Any]]:
+    readers = Readers(processes=1, queue=1, limits=ReadLimits(_SECONDS, memory_mb))
+    found = []
+    try:
+        for number, (name, path) in enumerate(files, start=1):
+            made = str(folder / f"{name}.csv")
+            found.append(await readers.read("run", path=str(path.resolve()), name=path.name, out=made, **asked))
+            report(number / len(files))
+    finally:
+        readers.close()
+    return found

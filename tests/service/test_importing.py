@@ -1,0 +1,105 @@
+"""Logs of other programs over HTTP, on the command line and in Python: mapped, judged, kept in joulemap's columns."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import joulemap as jm
+from joulemap.model.errors import RunsError
+from joulemap.service.cli import app
+from tests.service.conftest import WEST
+
+ROWS = 300
+
+
+def odd_csv(**replaced):
+    k = np.arange(ROWS)
+    columns = {
+        "timestamp_ms": 1_700_000_000_000 + 100 * k,
+        "pos_x": np.round(WEST + 0.05 * k, 3),
+        "pos_y": np.full(ROWS, 4_000_015.0),
+        "pack_mV": np.full(ROWS, 24_000),
+        "batt_current_mA": -(2_000 + 10 * (k % 7)),
+    } | replaced
+    lines = [";".join(map(str, row)).replace(".", ",") for row in zip(*columns.values(), strict=True)]
+    return "\n".join([";".join(columns), *lines]) + "\n"
+
+
+MAP = ["voltage=pack_mV", "x=pos_x:m,y=pos_y:m"]
+
+
+def test_what_is_sent_is_kept_in_joulemaps_columns_and_the_answer_says_from_where(client, heightmap_id):
+    query = {"heightmap_id": heightmap_id, "map": MAP}
+    answer = client.post("/v1/runs", files={"file": ("odd.csv", odd_csv())}, params=query)
+    assert answer.status_code == 201, answer.text
+    (run,) = answer.json()["runs"]
+    assert run["reading"] == {
+        "t": "timestamp_ms [ms]",
+        "x": "pos_x [m]",
+        "y": "pos_y [m]",
+        "voltage": "pack_mV [mV]",
+        "current": "batt_current_mA [mA]",
+    }
+    assert run["format"] == "CSV text"
+    assert run["repairs"] == {"current_sign_flipped": 1}
+    assert run["per_m"] == pytest.approx(24.0 * 2.03 / 0.5, rel=0.01)
+    (kept,) = client.app.state.service.store.run_files(answer.json()["id"])
+    assert kept.read_text().splitlines()[0] == "t,x,y,voltage,current"
+
+
+def test_implausible_runs_are_not_kept_unless_they_are_accepted(client, heightmap_id):
+    query = {"heightmap_id": heightmap_id, "map": [*MAP, "current=batt_current_mA:A"]}
+    files = {"file": ("odd.csv", odd_csv())}
+    uploads = client.app.state.service.settings.data_dir / "uploads"
+    before, lying = client.get("/v1/runs").json()["total"], sorted(uploads.rglob("*"))
+    answer = client.post("/v1/runs", files=files, params=query)
+    assert answer.status_code == 422, answer.text
+    assert "is `current` in mA?" in answer.json()["detail"]
+    assert client.get("/v1/runs").json()["total"] == before
+    assert sorted(uploads.rglob("*")) == lying
+    accepted = client.post("/v1/runs", files=files, params=query | {"accept_implausible": True})
+    assert accepted.status_code == 201, accepted.text
+    assert "2,030 A at 24.0 V" in accepted.json()["runs"][0]["warnings"][0]
+
+
+def test_a_mapping_that_cannot_be_is_refused_over_http(client):
+    for entry, words in (("current=amps", "no column of it"), ("current", "no entry"), ("1x=a", "no name of a column")):
+        answer = client.post("/v1/runs", files={"file": ("odd.csv", odd_csv())}, params={"map": entry})
+        assert answer.status_code == 422, answer.text
+        assert words in answer.json()["detail"]
+
+
+def test_import_writes_all_logs_or_none(tmp_path):
+    (tmp_path / "a.csv").write_text(odd_csv())
+    (tmp_path / "b.csv").write_text(odd_csv(pack_mV=np.full(ROWS, 24)))
+    command = ["import", str(tmp_path / "a.csv"), "--map", ",".join(MAP), "--out", str(tmp_path / "out")]
+    found = CliRunner().invoke(app, [*command, "--json", str(tmp_path / "answer.json")])
+    assert found.exit_code == 0, found.output
+    assert "from batt_current_mA [mA]" in found.output
+    (run,) = json.loads((tmp_path / "answer.json").read_text())["runs"]
+    assert run["out"] == str(tmp_path / "out" / "a.csv")
+    again = CliRunner().invoke(app, command)
+    assert again.exit_code == 6
+    both = ["import", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "--map", ",".join(MAP)]
+    refused = CliRunner().invoke(app, [*both, "--out", str(tmp_path / "none")])
+    assert refused.exit_code == 3, refused.output
+    assert "b.csv is not plausible: its voltage is 0.024 V" in refused.output
+    assert list((tmp_path / "none").iterdir()) == []
+    runs = jm.read_runs(tmp_path / "out" / "a.csv")
+    np.testing.assert_allclose(runs.runs[0].voltage_v, 24.0)
+    assert runs.reading == {}
+
+
+def test_a_python_user_gives_a_mapping_and_is_warned(tmp_path):
+    (tmp_path / "a.csv").write_text(odd_csv())
+    runs = jm.read_runs(tmp_path / "a.csv", mapping=MAP)
+    assert runs.reading["a.csv"]["voltage"] == "pack_mV [mV]"
+    with pytest.warns(UserWarning, match="2,030 A at 24.0 V"):
+        jm.read_runs(
+            tmp_path / "a.csv",
+            mapping={"voltage": "pack_mV", "x": "pos_x", "y": "pos_y", "current": "batt_current_mA:A"},
+        )
+    with pytest.raises(RunsError, match="near it are batt_current_mA"):
+        jm.read_runs(tmp_path / "a.csv", mapping={"current": "batt_current"})
