@@ -1,4 +1,4 @@
-"""A cost lattice on disk: a zarr group that xarray opens too; exports to npz and GeoTIFF."""
+"""A cost lattice on disk: a zarr group that xarray opens too; an export to npz."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from zarr.codecs import BloscCodec
 from joulemap.model.errors import InputError, JoulemapError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
-from joulemap.model.terrain.writers import write_bands_geotiff
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_xarray import CRS_VARIABLE, DIMENSIONS, attributes_of, coordinates_of
 from joulemap.planner.tiles import TILE_CELLS, Tiling
@@ -326,36 +325,10 @@ def export_npz(lattice: CostLattice) -> bytes:
         blocked=lattice.blocked_by_heading(),
         headings_rad=heading_bins(lattice.headings),
         elevation_m=lattice.elevation_m,
-        metadata=_exported(lattice),
+        metadata=metadata_json(lattice),
         **known,
     )
     return out.getvalue()
-
-
-def export_geotiff(lattice: CostLattice) -> bytes:
-    """Return a lattice as a GeoTIFF file.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        What to export.
-
-    Returns
-    -------
-    bytes
-        The file: one float32 band per heading [J/m]; NaN (nodata) where that heading is blocked.
-    """
-    energy = np.where(lattice.blocked_by_heading() == Blocked.FREE, lattice.energy_per_m, np.float32(np.nan))
-    headings_deg = np.rad2deg(heading_bins(lattice.headings))
-    written = write_bands_geotiff(
-        None,
-        np.ascontiguousarray(np.moveaxis(energy, 2, 0)),
-        lattice.frame,
-        descriptions=[f"energy per metre [J/m] at heading {h:g} deg" for h in headings_deg],
-        tags={"JOULEMAP": _exported(lattice)},
-    )
-    assert written is not None
-    return written
 
 
 def _metadata(frame: GridFrame, robot: Robot) -> dict[str, Any]:
@@ -373,5 +346,17 @@ def _metadata(frame: GridFrame, robot: Robot) -> dict[str, Any]:
     }
 
 
-def _exported(lattice: CostLattice) -> str:
+def metadata_json(lattice: CostLattice) -> str:
+    """Return what a lattice is, and how it was made.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        What is exported.
+
+    Returns
+    -------
+    str
+        JSON: frame, robot, codes of blocked reasons, units and provenance.
+    """
     return json.dumps({**_metadata(lattice.frame, lattice.robot), "provenance": lattice.provenance})

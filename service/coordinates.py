@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,11 +17,6 @@ from pyproj.exceptions import CRSError, ProjError
 from joulemap.model.errors import InputError, PointError
 from joulemap.model.frames import GridFrame
 
-if TYPE_CHECKING:  # they take their time to load
-    from joulemap.planner.plan import Plan, RoundTrip
-    from joulemap.planner.route import Route
-
-Answer = TypeVar("Answer", "Plan", "RoundTrip", "Route")
 PlaceLike = Sequence[float] | Mapping[str, float]
 """World x, y [m] in the CRS of the map, or {"lat": ..., "lon": ...} [degrees]."""
 
@@ -162,12 +157,12 @@ def world_point(frame: GridFrame, place: Any, *, name: str = "point") -> WorldPo
         raise InputError(
             f'{name} is {str(place)[:80]!r}: give x and y in metres, or {{"lat": ..., "lon": ...}}'
         ) from None
-    if _on_map(frame, x, y) or frame.crs is None or not (math.isfinite(x) and math.isfinite(y)):
+    if on_map(frame, x, y) or frame.crs is None or not (math.isfinite(x) and math.isfinite(y)):
         return WorldPoint(x, y)
-    if abs(x) <= 90.0 and abs(y) <= 180.0 and _on_map(frame, *(here := _projected(frame.crs, x, y))):
+    if abs(x) <= 90.0 and abs(y) <= 180.0 and on_map(frame, *(here := _projected(frame.crs, x, y))):
         words = f"{name} {x:g},{y:g} was read as latitude,longitude: x {here[0]:.2f}, y {here[1]:.2f} m on the map"
         return WorldPoint(*here, words)
-    if abs(y) <= 90.0 and abs(x) <= 180.0 and _on_map(frame, *_projected(frame.crs, y, x)):
+    if abs(y) <= 90.0 and abs(x) <= 180.0 and on_map(frame, *_projected(frame.crs, y, x)):
         raise PointError(
             f"{name} ({x:g}, {y:g}) lies outside the map; as longitude,latitude it would lie inside: write latitude "
             f"first, {y:g},{x:g}",
@@ -177,8 +172,28 @@ def world_point(frame: GridFrame, place: Any, *, name: str = "point") -> WorldPo
     return WorldPoint(x, y)
 
 
-def _degrees(place: Mapping[str, Any], name: str) -> tuple[float, float]:
-    """Latitude and longitude of an object."""
+def degrees(place: Mapping[str, Any], name: str) -> tuple[float, float]:
+    """Return latitude and longitude of an object.
+
+    Parameters
+    ----------
+    place : mapping
+        With `lat` and `lon`, or `latitude` and `longitude`.
+    name : str
+        What messages call the place.
+
+    Returns
+    -------
+    tuple of float
+        Latitude, longitude [degrees].
+
+    Raises
+    ------
+    InputError
+        If it is no such object.
+    PointError
+        If a value is out of range.
+    """
     try:
         keys = {str(key).lower(): value for key, value in place.items()}
         known = [next((key for key in names if key in keys), None) for names in (_LATITUDE, _LONGITUDE)]
@@ -201,9 +216,9 @@ def _degrees(place: Mapping[str, Any], name: str) -> tuple[float, float]:
 
 
 def _of_object(frame: GridFrame, place: Mapping[str, Any], name: str) -> WorldPoint:
-    lat, lon = _degrees(place, name)
+    lat, lon = degrees(place, name)
     x, y = _projected(known_crs(frame.crs), lat, lon)
-    if not _on_map(frame, x, y):
+    if not on_map(frame, x, y):
         west, south, east, north = frame.bounds
         low, high = (to_wgs84(frame.crs, [corner])[0] for corner in ((west, south), (east, north)))
         raise PointError(
@@ -215,7 +230,21 @@ def _of_object(frame: GridFrame, place: Mapping[str, Any], name: str) -> WorldPo
     return WorldPoint(x, y)
 
 
-def _on_map(frame: GridFrame, x: float, y: float) -> bool:
+def on_map(frame: GridFrame, x: float, y: float) -> bool:
+    """Return whether a point lies on a map.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Of the map.
+    x, y : float
+        World coordinates [m].
+
+    Returns
+    -------
+    bool
+        False for NaN.
+    """
     west, south, east, north = frame.bounds
     return west <= x <= east and south <= y <= north
 
@@ -243,131 +272,3 @@ def _transformer_of(crs: str, towards_wgs84: bool, _thread: int) -> Transformer:
         raise InputError(
             f"the map's coordinate system {_short(crs)} has no known place on Earth: {str(error)[:200]}"
         ) from error
-
-
-class Places:
-    """Reads the places of a question, and keeps what the user should know of them.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Of the map that the question is about.
-
-    Attributes
-    ----------
-    notes : list of str
-        One for each place that was read as latitude and longitude.
-    """
-
-    def __init__(self, frame: GridFrame) -> None:
-        self.frame = frame
-        self.notes: list[str] = []
-
-    def __call__(self, place: Any, name: str) -> tuple[float, float]:
-        """Return a place as `world_point` does.
-
-        Parameters
-        ----------
-        place : sequence of float or mapping
-            As `world_point` takes it.
-        name : str
-            What messages call it.
-
-        Returns
-        -------
-        tuple of float
-            World x, y [m].
-
-        Raises
-        ------
-        InputError, PointError
-            As `world_point`.
-        """
-        found = world_point(self.frame, place, name=name)
-        if found.note is not None:
-            self.notes.append(found.note)
-        return found.x, found.y
-
-    def path(self, points: Any) -> NDArray[np.float64]:
-        """Return the points of a path in the coordinates of the map.
-
-        Parameters
-        ----------
-        points : sequence of places
-            All in the same form: x, y [m], latitude, longitude, or objects with `lat` and `lon`.
-
-        Returns
-        -------
-        ndarray of float64, (n, 2)
-            World x, y [m]. They are read as latitude and longitude if the first of them is.
-
-        Raises
-        ------
-        InputError, PointError
-            As `world_point`.
-        """
-        try:
-            array = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
-        except (TypeError, ValueError, KeyError):  # objects, or no points: the message names the first that is none
-            return np.array([self(point, f"point {k} of the path") for k, point in enumerate(points)])
-        if len(array) == 0:
-            return array
-        begin = world_point(self.frame, array[0].tolist(), name="the path, which begins at")
-        if begin.note is None:
-            return array
-        self.notes.append(begin.note)
-        return from_wgs84(self.frame.crs, array[:, ::-1])
-
-    def areas(self, areas: Sequence[Sequence[Any]]) -> list[list[list[float]]]:
-        """Return areas in the coordinates of the map, beyond which they may reach.
-
-        Parameters
-        ----------
-        areas : sequence of sequence of places
-            The corners of each, all in the same form.
-
-        Returns
-        -------
-        list of list of [x, y]
-            World coordinates [m]. Corners of two numbers are latitude, longitude if none of an area is on the map as x,
-            y, and one is as latitude, longitude.
-
-        Raises
-        ------
-        InputError, PointError
-            As `world_point`.
-        """
-        return [self._area(corners, f"area {k}") for k, corners in enumerate(areas)]
-
-    def _area(self, corners: Sequence[Any], name: str) -> list[list[float]]:
-        if any(isinstance(corner, Mapping) for corner in corners):
-            lonlat = [_degrees(corner, f"corner {k} of {name}")[::-1] for k, corner in enumerate(corners)]
-            return from_wgs84(self.frame.crs, lonlat).tolist()
-        plain = [[float(value) for value in corner[:2]] for corner in corners]
-        if self.frame.crs is None or any(_on_map(self.frame, x, y) for x, y in plain):
-            return plain
-        if all(abs(lat) <= 90.0 and abs(lon) <= 180.0 for lat, lon in plain):
-            found = from_wgs84(self.frame.crs, [(lon, lat) for lat, lon in plain]).tolist()
-            if any(_on_map(self.frame, x, y) for x, y in found):
-                self.notes.append(f"the corners of {name} were read as latitude,longitude")
-                return found
-        return plain
-
-    def noted(self, answer: Answer) -> Answer:
-        """Return an answer with the notes.
-
-        Parameters
-        ----------
-        answer : Plan, RoundTrip or Route
-            From the planner.
-
-        Returns
-        -------
-        Plan, RoundTrip or Route
-            The same where there is nothing to note.
-        """
-        if not self.notes:
-            return answer
-        if hasattr(answer, "route"):
-            return replace(answer, route=self.noted(answer.route))
-        return replace(answer, notes=type(answer.notes)([*self.notes, *answer.notes]))  # type: ignore

@@ -17,7 +17,7 @@ RENAMED: Mapping[str, str] = {
 """Options of older versions -> their names today. Each is still accepted by the commands that have the new one."""
 
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
-_POINT = re.compile(rf"\s*{_NUMBER}\s*,\s*{_NUMBER}\s*")
+_POINT = re.compile(rf"\s*{_NUMBER}\s*[NSns]?\s*,\s*{_NUMBER}\s*[EWew]?\s*")
 _NAME = re.compile(r"`([a-z][a-z0-9_]*)`")
 _UNITS = ("_m", "_s", "_wh")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -21,6 +22,8 @@ from joulemap.service.commands.arguments import with_option_names
 
 STOPPED = 130
 """Exit code of a command that was stopped by Ctrl-C, as in every shell."""
+
+_WITH_LETTERS = re.compile(r"([+-]?\d+\.?\d*)\s*°?\s*([NSns])\s*,\s*([+-]?\d+\.?\d*)\s*°?\s*([EWew])")
 
 Report = Callable[[float], None]
 JsonFile = Annotated[
@@ -242,30 +245,36 @@ def progress_bar(what: str) -> Iterator[Report]:
         yield lambda share: progress.update(task, completed=share)
 
 
-def parse_point(text: str | tuple[float, float]) -> tuple[float, float]:
-    """Return a point that was typed.
+def parse_point(text: str | tuple[float, float] | dict[str, float]) -> tuple[float, float] | dict[str, float]:
+    """Return a place that was typed.
 
     Parameters
     ----------
     text : str
-        Like "12.5,40" [m]; a pair is returned as it is.
+        Like "12.5,40" [m], or "36.72N,4.49W" [degrees]; what was parsed is returned as it is.
 
     Returns
     -------
-    tuple of float
-        x, y [m].
+    tuple of float or dict
+        The two numbers: x, y [m] where they lie on the map, else latitude, longitude. Of degrees with letters, an
+        object with `lat` and `lon`.
 
     Raises
     ------
     typer.BadParameter
         If the text is no point: wrong usage (exit code 2).
     """
-    if isinstance(text, tuple):
+    if not isinstance(text, str):
         return text
+    if found := _WITH_LETTERS.fullmatch(text.strip()):
+        lat, lon = float(found[1]), float(found[3])
+        return {"lat": -lat if found[2] in "Ss" else lat, "lon": -lon if found[4] in "Ww" else lon}
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"{text!r} is not X,Y: two numbers of metres with a comma between") from None
+        raise typer.BadParameter(
+            f"{text!r} is not X,Y: two numbers of metres with a comma between, or latitude,longitude like 36.72N,4.49W"
+        ) from None
     return x, y
 
 

@@ -116,7 +116,7 @@ def _cheapest_chain(
 ) -> Points | None:
     """Of each corner's candidates, those that are moved least and whose legs may all be driven; None without any."""
     choices = [rounded[k : k + 1] for k in range(len(points))]
-    for k in np.flatnonzero(movable):
+    for k in np.flatnonzero(movable).tolist():
         choices[k] = _candidates(lattice, points[k], rounded[k], furthest_m, quantise)
     cost, before = np.zeros(len(choices[0])) + _shift(choices[0], points[0]), list[np.ndarray]()
     for k in range(1, len(choices)):

@@ -12,7 +12,9 @@ from fastapi.responses import StreamingResponse
 
 from joulemap.model.errors import InputError
 from joulemap.model.ranges import CORRIDOR_PERCENT, HEADING_DEG
-from joulemap.planner.lattice_io import export_geotiff, export_npz
+from joulemap.planner.lattice_io import export_npz
+from joulemap.service.coordinates import WorldPoint, world_point
+from joulemap.service.exports.maps import MAP_FORMATS, map_files, zipped
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.state import KernelsDep
@@ -26,6 +28,8 @@ from joulemap.service.schemas.maps import AtOut, FieldOut
 from joulemap.service.workflows import PointCosts, costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
+_MAP_FORMATS = ("geotiff", "npz", "zarr", *(name for name in MAP_FORMATS if name != "geotiff"))
+_MAP_WORDS = "; ".join(f"{known.name}: {known.words}" for known in MAP_FORMATS.values())
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
@@ -35,7 +39,12 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
     responses={
         200: {
             "description": "The cost map as a file",
-            "content": {"image/tiff": _BINARY, "application/zip": _BINARY, "application/octet-stream": _BINARY},
+            "content": {
+                "image/tiff": _BINARY,
+                "application/zip": _BINARY,
+                "application/octet-stream": _BINARY,
+                "application/geo+json": {"schema": {"type": "object", "description": "nodes and edges"}},
+            },
         },
         **problems(404, 409, 503),
     },
@@ -45,8 +54,8 @@ async def get_data(
     service: KernelsDep,
     request: Request,
     format: Annotated[
-        Literal["geotiff", "npz", "zarr"],
-        Query(description="geotiff: a band per heading [J/m]; npz: arrays; zarr: the kept lattice, zipped"),
+        Literal[_MAP_FORMATS],  # type: ignore[valid-type]
+        Query(description=f"npz: arrays; zarr: the kept lattice, zipped; {_MAP_WORDS}"),
     ] = "geotiff",
 ) -> Response:
     """The whole cost map as a file."""
@@ -57,11 +66,13 @@ async def get_data(
 
     def _export() -> Response:
         lattice = service.maps.planner(costmap_id).lattice
-        if format == "geotiff":
-            data, kind, suffix = export_geotiff(lattice), "image/tiff", "tif"
-        else:
-            data, kind, suffix = export_npz(lattice), "application/octet-stream", "npz"
-        return _file(iter([data]), kind, f"{costmap_id}.{suffix}")
+        if format == "npz":
+            return _file(iter([export_npz(lattice)]), "application/octet-stream", f"{costmap_id}.npz")
+        chosen = MAP_FORMATS[format]
+        files = map_files(lattice, chosen)
+        if len(files) > 1:
+            return _file(iter([zipped(files, costmap_id)]), chosen.media_type, f"{costmap_id}-{format}.zip")
+        return _file(iter(files.values()), chosen.media_type, f"{costmap_id}{chosen.suffix}")
 
     return await while_connected(request, service.plans.do(costmap_id, _export))
 
@@ -103,19 +114,26 @@ async def get_image(
 async def get_at(
     costmap_id: str,
     service: KernelsDep,
-    x: Annotated[Coordinate, Query(description="world x [m]", examples=[12.5])],
-    y: Annotated[Coordinate, Query(description="world y [m]", examples=[40.5])],
+    x: Annotated[Coordinate | None, Query(description="world x [m]", examples=[12.5])] = None,
+    y: Annotated[Coordinate | None, Query(description="world y [m]", examples=[40.5])] = None,
+    lat: Annotated[float | None, Query(ge=-90.0, le=90.0, description="latitude [degrees], instead of x")] = None,
+    lon: Annotated[float | None, Query(ge=-180.0, le=180.0, description="longitude [degrees], instead of y")] = None,
 ) -> AtOut:
     """Energy per metre at one place in all headings, and why some headings are blocked."""
+    place = _place(x, y, "") or _on_earth(lat, lon)
+    if place is None or (x is not None and lat is not None):
+        raise InputError("name one place: x and y in metres, or lat and lon in degrees")
 
-    def _look() -> PointCosts:
+    def _look() -> tuple[PointCosts, WorldPoint]:
         service.done_costmap(costmap_id)
-        return costs_at(service.maps.planner(costmap_id).lattice, x, y)
+        lattice = service.maps.planner(costmap_id).lattice
+        here = world_point(lattice.frame, place)
+        return costs_at(lattice, here.x, here.y), here
 
-    costs = await service.prices.do(costmap_id, _look)
+    costs, here = await service.prices.do(costmap_id, _look)
     return AtOut(
-        x=x,
-        y=y,
+        x=here.x,
+        y=here.y,
         elevation_m=number(costs.elevation_m),
         headings_deg=np.rad2deg(costs.headings_rad).tolist(),
         energy_per_m=[number(v) for v in costs.energy_per_m.tolist()],
@@ -178,9 +196,15 @@ async def get_field(
     return await while_connected(request, service.plans.do(costmap_id, _search))
 
 
+def _on_earth(lat: float | None, lon: float | None) -> dict[str, float] | None:
+    if (lat is None) != (lon is None):
+        raise InputError("lat and lon go together")
+    return None if lat is None or lon is None else {"lat": lat, "lon": lon}
+
+
 def _place(x: float | None, y: float | None, name: str) -> tuple[float, float] | None:
     if (x is None) != (y is None):
-        raise InputError(f"{name}_x and {name}_y go together")
+        raise InputError(f"{name}_x and {name}_y go together" if name else "x and y go together")
     return None if x is None or y is None else (x, y)
 
 

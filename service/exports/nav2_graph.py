@@ -1,0 +1,126 @@
+"""A route graph for Nav2's route server: places on a coarse grid, and what driving between neighbours costs."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import InputError, TooLargeError
+from joulemap.planner.edges import leg_prices_between
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.service.exports.ros_path import FRAME
+
+USUAL_NODES, MOST_NODES = 2_500, 40_000
+"""Nodes of a graph whose spacing nobody chose, and of any: 40,000 make a file of about 80 MB, all of which is read."""
+
+_NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))
+
+
+def write(lattice: CostLattice, *, spacing_m: float | None = None) -> dict[str, bytes]:
+    """Return a route graph.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    spacing_m : float, optional
+        About how far nodes lie apart [m]; by default so far that there are 2,500 at most.
+
+    Returns
+    -------
+    dict
+        ".geojson" -> the file, in the form of Nav2: nodes are points with `id` and `frame`, edges have `startid`,
+        `endid` and `cost`, the energy of the straight way [J], at least 0. Its coordinates are x, y [m] of the map.
+
+    Raises
+    ------
+    InputError
+        If the spacing is no number above 0.
+    TooLargeError
+        If the graph would have more than `MOST_NODES` nodes.
+    """
+    cells = _cells_apart(lattice, spacing_m)
+    place = _nodes(lattice, cells)
+    there = place[..., 0] >= 0
+    number = np.where(there, np.cumsum(there).reshape(there.shape) - 1, -1)
+    edges = _edges(lattice, place, number)
+    x, y = lattice.frame.xy(place[there][:, 0], place[there][:, 1])
+    features: list[dict[str, Any]] = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": [east, north]},
+            "properties": {"id": k, "frame": FRAME},
+        }
+        for k, (east, north) in enumerate(zip(x.tolist(), y.tolist(), strict=True))
+    ]
+    first = len(features)
+    for k, (start, end, energy, length) in enumerate(edges, start=first):
+        shape = [features[n]["geometry"]["coordinates"] for n in (start, end)]
+        properties = {
+            "id": k,
+            "startid": start,
+            "endid": end,
+            "cost": max(energy, 0.0),
+            "overridable": False,
+            "metadata": {"energy_j": energy, "length_m": length},
+        }
+        geometry = {"type": "MultiLineString", "coordinates": [shape]}
+        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
+    document = {"type": "FeatureCollection", "name": "graph", "features": features}
+    return {".geojson": (json.dumps(document, allow_nan=False) + "\n").encode()}
+
+
+def _cells_apart(lattice: CostLattice, spacing_m: float | None) -> int:
+    rows, cols = lattice.frame.shape
+    if spacing_m is None:
+        return max(1, math.ceil(math.sqrt(rows * cols / USUAL_NODES)))
+    if not (math.isfinite(spacing_m) and spacing_m > 0.0):
+        raise InputError(f"the spacing of a route graph is {spacing_m}: give metres above 0", spacing_m=str(spacing_m))
+    cells = max(1, round(spacing_m / lattice.frame.resolution_m))
+    nodes = math.ceil(rows / cells) * math.ceil(cols / cells)
+    if nodes > MOST_NODES:
+        least = lattice.frame.resolution_m * math.ceil(math.sqrt(rows * cols / MOST_NODES))
+        raise TooLargeError(
+            f"a route graph of nodes {spacing_m:g} m apart has {nodes:,}, the limit is {MOST_NODES:,}: choose a "
+            f"spacing of about {least:g} m",
+            nodes=nodes,
+            limit=MOST_NODES,
+        )
+    return cells
+
+
+def _nodes(lattice: CostLattice, cells: int) -> NDArray[np.int64]:
+    """(m, n, 2) row and column of the free cell nearest the middle of each square of cells; -1 where there is none."""
+    rows, cols = lattice.frame.shape
+    free = (lattice.blocked == Blocked.FREE) & np.isfinite(lattice.mean_energy_per_m())
+    found = np.full((math.ceil(rows / cells), math.ceil(cols / cells), 2), -1)
+    for i, j in np.ndindex(*found.shape[:2]):
+        part = np.argwhere(free[i * cells : (i + 1) * cells, j * cells : (j + 1) * cells])
+        if part.size:
+            nearest = part[np.square(part - 0.5 * (cells - 1)).sum(axis=1).argmin()]
+            found[i, j] = nearest + np.array([i * cells, j * cells])
+    return found
+
+
+def _edges(
+    lattice: CostLattice, place: NDArray[np.int64], number: NDArray[np.int64]
+) -> list[tuple[int, int, float, float]]:
+    """Start, end, energy [J] and length [m] of every way between neighbours that may be driven."""
+    found = []
+    shape = number.shape
+    for i, j in _NEIGHBOURS:
+        here = np.s_[max(-i, 0) : shape[0] - max(i, 0), max(-j, 0) : shape[1] - max(j, 0)]
+        there = np.s_[max(i, 0) : shape[0] + min(i, 0), max(j, 0) : shape[1] + min(j, 0)]
+        both = (number[here] >= 0) & (number[there] >= 0)
+        starts, ends = place[here][both].astype(float), place[there][both].astype(float)
+        energy = leg_prices_between(lattice, starts, ends)
+        length = np.hypot(*(ends - starts).T) * lattice.frame.resolution_m
+        rows = zip(
+            number[here][both].tolist(), number[there][both].tolist(), energy.tolist(), length.tolist(), strict=True
+        )
+        found += [row for row in rows if math.isfinite(row[2])]
+    return found

@@ -1,0 +1,147 @@
+"""The places of a question: read as what they mean on a map, with notes of what the user should know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.frames import GridFrame
+from joulemap.service.coordinates import degrees, from_wgs84, on_map, world_point
+
+if TYPE_CHECKING:  # they take their time to load
+    from joulemap.planner.plan import Plan, RoundTrip
+    from joulemap.planner.route import Route
+
+Answer = TypeVar("Answer", "Plan", "RoundTrip", "Route")
+
+
+class Places:
+    """Reads the places of a question, and keeps what the user should know of them.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Of the map that the question is about.
+
+    Attributes
+    ----------
+    notes : list of str
+        One for each place that was read as latitude and longitude.
+    """
+
+    def __init__(self, frame: GridFrame) -> None:
+        self.frame = frame
+        self.notes: list[str] = []
+
+    def __call__(self, place: Any, name: str) -> tuple[float, float]:
+        """Return a place as `world_point` does.
+
+        Parameters
+        ----------
+        place : sequence of float or mapping
+            As `world_point` takes it.
+        name : str
+            What messages call it.
+
+        Returns
+        -------
+        tuple of float
+            World x, y [m].
+
+        Raises
+        ------
+        InputError, PointError
+            As `world_point`.
+        """
+        found = world_point(self.frame, place, name=name)
+        if found.note is not None:
+            self.notes.append(found.note)
+        return found.x, found.y
+
+    def path(self, points: Any) -> NDArray[np.float64]:
+        """Return the points of a path in the coordinates of the map.
+
+        Parameters
+        ----------
+        points : sequence of places
+            All in the same form: x, y [m], latitude, longitude, or objects with `lat` and `lon`.
+
+        Returns
+        -------
+        ndarray of float64, (n, 2)
+            World x, y [m]. They are read as latitude and longitude if the first of them is.
+
+        Raises
+        ------
+        InputError, PointError
+            As `world_point`.
+        """
+        try:
+            array = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
+        except (TypeError, ValueError, KeyError):  # objects, or no points: the message names the first that is none
+            return np.array([self(point, f"point {k} of the path") for k, point in enumerate(points)])
+        if len(array) == 0:
+            return array
+        begin = world_point(self.frame, array[0].tolist(), name="the path, which begins at")
+        if begin.note is None:
+            return array
+        self.notes.append(begin.note)
+        return from_wgs84(self.frame.crs, array[:, ::-1])
+
+    def areas(self, areas: Sequence[Sequence[Any]]) -> list[list[list[float]]]:
+        """Return areas in the coordinates of the map, beyond which they may reach.
+
+        Parameters
+        ----------
+        areas : sequence of sequence of places
+            The corners of each, all in the same form.
+
+        Returns
+        -------
+        list of list of [x, y]
+            World coordinates [m]. Corners of two numbers are latitude, longitude if none of an area is on the map as x,
+            y, and one is as latitude, longitude.
+
+        Raises
+        ------
+        InputError, PointError
+            As `world_point`.
+        """
+        return [self._area(corners, f"area {k}") for k, corners in enumerate(areas)]
+
+    def _area(self, corners: Sequence[Any], name: str) -> list[list[float]]:
+        if any(isinstance(corner, Mapping) for corner in corners):
+            lonlat = [degrees(corner, f"corner {k} of {name}")[::-1] for k, corner in enumerate(corners)]
+            return from_wgs84(self.frame.crs, lonlat).tolist()
+        plain = [[float(value) for value in corner[:2]] for corner in corners]
+        if self.frame.crs is None or any(on_map(self.frame, x, y) for x, y in plain):
+            return plain
+        if all(abs(lat) <= 90.0 and abs(lon) <= 180.0 for lat, lon in plain):
+            found = from_wgs84(self.frame.crs, [(lon, lat) for lat, lon in plain]).tolist()
+            if any(on_map(self.frame, x, y) for x, y in found):
+                self.notes.append(f"the corners of {name} were read as latitude,longitude")
+                return found
+        return plain
+
+    def noted(self, answer: Answer) -> Answer:
+        """Return an answer with the notes.
+
+        Parameters
+        ----------
+        answer : Plan, RoundTrip or Route
+            From the planner.
+
+        Returns
+        -------
+        Plan, RoundTrip or Route
+            The same where there is nothing to note.
+        """
+        if not self.notes:
+            return answer
+        if hasattr(answer, "route"):
+            return replace(answer, route=self.noted(answer.route))  # type: ignore
+        return replace(answer, notes=type(answer.notes)([*self.notes, *answer.notes]))  # type: ignore
