@@ -33,13 +33,14 @@ INK, FAINT = "#22262b", "#7b838c"
 
 _TERRAIN = LinearSegmentedColormap.from_list("terrain", ["#9dbb94", "#d5d5a4", "#ead9b0", "#f4ead8"])
 _ARROW = [(0, 1), (0.55, 0.1), (0.16, 0.1), (0.16, -1), (-0.16, -1), (-0.16, 0.1), (-0.55, 0.1), (0, 1)]  # to north
-_REASONS = {  # face colour, hatch, colour of the hatch: none of them is a colour of the price
+REASONS = {  # face colour, hatch, colour of the hatch: none of them is a colour of the price
     Blocked.OUTSIDE: ("#e4e6e8", "", "#9aa1a8"),
     Blocked.UNKNOWN: ("#ffffff", "////", "#9aa1a8"),
     Blocked.STEP: ("#8a8f94", "xxxx", "#f4f5f6"),
     Blocked.GRADE: ("#b3264a", "", "#9aa1a8"),
     Blocked.CROSS_SLOPE: ("#f2a7b8", "", "#9aa1a8"),
 }
+"""How blocked ground is painted, by reason: face colour, hatch, colour of the hatch."""
 _PARTLY = ("#f8d7df", 0.8)
 """Colour and opacity of what is blocked in some headings: pale, because routes cross it."""
 _LEAST_SPAN = 0.1
@@ -104,7 +105,7 @@ def draw_costmap(
     InputError
         On another view, or a heading that is missing or not finite.
     """
-    values, codes, title = _view(lattice, view, heading_deg)
+    values, codes, title = values_of_view(lattice, view, heading_deg)
     shown, extent = thinned(np.where(codes == Blocked.FREE, values, np.nan), lattice.frame)
     ground, _ = thinned(lattice.elevation_m, lattice.frame)
     style_map(axes, lattice.frame)
@@ -150,11 +151,7 @@ def draw_ground(
     ground, extent = thinned(heights, frame)
     style_map(axes, frame)
     known = ground[np.isfinite(ground)]
-    low, high = (float(q) for q in np.quantile(known, [0.02, 0.98])) if known.size else (0.0, 1.0)
-    norm = Normalize(low, max(high, low + 0.1), clip=True)
-    image = _TERRAIN(norm(np.nan_to_num(ground, nan=low)))[..., :3] * hillshade(ground, extent)[..., None]
-    image[np.isnan(ground)] = 1.0
-    axes.imshow(np.clip(np.asarray(image), 0.0, 1.0), extent=extent, interpolation="bilinear")
+    axes.imshow(tinted_relief(ground, extent), extent=extent, interpolation="bilinear")
     if min(ground.shape) >= 2 and known.size and known.max() - known.min() > 0.05:
         levels: list[float] = list(MaxNLocator(14, steps=[1, 2, 5, 10]).tick_values(known.min(), known.max()))
         lines = axes.contour(
@@ -167,6 +164,29 @@ def draw_ground(
         codes = blocked
     west, south, east, north = frame.bounds
     return draw_blocked(axes, codes, (west, east, south, north))
+
+
+def tinted_relief(ground: Image, extent: Extent) -> Image:
+    """Return ground coloured by its height and shaded.
+
+    Parameters
+    ----------
+    ground : ndarray, (rows, cols) [m]
+        NaN where unknown.
+    extent : tuple of float
+        West, east, south, north [m].
+
+    Returns
+    -------
+    ndarray, (rows, cols, 3)
+        Red, green and blue, 0 to 1; white where unknown.
+    """
+    known = ground[np.isfinite(ground)]
+    low, high = (float(q) for q in np.quantile(known, [0.02, 0.98])) if known.size else (0.0, 1.0)
+    norm = Normalize(low, max(high, low + 0.1), clip=True)
+    image = _TERRAIN(norm(np.nan_to_num(ground, nan=low)))[..., :3] * hillshade(ground, extent)[..., None]
+    image[np.isnan(ground)] = 1.0
+    return np.clip(np.asarray(image), 0.0, 1.0)
 
 
 def draw_lattice_ground(axes: Axes, lattice: CostLattice) -> list[Patch]:
@@ -195,7 +215,7 @@ def draw_lattice_ground(axes: Axes, lattice: CostLattice) -> list[Patch]:
     west, south, east, north = lattice.frame.bounds
     axes.imshow(paint, extent=(west, east, south, north), interpolation="nearest", zorder=1)
     label = "blocked in some headings"
-    return [*handles, Patch(facecolor=colour, edgecolor=_REASONS[Blocked.CROSS_SLOPE][0], linewidth=0.5, label=label)]
+    return [*handles, Patch(facecolor=colour, edgecolor=REASONS[Blocked.CROSS_SLOPE][0], linewidth=0.5, label=label)]
 
 
 def blocked_everywhere(lattice: CostLattice) -> NDArray[np.uint8]:
@@ -235,7 +255,7 @@ def draw_blocked(axes: Axes, codes: NDArray[np.uint8], extent: Extent) -> list[P
     """
     handles = []
     paint = np.zeros((*codes.shape, 4))
-    for reason, (colour, hatch, _) in _REASONS.items():
+    for reason, (colour, hatch, _) in REASONS.items():
         here = codes == reason
         if not here.any():
             continue
@@ -350,8 +370,34 @@ def style_map(axes: Axes, frame: GridFrame) -> None:
     _quiet(axes)
 
 
-def _view(lattice: CostLattice, view: str, heading_deg: float | None) -> tuple[Image, NDArray[np.uint8], str]:
-    """(values [J/m], blocked codes, title) of a view; both arrays (rows, cols)."""
+def values_of_view(
+    lattice: CostLattice, view: str, heading_deg: float | None
+) -> tuple[Image, NDArray[np.uint8], str]:
+    """Return what a cost map is coloured by.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The cost map.
+    view : str
+        "mean", "directionality" or "heading", as for `draw_costmap`.
+    heading_deg : float or None
+        The heading of the view "heading".
+
+    Returns
+    -------
+    values : ndarray, (rows, cols) [J/m]
+        To be coloured where nothing is blocked.
+    codes : ndarray of uint8, (rows, cols)
+        `Blocked` codes.
+    title : str
+        What is shown.
+
+    Raises
+    ------
+    InputError
+        On another view, or a heading that is missing or not finite.
+    """
     if view == "heading":
         if heading_deg is None or not math.isfinite(heading_deg):
             raise InputError(f"the view of one heading needs heading_deg, a finite number, got {heading_deg}")
@@ -377,14 +423,14 @@ def _hatch(axes: Axes, mask: NDArray[np.bool_], extent: tuple[float, float, floa
     dy = (extent[3] - extent[2]) / mask.shape[0]
     wider = (extent[0] - dx, extent[1] + dx, extent[2] - dy, extent[3] + dy)
     area = axes.contourf(
-        *centres(padded, wider), padded, levels=[0.5, 1.5], colors="none", hatches=[_REASONS[reason][1]], zorder=2
+        *centres(padded, wider), padded, levels=[0.5, 1.5], colors="none", hatches=[REASONS[reason][1]], zorder=2
     )
-    area.set_edgecolor(_REASONS[reason][2])
+    area.set_edgecolor(REASONS[reason][2])
     area.set_linewidth(0.0)
 
 
 def _patch(reason: Blocked) -> Patch:
-    colour, hatch, line = _REASONS[reason]
+    colour, hatch, line = REASONS[reason]
     label = f"blocked: {reason.label.replace('_', ' ')}"
     return Patch(facecolor=colour, edgecolor=line, linewidth=0.5, hatch=hatch, label=label)
 

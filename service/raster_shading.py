@@ -18,8 +18,8 @@ MAX_PIXELS = 1400
 """Longest side of a raster that is drawn; finer ones are averaged first."""
 
 
-def thinned(values: Image, frame: GridFrame) -> tuple[Image, Extent]:
-    """Return a raster of at most `MAX_PIXELS` a side.
+def thinned(values: Image, frame: GridFrame, *, most: int = 0) -> tuple[Image, Extent]:
+    """Return a raster of at most so many pixels a side.
 
     Parameters
     ----------
@@ -27,6 +27,8 @@ def thinned(values: Image, frame: GridFrame) -> tuple[Image, Extent]:
         NaN where unknown.
     frame : GridFrame
         Where the cells lie.
+    most : int, optional
+        Longest side; 0 is `MAX_PIXELS`.
 
     Returns
     -------
@@ -35,17 +37,54 @@ def thinned(values: Image, frame: GridFrame) -> tuple[Image, Extent]:
     extent : tuple of float
         West, east, south, north [m] of what is left: cells that fill no block are not drawn.
     """
-    step = math.ceil(max(values.shape) / MAX_PIXELS)
+    step = thinning(values.shape, most=most)
     rows, cols = (max(n // step, 1) for n in values.shape)
     west, south, east, north = frame.window(0, min(rows * step, frame.rows), 0, min(cols * step, frame.cols)).bounds
     extent = (west, east, south, north)
+    return block_means(values, step), extent
+
+
+def block_means(values: Image, step: int) -> Image:
+    """Return the means over square blocks of cells.
+
+    Parameters
+    ----------
+    values : ndarray, (rows, cols)
+        NaN where unknown.
+    step : int
+        Cells along a side of a block. Cells that fill no block are left out.
+
+    Returns
+    -------
+    ndarray, (rows // step, cols // step)
+        NaN where no cell of a block is known.
+    """
     if step == 1:
-        return values, extent
+        return values
+    rows, cols = (max(n // step, 1) for n in values.shape)
     blocks = values[: rows * step, : cols * step].reshape(rows, step, cols, step)
     known = np.isfinite(blocks)
     total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
     count = known.sum(axis=(1, 3))
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan), extent
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def thinning(shape: tuple[int, ...], *, most: int = 0) -> int:
+    """Return how many cells a pixel has on a side after `thinned`.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the raster.
+    most : int, optional
+        As for `thinned`.
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
+    return math.ceil(max(shape) / (most or MAX_PIXELS))
 
 
 def hillshade(heights: Image, extent: Extent) -> Image:

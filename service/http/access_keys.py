@@ -27,7 +27,7 @@ KNOWN_S = 2.0
 
 _AGAIN_S = 0.2  # between looks at the database because of keys that are not known
 _OPEN_PATHS = {"/", "/docs", "/openapi.json", *HEALTH_PATHS}  # the same for everybody
-_OPEN_FOLDER = "/docs/static/"
+_OPEN_FOLDERS = ("/docs/static/", "/page/")
 _OPERATOR_PATHS = {"/metrics"}
 _LOG = logging.getLogger("joulemap.service")
 
@@ -136,7 +136,7 @@ class KeyCheck:
         state = scope.setdefault("state", {})
         state["caller"] = NOBODY
         path = scope["path"]
-        if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDER):
+        if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDERS):
             try:
                 caller = await self._keys.caller(Headers(scope=scope))
                 if caller.name is not None and caller.requests_per_s is not None:

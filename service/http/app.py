@@ -25,7 +25,9 @@ from joulemap.service.http.routes import (
     costmaps,
     heightmaps,
     job_progress,
+    layers,
     meta,
+    page,
     questions,
     runs,
 )
@@ -76,7 +78,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.service = service
     app.include_router(meta.router)
-    for module in (heightmaps, costmaps, contents, questions, runs, calibrations, job_progress):
+    app.include_router(page.router)
+    for module in (heightmaps, costmaps, contents, questions, runs, calibrations, job_progress, layers):
         app.include_router(module.router, prefix="/v1")
     problems.install(app)
     documents.install(app)

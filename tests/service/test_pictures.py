@@ -64,7 +64,7 @@ def test_opposite_headings_look_different_on_a_slope(lattice: CostLattice) -> No
 
 def test_what_is_too_steep_is_marked_where_it_blocks(lattice: CostLattice) -> None:
     """The bank climbs to the north at 0.8 m per metre (39 degrees): too steep along north, across for east."""
-    grade, cross = (map_drawing._REASONS[reason][0] for reason in (Blocked.GRADE, Blocked.CROSS_SLOPE))
+    grade, cross = (map_drawing.REASONS[reason][0] for reason in (Blocked.GRADE, Blocked.CROSS_SLOPE))
     north, east = (lattice_image(lattice, view="heading", heading_deg=h) for h in (0.0, 90.0))
     assert share_of(north, grade) > 5.0 * share_of(east, grade)
     assert share_of(east, cross) > 5.0 * share_of(north, cross)

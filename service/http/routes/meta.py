@@ -83,12 +83,6 @@ async def index(service: ServiceDep) -> Index:
     return Index(name="joulemap", version=service.version, planners=list(PLANNERS), links=links)
 
 
-@router.get("/", response_class=HTMLResponse, include_in_schema=False)
-def home() -> str:
-    """The start page."""
-    return resources.files("joulemap.service").joinpath("web/index.html").read_text(encoding="utf-8")
-
-
 @router.get("/docs", response_class=HTMLResponse, include_in_schema=False)
 def docs() -> HTMLResponse:
     """Every request with its fields, to read and to try; served without any other server."""

@@ -1,0 +1,218 @@
+"""What the page draws of heightmaps and cost maps: layers that lie on the map, contours, roses, a surface."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from anyio.to_thread import run_sync
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import JSONResponse
+
+from joulemap.model.ranges import HEADING_DEG
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.stored_planner import StoredPlanner
+from joulemap.service.http.documents import problems
+from joulemap.service.http.long_questions import while_connected
+from joulemap.service.http.state import KernelsDep, Service, ServiceDep
+from joulemap.service.map_drawing import REASONS, VIEWS
+from joulemap.service.map_layers import (
+    blocked_layer,
+    coarse_heights,
+    colour_scale,
+    contours,
+    energy_layer,
+    ground_layer,
+    lat_lon,
+    layer_bounds,
+    overview,
+    roses,
+    scale_colours,
+)
+from joulemap.service.raster_shading import centres, thinned
+from joulemap.service.schemas.answers import number
+from joulemap.service.schemas.base import Coordinate, within
+from joulemap.service.schemas.layers import BlockedColourOut, ColourScaleOut, LayersOut, RosesOut, SurfaceOut
+
+router = APIRouter()
+_MAPS: list[Any] = ["cost maps"]
+_PICTURE: dict[int | str, dict[str, Any]] = {
+    200: {"description": "A picture", "content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
+}
+_GEOJSON = "application/geo+json"
+_KEPT = {"Cache-Control": "private, max-age=3600"}  # a cost map and a heightmap never change
+_SURFACE_PIXELS = 220
+_OVERVIEWS: dict[str, CostLattice] = {}  # of the large cost map that was asked about last
+_LOCK = threading.Lock()
+Answer = Callable[[CostLattice], Response]
+
+
+@router.get(
+    "/heightmaps/{heightmap_id}/ground.png",
+    tags=["heightmaps"],
+    response_class=Response,
+    responses={**_PICTURE, **problems(404, 409, 503)},
+)
+async def get_ground(heightmap_id: str, service: ServiceDep, request: Request) -> Response:
+    """Shaded ground of a heightmap, as a picture that lies on its bounds; what is unknown is transparent."""
+    row = await run_sync(service.store.heightmap, heightmap_id)
+
+    def _draw() -> Response:
+        heights, extent = coarse_heights(service.store.open_heightmap(row.id))
+        return Response(ground_layer(heights, extent), media_type="image/png", headers=_KEPT)
+
+    return await while_connected(request, service.plans.do(heightmap_id, _draw))
+
+
+@router.get("/costmaps/{costmap_id}/layers", tags=_MAPS, response_model=LayersOut, responses=problems(404, 409, 503))
+async def get_layers(costmap_id: str, service: KernelsDep, request: Request) -> Response:
+    """Where the layers of `layer.png` lie, what their colours mean, and where on Earth they are."""
+
+    def _describe(lattice: CostLattice) -> Response:
+        known = lattice.elevation_m[np.isfinite(lattice.elevation_m)]
+        scales = {}
+        for one in VIEWS:
+            low, high = colour_scale(lattice, one)
+            scales[one] = ColourScaleOut(low=low, high=high, colours=scale_colours(one))
+        found = LayersOut(
+            bounds=list(layer_bounds(lattice.frame)),
+            height_min_m=float(known.min()) if known.size else None,
+            height_max_m=float(known.max()) if known.size else None,
+            blocked=[BlockedColourOut(reason=r.label, colour=face) for r, (face, _, _) in REASONS.items()],
+            lat_lon=lat_lon(lattice.frame),
+            **scales,
+        )
+        return Response(found.model_dump_json(), media_type="application/json", headers=_KEPT)
+
+    return await _of_lattice(costmap_id, service, request, _describe)
+
+
+@router.get(
+    "/costmaps/{costmap_id}/layer.png",
+    tags=_MAPS,
+    response_class=Response,
+    responses={**_PICTURE, **problems(404, 409, 503)},
+)
+async def get_layer(
+    costmap_id: str,
+    service: KernelsDep,
+    request: Request,
+    layer: Annotated[
+        Literal["ground", "energy", "blocked"],
+        Query(description="ground: shaded heights; energy: J/m in colour; blocked: hatched by reason"),
+    ] = "energy",
+    view: Annotated[
+        Literal["mean", "directionality", "heading"] | None,
+        Query(description="of `energy`: mean over the headings; most expensive minus cheapest heading; or one heading"),
+    ] = None,
+    heading_deg: Annotated[
+        Annotated[float, within(HEADING_DEG)] | None,
+        Query(description="of `energy` and `blocked`: clockwise from north [deg]"),
+    ] = None,
+) -> Response:
+    """A picture without axes that lies on the bounds of `layers`; where it has nothing to show, it is transparent."""
+    chosen = view or ("mean" if heading_deg is None else "heading")
+
+    def _draw(lattice: CostLattice) -> Response:
+        if layer == "ground":
+            picture = ground_layer(*thinned(lattice.elevation_m, lattice.frame))
+        elif layer == "energy":
+            picture = energy_layer(lattice, view=chosen, heading_deg=heading_deg)
+        else:
+            picture = blocked_layer(lattice, heading_deg=heading_deg)
+        return Response(picture, media_type="image/png", headers=_KEPT)
+
+    return await _of_lattice(costmap_id, service, request, _draw)
+
+
+@router.get(
+    "/costmaps/{costmap_id}/contours",
+    tags=_MAPS,
+    response_class=JSONResponse,
+    responses={
+        200: {
+            "content": {
+                _GEOJSON: {"schema": {"type": "object", "description": "FeatureCollection of MultiLineStrings"}}
+            },
+            "description": "Contour lines",
+        },
+        **problems(404, 409, 503),
+    },
+)
+async def get_contours(costmap_id: str, service: KernelsDep, request: Request) -> Response:
+    """Contour lines as GeoJSON in the map's CRS, with `height_m`; simplified to what is seen of the whole map."""
+
+    def _trace(lattice: CostLattice) -> Response:
+        features = [
+            {
+                "type": "Feature",
+                "properties": {"height_m": level},
+                "geometry": {"type": "MultiLineString", "coordinates": [line.round(3).tolist() for line in lines]},
+            }
+            for level, lines in contours(lattice.elevation_m, lattice.frame)
+        ]
+        return JSONResponse({"type": "FeatureCollection", "features": features}, media_type=_GEOJSON, headers=_KEPT)
+
+    return await _of_lattice(costmap_id, service, request, _trace)
+
+
+@router.get("/costmaps/{costmap_id}/roses", tags=_MAPS, response_model=RosesOut, responses=problems(404, 409, 503))
+async def get_roses(
+    costmap_id: str,
+    service: KernelsDep,
+    request: Request,
+    west: Annotated[Coordinate, Query(description="of the part that is asked about [m]", examples=[0.0])],
+    south: Annotated[Coordinate, Query(description="[m]", examples=[0.0])],
+    east: Annotated[Coordinate, Query(description="[m]", examples=[20.0])],
+    north: Annotated[Coordinate, Query(description="[m]", examples=[20.0])],
+    across: Annotated[int, Query(ge=1, le=40, description="most cells along a side", examples=[12])] = 12,
+) -> Response:
+    """Energy per metre by heading at evenly spaced cells of a part of the map."""
+
+    await run_sync(service.done_costmap, costmap_id)
+
+    def _look() -> Response:
+        with service.maps.for_pricing(costmap_id) as planner:
+            lattice = planner.stored if isinstance(planner, StoredPlanner) else planner.lattice
+            found = RosesOut(**roses(lattice, (west, south, east, north), across=across))
+        return Response(found.model_dump_json(), media_type="application/json")
+
+    return await while_connected(request, service.prices.do(costmap_id, _look))
+
+
+@router.get("/costmaps/{costmap_id}/surface", tags=_MAPS, response_model=SurfaceOut, responses=problems(404, 409, 503))
+async def get_surface(costmap_id: str, service: KernelsDep, request: Request) -> Response:
+    """Heights on a coarse grid, for a view in three dimensions."""
+
+    def _thin(lattice: CostLattice) -> Response:
+        ground, extent = thinned(lattice.elevation_m, lattice.frame, most=_SURFACE_PIXELS)
+        x, y = centres(ground, extent)
+        z = [[number(value) for value in row] for row in ground.astype(float).tolist()]
+        found = SurfaceOut(x=x.tolist(), y=y.tolist(), z=z)
+        return Response(found.model_dump_json(), media_type="application/json", headers=_KEPT)
+
+    return await _of_lattice(costmap_id, service, request, _thin)
+
+
+async def _of_lattice(costmap_id: str, service: Service, request: Request, answer: Answer) -> Response:
+    """The answer about a cost map, or about a coarse one where it is too large for memory."""
+    await run_sync(service.done_costmap, costmap_id)
+
+    def _ask() -> Response:
+        with service.maps.for_pricing(costmap_id) as planner:
+            if not isinstance(planner, StoredPlanner):
+                return answer(planner.lattice)
+            with _LOCK:  # one at a time, and the next one finds it made
+                return answer(_coarse(costmap_id, planner.stored))
+
+    return await while_connected(request, service.plans.do(costmap_id, _ask))
+
+
+def _coarse(costmap_id: str, stored: StoredLattice) -> CostLattice:
+    if costmap_id not in _OVERVIEWS:
+        _OVERVIEWS.clear()
+        _OVERVIEWS[costmap_id] = overview(stored)
+    return _OVERVIEWS[costmap_id]

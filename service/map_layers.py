@@ -1,0 +1,385 @@
+"""Pictures that lie on a map, without axes: ground, energy per metre in colour, blocked ground; contours, roses."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from contourpy import contour_generator
+from matplotlib import colormaps
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.image import imsave
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+from pyproj import Transformer
+from scipy import ndimage
+
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.terrain.windows import Ground
+from joulemap.planner.lattice import Blocked, CostLattice
+from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.service.map_drawing import REASONS, blocked_everywhere, tinted_relief, values_of_view
+from joulemap.service.raster_shading import Extent, Image, block_means, centres, hillshade, thinned, thinning
+
+COLOURS = {"mean": "YlGnBu", "heading": "YlGnBu", "directionality": "YlGn"}
+"""Colour maps by view. All grow darker evenly, which people with any colour vision see."""
+
+_FINE_PIXELS = 900  # small maps are enlarged to about so many, so that hatching and relief are fine
+_CONTOUR_PIXELS, _CONTOURS, _SHORTEST_CONTOUR = 260, 14, 6
+_SAMPLE = 40_000  # cells that a colour scale is taken from
+_HATCH = 8  # pixels between two lines of a hatch
+_STRIP_CELLS = 8_000_000  # of a heightmap that are in memory at a time
+_PARTLY = 255  # code of what is blocked in some headings
+_STRIP_VALUES = 500_000  # of a cost map that are worked on at a time: they stay in the processor's cache
+_ENERGY_ALPHA, _PARTLY_ALPHA = 0.82, 0.35
+
+
+def overview(stored: StoredLattice) -> CostLattice:
+    """Return a coarse cost map of one that is too large for memory: of each square of cells, the one in the middle.
+
+    Parameters
+    ----------
+    stored : StoredLattice
+        The cost map.
+
+    Returns
+    -------
+    CostLattice
+        With as many cells as a layer has pixels.
+    """
+    frame, step = stored.frame, thinning(stored.frame.shape)
+    rows, cols = (max(n // step, 1) for n in frame.shape)
+    wanted = step // 2 + step * np.arange(rows)
+    strips = []
+    for top in range(0, frame.rows, stored.chunk):
+        bottom = min(top + stored.chunk, frame.rows)
+        here = wanted[(wanted >= top) & (wanted < bottom)] - top
+        strip = stored.window(top, bottom, 0, frame.cols)
+        strips.append([part[here, step // 2 : cols * step : step] for part in _arrays(strip)])
+    traction, elevation, gradient, blocked = (np.concatenate(parts) for parts in zip(*strips, strict=True))
+    coarse = GridFrame(frame.west_m, frame.north_m, frame.resolution_m * step, rows, cols, frame.crs)
+    return CostLattice(coarse, stored.robot, traction, elevation, gradient, blocked, stored.provenance)
+
+
+def _arrays(lattice: CostLattice) -> tuple[Image, Image, Image, Image]:
+    return lattice.traction_per_m, lattice.elevation_m, lattice.gradient, lattice.blocked
+
+
+def coarse_heights(ground: Ground) -> tuple[Image, Extent]:
+    """Return the heights of a heightmap of any size, with as many cells as a layer has pixels.
+
+    Parameters
+    ----------
+    ground : Ground
+        Read strip by strip.
+
+    Returns
+    -------
+    heights : ndarray, (rows, cols) [m]
+        As of `thinned`.
+    extent : tuple of float
+        West, east, south, north [m].
+    """
+    frame, step = ground.frame, thinning(ground.frame.shape)
+    strip = max(2, _STRIP_CELLS // (frame.cols * step)) * step
+    parts = []
+    for row in range(0, max(frame.rows // step, 1) * step, strip):
+        end = min(row + strip, frame.rows)
+        begin = row if end - row > 1 else row - 1  # a window has two rows at least
+        heights = ground.window(begin, end, 0, frame.cols).heights[row - begin :]
+        parts.append(block_means(heights, step))
+    west, south, east, north = layer_bounds(frame)
+    return np.concatenate(parts), (west, east, south, north)
+
+
+def ground_layer(heights: Image, extent: Extent) -> bytes:
+    """Draw shaded ground, tinted by height; what is unknown is transparent.
+
+    Parameters
+    ----------
+    heights : ndarray, (rows, cols) [m]
+        Thinned, NaN where unknown.
+    extent : tuple of float
+        West, east, south, north [m].
+
+    Returns
+    -------
+    bytes
+        A PNG over the extent.
+    """
+    ground = heights
+    times = _times(ground)
+    known = np.isfinite(ground)
+    if times > 1:
+        nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+        filled = ground[tuple(nearest)] if known.any() else np.zeros(ground.shape)
+        fine = ndimage.zoom(filled, times, order=1, grid_mode=True, mode="nearest")
+        ground = np.where(_enlarged(known, times), fine, np.nan)
+    alpha = np.isfinite(ground).astype(np.float64)
+    return _png(np.dstack([tinted_relief(ground, extent), alpha]))
+
+
+def energy_layer(lattice: CostLattice, *, view: str = "mean", heading_deg: float | None = None) -> bytes:
+    """Draw energy per metre, or how much the heading matters, in colour; what is blocked is transparent.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The cost map.
+    view : str, optional
+        "mean", "directionality" or "heading", as for `draw_costmap`.
+    heading_deg : float, optional
+        The heading of the view "heading", clockwise from north.
+
+    Returns
+    -------
+    bytes
+        A PNG over the map's bounds, in the colours of `colour_scale`.
+
+    Raises
+    ------
+    InputError
+        On another view, or a heading that is missing or not finite.
+    """
+
+    def _priced(strip: CostLattice) -> Image:
+        values, codes, _ = values_of_view(strip, view, heading_deg)
+        return np.where(codes == Blocked.FREE, values, np.nan).astype(np.float32)
+
+    shown, extent = thinned(_by_strips(lattice, _priced), lattice.frame)
+    ground, _ = thinned(lattice.elevation_m, lattice.frame)
+    low, high = colour_scale(lattice, view)
+    share = np.clip((np.nan_to_num(shown, nan=low) - low) / (high - low), 0.0, 1.0)
+    image = colormaps[COLOURS[view]](share)
+    image[..., :3] *= (0.72 + 0.28 * hillshade(ground, extent))[..., None]
+    image[..., 3] = np.where(np.isfinite(shown), _ENERGY_ALPHA, 0.0)
+    return _png(np.clip(image, 0.0, 1.0))
+
+
+def blocked_layer(lattice: CostLattice, *, heading_deg: float | None = None) -> bytes:
+    """Draw what may not be driven, hatched in the colour of its reason; the rest is transparent.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The cost map.
+    heading_deg : float, optional
+        Draw what is blocked in this heading. Without it, what is blocked in every heading is hatched, and what is
+        blocked in some is pale.
+
+    Returns
+    -------
+    bytes
+        A PNG over the map's bounds.
+    """
+
+    def _codes(strip: CostLattice) -> Image:
+        if heading_deg is not None:
+            return strip.blocked_at(np.array([np.deg2rad(heading_deg)]))[..., 0]
+        codes = blocked_everywhere(strip)
+        some = (strip.blocked_by_heading() != Blocked.FREE).any(axis=2)
+        return np.where((codes == Blocked.FREE) & some, _PARTLY, codes)
+
+    codes = _by_strips(lattice, _codes)
+    step = thinning(codes.shape)
+    rows, cols = (max(n // step, 1) * step for n in codes.shape)
+    codes = codes[:rows:step, :cols:step]
+    codes = _enlarged(codes, _times(codes))
+    row, col = np.indices(codes.shape)
+    image = np.zeros((*codes.shape, 4))
+    image[codes == _PARTLY] = (*to_rgb(REASONS[Blocked.CROSS_SLOPE][0]), _PARTLY_ALPHA)
+    for reason, (face, hatch, line) in REASONS.items():
+        here = codes == reason
+        image[here] = (*to_rgb(face), 0.92)
+        falling = (row - col) % _HATCH < 2
+        lines = falling | ((row + col) % _HATCH < 2) if "x" in hatch else falling
+        image[here & lines] = (*(to_rgb(line) if hatch else _darker(face)), 1.0)
+    return _png(image)
+
+
+def layer_bounds(frame: GridFrame) -> tuple[float, float, float, float]:
+    """Return where the layers of a map lie.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Of the map.
+
+    Returns
+    -------
+    tuple of float
+        West, south, east, north [m]; of a map with more cells than a layer has pixels, what fills whole pixels.
+    """
+    step = thinning(frame.shape)
+    rows, cols = (max(n // step, 1) * step for n in frame.shape)
+    return frame.window(0, min(rows, frame.rows), 0, min(cols, frame.cols)).bounds
+
+
+def colour_scale(lattice: CostLattice, view: str) -> tuple[float, float]:
+    """Return the values at the two ends of the colours, the same for all headings so that they can be compared.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The cost map.
+    view : str
+        As for `energy_layer`.
+
+    Returns
+    -------
+    tuple of float
+        2 % and 98 % quantiles [J/m], at least a tenth of the mean apart.
+    """
+    step = max(1, int(np.sqrt(lattice.frame.rows * lattice.frame.cols / _SAMPLE)))
+    frame = lattice.frame
+    rows, cols = -(-frame.rows // step), -(-frame.cols // step)
+    coarse = GridFrame(frame.west_m, frame.north_m, frame.resolution_m * step, rows, cols)
+    traction, elevation, gradient, blocked = (part[::step, ::step] for part in _arrays(lattice))
+    few = CostLattice(coarse, lattice.robot, traction, elevation, gradient, blocked)
+    price = np.where(few.blocked_by_heading() == Blocked.FREE, few.energy_per_m, np.nan)
+    if view != "heading":
+        price = price[np.isfinite(price).any(axis=2)]
+        price = np.nanmean(price, axis=1) if view == "mean" else np.nanmax(price, axis=1) - np.nanmin(price, axis=1)
+    price = price[np.isfinite(price)]
+    if price.size == 0:
+        return 0.0, 1.0
+    low, high = (float(q) for q in np.quantile(price, [0.02, 0.98]))
+    return low, max(high, low + max(0.1 * float(np.abs(price).mean()), 1e-3))
+
+
+def scale_colours(view: str, count: int = 9) -> list[str]:
+    """Return evenly spaced colours of a scale, from low to high.
+
+    Parameters
+    ----------
+    view : str
+        As for `energy_layer`.
+    count : int, optional
+        How many.
+
+    Returns
+    -------
+    list of str
+        As #rrggbb.
+    """
+    return [to_hex(colour) for colour in colormaps[COLOURS[view]](np.linspace(0.0, 1.0, count))]
+
+
+def contours(heights: Image, frame: GridFrame) -> list[tuple[float, list[NDArray[np.float64]]]]:
+    """Return contour lines of the ground, simplified to what can be seen of the whole map.
+
+    Parameters
+    ----------
+    heights : ndarray, (rows, cols) [m]
+        NaN where unknown.
+    frame : GridFrame
+        Where the cells lie.
+
+    Returns
+    -------
+    list of tuple
+        Height [m] and lines, each (N, 2) world x, y [m].
+    """
+    ground, extent = thinned(heights, frame, most=_CONTOUR_PIXELS)
+    known = ground[np.isfinite(ground)]
+    if min(ground.shape) < 2 or known.size == 0 or known.max() - known.min() < 0.05:
+        return []
+    generator = contour_generator(*centres(ground, extent), np.ma.masked_invalid(ground))
+    levels = MaxNLocator(_CONTOURS, steps=[1, 2, 5, 10]).tick_values(float(known.min()), float(known.max()))
+    found = []
+    for level in levels:
+        lines: list[Any] = [line for line in generator.lines(level) if len(line) >= _SHORTEST_CONTOUR]
+        if lines:
+            found.append((float(level), lines))
+    return found
+
+
+def roses(
+    lattice: CostLattice | StoredLattice, bounds: tuple[float, float, float, float], *, across: int
+) -> Mapping[str, Any]:
+    """Return energy per metre by heading at evenly spaced cells of a part of the map.
+
+    Parameters
+    ----------
+    lattice : CostLattice or StoredLattice
+        The cost map.
+    bounds : tuple of float
+        West, south, east, north of the part [m]; what lies outside the map is left out.
+    across : int
+        Most cells along a side.
+
+    Returns
+    -------
+    mapping
+        ``headings_deg`` (K), ``points`` (n, 2) [m] and ``energy_per_m`` (n, K) [J/m], None where blocked.
+    """
+    west, south, east, north = bounds
+    (top, left), (bottom, right) = (lattice.frame.rowcol(x, y) for x, y in ((west, north), (east, south)))
+    rows = np.arange(max(int(np.ceil(top)), 0), min(int(np.floor(bottom)) + 1, lattice.frame.rows))
+    cols = np.arange(max(int(np.ceil(left)), 0), min(int(np.floor(right)) + 1, lattice.frame.cols))
+    step = max(1, -(-max(len(rows), len(cols)) // across))
+    rows, cols = rows[step // 2 :: step], cols[step // 2 :: step]
+    row, col = (part.ravel() for part in np.meshgrid(rows, cols, indexing="ij"))
+    x, y = lattice.frame.xy(row, col)
+    points, price = np.stack([x, y], axis=-1), np.empty((row.size, lattice.headings))
+    for k, (r, c) in enumerate(zip(row.tolist(), col.tolist(), strict=True)):
+        cell = lattice.window(r, r + 1, c, c + 1)
+        free = cell.blocked_by_heading()[0, 0] == Blocked.FREE
+        price[k] = np.where(free, lattice.robot.price_per_m(cell.traction_per_m[0, 0]), np.nan)
+    return {
+        "headings_deg": np.rad2deg(heading_bins(lattice.headings)).tolist(),
+        "points": points.tolist(),
+        "energy_per_m": [[value if np.isfinite(value) else None for value in one] for one in price.tolist()],
+    }
+
+
+def lat_lon(frame: GridFrame) -> list[list[list[float]]] | None:
+    """Return latitude and longitude of nine places of a map, between which a page can interpolate.
+
+    Parameters
+    ----------
+    frame : GridFrame
+        Of the map.
+
+    Returns
+    -------
+    list or None
+        (3, 3, 2): from north to south, from west to east, latitude and longitude [deg]. None where the CRS is unknown
+        or has no place on Earth.
+    """
+    if frame.crs is None:
+        return None
+    west, south, east, north = frame.bounds
+    x, y = np.meshgrid([west, (west + east) / 2, east], [north, (south + north) / 2, south])
+    try:
+        lon, lat = Transformer.from_crs(frame.crs, "EPSG:4326", always_xy=True).transform(x, y)
+    except (RuntimeError, ValueError):  # pyproj's errors: a local CRS has no place on Earth
+        return None
+    places = np.stack([lat, lon], axis=-1)
+    return places.tolist() if np.isfinite(places).all() else None
+
+
+def _by_strips(lattice: CostLattice, value: Callable[[CostLattice], Image]) -> Image:
+    rows = max(1, _STRIP_VALUES // (lattice.frame.cols * lattice.headings))
+    tops = range(0, lattice.frame.rows, rows)
+    return np.concatenate([value(lattice.window(top, min(top + rows, lattice.frame.rows))) for top in tops])
+
+
+def _times(values: Image) -> int:
+    return max(1, _FINE_PIXELS // max(values.shape))
+
+
+def _enlarged(values: Image, times: int) -> Image:
+    return values.repeat(times, axis=0).repeat(times, axis=1)
+
+
+def _darker(colour: str) -> tuple[float, ...]:
+    return tuple(0.8 * part for part in to_rgb(colour))
+
+
+def _png(image: Image) -> bytes:
+    sink = io.BytesIO()
+    imsave(sink, image, format="png", pil_kwargs={"compress_level": 2})
+    return sink.getvalue()

@@ -1,0 +1,136 @@
+// Talks to the service: questions, files, pictures and progress. Errors carry the words of the service.
+
+const ROOT = new URL("../", import.meta.url);
+const KEY = "joulemap-key";
+const lost = new EventTarget();
+
+/** An answer that is no success; `message` says what is wrong and what to do. */
+export class Problem extends Error {
+  constructor(body, status) {
+    super(body.detail ?? `the service answered ${status}`);
+    Object.assign(this, { name: "Problem", status, code: body.code, context: body.context ?? {} });
+  }
+}
+
+/** The service could not be reached. */
+export class Unreachable extends Error {
+  constructor() { super("The service does not answer. Is it still running? The page asks again every two seconds."); this.name = "Unreachable"; }
+}
+
+export const address = path => new URL(path.replace(/^\//, ""), ROOT);
+export const onConnection = listener => lost.addEventListener("change", event => listener(event.detail));
+export const superseded = error => error.name === "AbortError";
+
+async function request(path, { method = "GET", body, headers = {}, signal } = {}) {
+  const key = sessionStorage.getItem(KEY);
+  const sent = { ...headers, ...(key ? { Authorization: `Bearer ${key}` } : {}) };
+  let payload = body;
+  if (body !== undefined && !(body instanceof FormData) && !(body instanceof Blob)) {
+    sent["Content-Type"] = "application/json";
+    payload = JSON.stringify(body);
+  }
+  let answer;
+  try {
+    answer = await fetch(address(path), { method, body: payload, headers: sent, signal });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    watchConnection();
+    throw new Unreachable();
+  }
+  if (answer.ok) return answer;
+  const text = await answer.text();
+  let said;
+  try { said = JSON.parse(text); } catch { said = { detail: `The service answered ${answer.status}: ${text.slice(0, 200)}` }; }
+  if (answer.status === 401 && await askKey(said.detail)) return request(path, { method, body, headers, signal });
+  throw new Problem(said, answer.status);
+}
+
+export async function ask(path, options) {
+  const answer = await request(path, { ...options, headers: { Accept: "application/json", ...options?.headers } });
+  return answer.status === 204 ? null : answer.json();
+}
+
+export const send = (path, body, options) => ask(path, { method: "POST", body, ...options });
+export const blob = async (path, options) => (await request(path, options)).blob();
+
+/** Follows a job until it is over; `report` is told each state. Connects again when the connection breaks. */
+export async function follow(path, report, signal) {
+  for (;;) {
+    try {
+      const answer = await request(path, { headers: { Accept: "text/event-stream" }, signal });
+      for await (const { event, data } of events(answer.body)) {
+        report(data);
+        if (event === "end") return data;
+      }
+    } catch (error) {
+      if (!(error instanceof Unreachable || error instanceof TypeError)) throw error;
+    }
+    await new Promise(done => setTimeout(done, 1000));
+  }
+}
+
+async function* events(stream) {
+  const reader = stream.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    text += value.replace(/\r/g, "");
+    const parts = text.split("\n\n");
+    text = parts.pop();
+    for (const part of parts) {
+      const event = /^event: ?(.*)$/m.exec(part)?.[1], data = /^data: ?(.*)$/m.exec(part)?.[1];
+      if (event && data) yield { event, data: JSON.parse(data) };
+    }
+  }
+}
+
+/** Of questions asked in a row only the last counts: the one before is aborted, which stops its work in the service. */
+export class Latest {
+  #abort = null;
+
+  async run(work) {
+    this.stop();
+    const mine = this.#abort = new AbortController();
+    const result = await work(mine.signal);
+    if (mine.signal.aborted) throw new DOMException("superseded", "AbortError");
+    return result;
+  }
+
+  stop() { this.#abort?.abort(); }
+}
+
+let watching = false;
+async function watchConnection() {
+  if (watching) return;
+  watching = true;
+  lost.dispatchEvent(new CustomEvent("change", { detail: false }));
+  for (let there = false; !there;) {
+    await new Promise(done => setTimeout(done, 2000));
+    there = await fetch(address("healthz")).then(answer => answer.ok, () => false);
+  }
+  watching = false;
+  lost.dispatchEvent(new CustomEvent("change", { detail: true }));
+}
+
+let asking = null;
+function askKey(why) {
+  asking ??= new Promise(done => {
+    const box = document.createElement("dialog"), form = document.createElement("form"), words = document.createElement("p");
+    const label = document.createElement("label"), input = document.createElement("input"), button = document.createElement("button");
+    words.textContent = why;
+    label.textContent = "Key ";
+    Object.assign(input, { type: "password", required: true, autocomplete: "off" });
+    Object.assign(button, { textContent: "Use this key", className: "main" });
+    form.method = "dialog";
+    label.append(input);
+    form.append(words, label, " ", button);
+    box.append(form);
+    box.setAttribute("aria-label", "This service wants a key");
+    document.body.append(box);
+    form.addEventListener("submit", () => sessionStorage.setItem(KEY, input.value));
+    box.addEventListener("close", () => { box.remove(); asking = null; done(input.value !== ""); });
+    box.showModal();
+  });
+  return asking;
+}

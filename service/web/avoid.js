@@ -1,0 +1,64 @@
+// Areas to avoid: drawn corner by corner, blocked in every question.
+
+import { by, fill, make } from "./dom.js";
+import { inside, leaf, map } from "./map.js";
+import { can, hint, takers } from "./question.js";
+import { now, on, set } from "./state.js";
+
+const STYLE = { color: "#b3261e", weight: 2, dashArray: "6 4", fillColor: "#b3261e", fillOpacity: 0.18 };
+const areas = L.layerGroup().addTo(map), sketch = L.layerGroup().addTo(map);
+let corners = null;
+
+const SAYS = "Click the corners of the area; click the first corner again, or press Enter, to close it. Escape gives up.";
+
+export function panel() {
+  if (!can("avoid")) return null;
+  return make("div", {}, make("h2", {}, "Areas to avoid"), make("div", { class: "row", id: "areas" }));
+}
+
+function list() {
+  const here = by("areas");
+  if (!here) return;
+  fill(here, make("button", { type: "button", onclick: corners ? close : begin }, corners ? "Close the area" : "Draw an area"),
+    now.avoid.map((_, k) => make("button", { type: "button", "aria-label": `Remove area ${k + 1}`, onclick: () => set({ avoid: now.avoid.filter((_, i) => i !== k) }) }, `Area ${k + 1} ✕`)));
+}
+
+function begin() { corners = []; hint(SAYS); list(); }
+
+function close() {
+  const ring = corners;
+  corners = null;
+  sketch.clearLayers();
+  hint();
+  if (ring.length > 2) set({ avoid: [...now.avoid, ring] });
+  list();
+}
+
+takers.push((place, event) => {
+  if (!corners) return false;
+  const first = corners.length > 2 && map.latLngToContainerPoint(leaf(corners[0]));
+  if (first && first.distanceTo(event.containerPoint) < 12) close();
+  else if (inside(place)) { corners.push(place); draw(); }
+  return true;
+});
+
+function draw() {
+  sketch.clearLayers();
+  L.polygon(corners.map(leaf), { ...STYLE, interactive: false }).addTo(sketch);
+  for (const corner of corners) L.circleMarker(leaf(corner), { radius: 5, color: "#b3261e", fillColor: "#fff", fillOpacity: 1, interactive: false }).addTo(sketch);
+}
+
+document.addEventListener("keydown", event => {
+  if (!corners || !["Enter", "Escape", "Backspace"].includes(event.key) || /^(INPUT|SELECT|BUTTON)$/.test(event.target.tagName)) return;
+  event.preventDefault();
+  if (event.key === "Backspace") { corners.pop(); draw(); return; }
+  if (event.key === "Escape") corners = [];
+  close();
+});
+
+on("avoid", () => {
+  areas.clearLayers();
+  for (const ring of now.avoid) L.polygon(ring.map(leaf), STYLE).bindTooltip("blocked: area to avoid", { sticky: true }).addTo(areas);
+  list();
+});
+on("costmap", () => queueMicrotask(list));

@@ -1,0 +1,64 @@
+// The address of the page holds what is shown, so that a link opens the same view again.
+
+import { now, on, set } from "./state.js";
+
+const point = text => {
+  const values = (text ?? "").split(",").map(Number);
+  return values.length === 2 && values.every(Number.isFinite) ? values : null;
+};
+const written = place => place.map(value => +value.toFixed(2)).join(",");
+
+/** What a link says; fields that it does not have, or that are no numbers, are left out. */
+export function read(hash = location.hash) {
+  const given = new URLSearchParams(hash.slice(1)), found = { map: given.get("map") };
+  const start = point(given.get("from")), goal = point(given.get("to"));
+  const stops = (given.get("stops") ?? "").split(";").map(point).filter(Boolean);
+  const [charge, reserve] = (given.get("battery") ?? "").split(",").map(Number);
+  const view = given.get("view"), heading = Number(given.get("heading"));
+  found.changes = {
+    ...(start && { start }), ...(goal && { goal }), ...(stops.length && { stops }),
+    ...(["ground", "mean", "heading", "directionality"].includes(view) && { view }),
+    ...(Number.isFinite(heading) && { heading }),
+    ...(charge > 0 && charge <= 1 && reserve >= 0 && reserve <= 1 && { battery: { charge, reserve } }),
+    ...(given.get("back") === "1" && { roundTrip: true }),
+    ...(Number(given.get("others")) > 0 && { alternatives: Math.min(Number(given.get("others")), 5) }),
+  };
+  const avoid = (given.get("avoid") ?? "").split("|").map(ring => ring.split(";").map(point).filter(Boolean)).filter(ring => ring.length > 2);
+  if (avoid.length) found.changes.avoid = avoid;
+  const seen = (given.get("at") ?? "").split(",").map(Number);
+  if (seen.length === 3 && seen.every(Number.isFinite)) found.seen = { x: seen[0], y: seen[1], zoom: seen[2] };
+  return found;
+}
+
+let where = null;
+
+/** The address of the view as it is now. */
+export function address() {
+  const parts = new URLSearchParams();
+  if (now.costmap) parts.set("map", now.costmap.id);
+  if (now.start) parts.set("from", written(now.start));
+  if (now.goal) parts.set("to", written(now.goal));
+  if (now.stops.length) parts.set("stops", now.stops.map(written).join(";"));
+  parts.set("battery", `${now.battery.charge},${now.battery.reserve}`);
+  if (now.roundTrip) parts.set("back", "1");
+  if (now.alternatives) parts.set("others", now.alternatives);
+  if (now.avoid.length) parts.set("avoid", now.avoid.map(ring => ring.map(written).join(";")).join("|"));
+  parts.set("view", now.view);
+  if (now.view === "heading") parts.set("heading", now.heading);
+  if (where) parts.set("at", `${where.x.toFixed(1)},${where.y.toFixed(1)},${where.zoom.toFixed(2)}`);
+  return `${location.pathname}#${parts.toString().replace(/%2C/g, ",").replace(/%3B/g, ";")}`;
+}
+
+export function sees(place) {
+  where = place;
+  write();
+}
+
+let waiting = 0;
+function write() {
+  clearTimeout(waiting);
+  waiting = setTimeout(() => { if (now.costmap) history.replaceState(null, "", address()); }, 200);
+}
+
+on("costmap start goal stops battery roundTrip alternatives avoid view heading", write);
+export const apply = changes => set(changes);

@@ -1,0 +1,118 @@
+// Starts the page: asks what the service can do, opens what the link says, and joins the parts.
+
+import { ask, onConnection } from "./api.js";
+import { by, errorNote, fill, make } from "./dom.js";
+import * as ground from "./ground.js";
+import * as link from "./link.js";
+import * as loop from "./loop.js";
+import { map, showCostmap, showHeightmap } from "./map.js";
+import * as mapPanel from "./map_panel.js";
+import "./profile.js";
+import { hint, useFields } from "./question.js";
+import * as reach from "./reach.js";
+import * as robots from "./robot.js";
+import "./roses.js";
+import * as routePanel from "./route_panel.js";
+import * as savePanel from "./save_panel.js";
+import { now, set } from "./state.js";
+import { open as open3d } from "./three_d.js";
+
+const tabs = [...by("tabs").children];
+
+function choose(tab) {
+  for (const one of tabs) {
+    const chosen = one === tab;
+    one.setAttribute("aria-selected", String(chosen));
+    one.tabIndex = chosen ? 0 : -1;
+    by(one.getAttribute("aria-controls")).hidden = !chosen;
+  }
+  if (tab.id === "tab-save") savePanel.show();
+}
+tabs.forEach((tab, k) => {
+  tab.addEventListener("click", () => choose(tab));
+  tab.addEventListener("keydown", event => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!step) return;
+    const next = tabs[(k + step + tabs.length) % tabs.length];
+    choose(next);
+    next.focus();
+  });
+});
+
+onConnection(there => {
+  by("banner").hidden = there;
+  by("banner").textContent = there ? "" : "The service does not answer. The page asks again every two seconds.";
+});
+window.addEventListener("unhandledrejection", ({ reason }) => {
+  if (reason?.name === "AbortError") return;
+  by("banner").textContent = reason?.message ?? String(reason);
+  by("banner").hidden = false;
+});
+
+async function listMaps() {
+  const [costmaps, heightmaps] = await Promise.all([ask("v1/costmaps?limit=100"), ask("v1/heightmaps?limit=100")]);
+  const names = new Map(heightmaps.items.map(one => [one.id, one.name])), done = costmaps.items.filter(one => one.status === "done");
+  fill(by("maps"), now.costmap ? null : make("option", { value: "" }, "none chosen"),
+    done.map(one => make("option", { value: one.id, selected: one.id === now.costmap?.id }, `${names.get(one.heightmap_id) ?? one.heightmap_id} · ${one.robot.name} · ${one.model}`)));
+  by("maps").disabled = !done.length;
+}
+
+/** Opens a cost map; a question on the same ground stays, and so does its answer, to compare. */
+async function openCostmap(costmap, { changes = {}, seen } = {}) {
+  const former = now.costmap, same = former && former.heightmap_id === costmap.heightmap_id;
+  const [layers, heightmap] = await Promise.all([ask(`v1/costmaps/${costmap.id}/layers`), ask(`v1/heightmaps/${costmap.heightmap_id}`)]);
+  ground.hide();
+  const route = same && former.id !== costmap.id && now.answer?.path ? { path: now.answer.path, energy_j: now.answer.energy_j, length_m: now.answer.length_m, model: former.model } : null;
+  set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [] }), before: route, costmap, layers, heightmap, cursor: null, ...changes });
+  mapPanel.show();
+  by("view-3d").hidden = !about.plotly;
+  choose(by(now.start && now.goal ? "tab-route" : "tab-map"));
+  hint();
+  await Promise.all([showCostmap(costmap, layers, same ? link.read().seen : seen), listMaps()]);
+}
+
+async function openGround({ heightmap, costmap, sample }) {
+  try {
+    if (costmap?.status === "done") { await openCostmap(costmap); return; }
+    const here = heightmap ?? await ask(`v1/heightmaps/${costmap.heightmap_id}`);
+    set({ costmap: null, layers: null, heightmap: here, start: null, goal: null, stops: [], answer: null, before: null });
+    choose(by("tab-map"));
+    const wishing = mapPanel.wish(here);
+    await Promise.all([wishing, showHeightmap(here)]);
+    if (costmap) await mapPanel.watch(costmap);
+    if (sample) { sampleOpen = true; await mapPanel.build({ heightmap_id: here.id, model: "default" }); }
+  } catch (error) { ground.welcome(error.message); }
+}
+
+let about = null, sampleOpen = false;
+
+async function begin() {
+  const asked = link.read();
+  about = await ask("page/start.json");
+  useFields(about.path_fields);
+  reach.use(about.paths.includes("/v1/costmaps/{costmap_id}/reach"));
+  savePanel.use(about.path_formats);
+  robots.use(about.robot);
+  routePanel.start(about.planners);
+  mapPanel.use(about.models, costmap => {
+    const changes = sampleOpen ? { start: about.sample.start, goal: about.sample.goal } : {};
+    sampleOpen = false;
+    openCostmap(costmap, { changes }).catch(error => ground.welcome(error.message));
+  });
+  ground.use(about, openGround);
+  savePanel.show();
+  loop.show();
+  by("new-map").addEventListener("click", () => ground.welcome());
+  by("maps").addEventListener("change", async event => { if (event.target.value) openCostmap(await ask(`v1/costmaps/${event.target.value}`)); });
+  by("view-3d").addEventListener("click", () => open3d(about.plotly));
+  if (asked.map) {
+    try {
+      const costmap = await ask(`v1/costmaps/${asked.map}`);
+      if (costmap.status === "done") await openCostmap(costmap, asked); else await openGround({ costmap });
+    } catch (error) { await ground.welcome(error.message); }
+  } else await Promise.all([ground.welcome(), listMaps()]);
+  document.documentElement.dataset.ready = "yes";
+}
+
+begin().catch(error => fill(by("welcome"), make("div", {}, errorNote(error), make("button", { type: "button", onclick: () => window.location.reload() }, "Try again")))).finally(() => { if (!now.costmap) by("welcome").hidden = by("welcome").childElementCount === 0; });
+window.joulemap = { map, now };

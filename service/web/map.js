@@ -1,0 +1,179 @@
+// The map: pictures of ground, energy and blocked ground, contours, scale bar, and what is under the pointer.
+
+import { ask, blob, Latest, superseded } from "./api.js";
+import { by, metres, number } from "./dom.js";
+import * as link from "./link.js";
+import { now, on, set } from "./state.js";
+
+/** Leaflet counts [y, x]. */
+export const leaf = ([x, y]) => [y, x];
+export const world = ({ lat, lng }) => [lng, lat];
+
+export const map = L.map("map", {
+  crs: L.CRS.Simple, zoomSnap: 0.25, wheelPxPerZoomLevel: 90, minZoom: -9, maxZoom: 9, attributionControl: false, zoomControl: true, doubleClickZoom: false, boxZoom: false,
+}).setView([0, 0], 0);
+L.control.scale({ imperial: false, position: "bottomleft" }).addTo(map);
+for (const [name, order] of [["ground", 200], ["colour", 210], ["blocked", 220], ["contours", 230], ["roses", 240], ["reach", 250]]) {
+  map.createPane(name).style.zIndex = order;
+  if (name !== "reach") map.getPane(name).style.pointerEvents = "none";
+}
+
+const bounds = ([west, south, east, north]) => [[south, west], [north, east]];
+const latest = { ground: new Latest(), colour: new Latest(), blocked: new Latest(), contours: new Latest(), at: new Latest() };
+const pictures = {};
+const lines = L.layerGroup().addTo(map), thin = L.canvas({ pane: "contours", padding: 0.3 });
+
+/** Shows a picture of the service on the map in place of the one before. */
+async function show(name, path, box, opacity = 1) {
+  try {
+    const picture = path && await latest[name].run(signal => blob(path, { signal }));
+    const before = pictures[name];
+    pictures[name] = picture && L.imageOverlay(URL.createObjectURL(picture), bounds(box), { pane: name, className: name, opacity, alt: "" }).addTo(map);
+    if (before) { before.remove(); URL.revokeObjectURL(before._url); }
+  } catch (error) {
+    if (!superseded(error)) throw error;
+  }
+}
+
+/** The ground alone, before there is a cost map. */
+export async function showHeightmap(heightmap) {
+  for (const name of ["colour", "blocked"]) { latest[name].stop(); await show(name, null); }
+  lines.clearLayers();
+  look(heightmap.bounds);
+  await show("ground", `v1/heightmaps/${heightmap.id}/ground.png`, heightmap.bounds);
+}
+
+let whole = null; // what is fitted into the view again when the view changes its size, until somebody moves the map
+
+function look(box) {
+  whole = box;
+  map.setMaxBounds(L.latLngBounds(bounds(box)).pad(1));
+  fit();
+}
+
+function fit() {
+  map.invalidateSize({ animate: false, pan: false });
+  if (whole) map.fitBounds(bounds(whole), { padding: [18, 18], animate: false });
+}
+for (const name of ["pointerdown", "wheel", "keydown"]) map.getContainer().addEventListener(name, event => { if (!event.target.closest(".pin")) whole = null; }, { passive: true });
+
+/** Shows a cost map; `seen` is the place and zoom of a link. */
+export async function showCostmap(costmap, layers, seen) {
+  look(costmap.frame.bounds);
+  if (seen) { whole = null; map.setView([seen.y, seen.x], seen.zoom, { animate: false }); }
+  await Promise.all([show("ground", `v1/costmaps/${costmap.id}/layer.png?layer=ground`, layers.bounds), colour(), hatch(), contours()]);
+}
+
+const query = () => (now.view === "heading" ? `&heading_deg=${now.heading}` : "");
+
+async function colour() {
+  if (!now.layers || !now.costmap) return;
+  const path = now.view === "ground" ? null : `v1/costmaps/${now.costmap.id}/layer.png?layer=energy&view=${now.view}${query()}`;
+  await show("colour", path, now.layers.bounds);
+}
+
+async function hatch() {
+  if (!now.layers || !now.costmap) return;
+  await show("blocked", now.show.blocked ? `v1/costmaps/${now.costmap.id}/layer.png?layer=blocked${query()}` : null, now.layers.bounds);
+}
+
+async function contours() {
+  lines.clearLayers();
+  if (!now.costmap || !now.show.contours) return;
+  try {
+    const found = await latest.contours.run(signal => ask(`v1/costmaps/${now.costmap.id}/contours`, { signal }));
+    for (const { geometry } of found.features) {
+      lines.addLayer(L.polyline(geometry.coordinates.map(line => line.map(leaf)), { renderer: thin, color: "#4c4338", weight: 0.8, opacity: 0.55, interactive: false, smoothFactor: 0.5 }));
+    }
+  } catch (error) {
+    if (!superseded(error)) throw error;
+  }
+}
+
+on("view heading", () => { colour(); hatch(); });
+on("show", () => { hatch(); contours(); });
+
+/** Latitude and longitude between the nine places that the service gave. */
+export function latLon([x, y]) {
+  const grid = now.layers?.lat_lon;
+  if (!grid) return null;
+  const [west, south, east, north] = now.costmap.frame.bounds;
+  const weights = share => [2 * (share - 0.5) * (share - 1), 4 * share * (1 - share), 2 * share * (share - 0.5)];
+  const across = weights((x - west) / (east - west)), down = weights((north - y) / (north - south));
+  const sum = [0, 0];
+  for (let i = 0; i < 3; i += 1) for (let j = 0; j < 3; j += 1) for (let k = 0; k < 2; k += 1) sum[k] += down[i] * across[j] * grid[i][j][k];
+  return sum;
+}
+
+/** Why nothing can be driven at a place, in words. */
+export const reasonWords = reason => ({ outside: "too near the edge", unknown: "height unknown", step: "a step above the wheel radius", grade: "steeper than the robot climbs", cross_slope: "side slope too steep", avoid: "area to avoid" })[reason] ?? reason;
+
+function placeWords(found, place) {
+  const lines = [`x ${number(place[0], 1)}  y ${number(place[1], 1)} m`];
+  const earth = latLon(place);
+  if (earth) lines.push(`${earth[0].toFixed(6)}°, ${earth[1].toFixed(6)}°`);
+  if (!found) return lines.join("\n");
+  if (found.elevation_m !== null) lines.push(`height ${number(found.elevation_m, 2)} m`);
+  const free = found.energy_per_m.filter(value => value !== null), reasons = [...new Set(found.blocked.filter(Boolean))];
+  if (free.length) {
+    const mean = free.reduce((sum, value) => sum + value, 0) / free.length;
+    lines.push(`${number(mean, 0)} J/m (${number(Math.min(...free), 0)} to ${number(Math.max(...free), 0)} by heading)`);
+  }
+  if (reasons.length) lines.push(`${free.length ? "blocked in some headings" : "blocked"}: ${reasons.map(reasonWords).join(", ")}`);
+  return lines.join("\n");
+}
+
+let pausing = 0;
+map.on("mousemove", ({ latlng }) => {
+  const place = world(latlng);
+  clearTimeout(pausing);
+  if (!inside(place)) { by("readout").textContent = ""; return; }
+  by("readout").textContent = placeWords(null, place);
+  pausing = setTimeout(async () => {
+    const { id } = now.costmap;
+    try {
+      by("readout").textContent = placeWords(await latest.at.run(signal => ask(`v1/costmaps/${id}/at?x=${place[0]}&y=${place[1]}`, { signal })), place);
+    } catch (error) {
+      if (!superseded(error)) by("readout").textContent = error.message;
+    }
+  }, 50);
+});
+map.on("mouseout", () => { clearTimeout(pausing); by("readout").textContent = ""; });
+
+export function inside([x, y]) {
+  if (!now.costmap?.frame) return false;
+  const [west, south, east, north] = now.costmap.frame.bounds;
+  return x > west && x < east && y > south && y < north;
+}
+
+map.on("moveend", () => {
+  const [x, y] = world(map.getCenter());
+  link.sees({ x, y, zoom: map.getZoom() });
+});
+new ResizeObserver(fit).observe(by("map"));
+
+/** What is seen now as a picture, for a file: pictures and the given lines, over the whole map. */
+export async function asPicture(routes) {
+  const [west, south, east, north] = now.layers.bounds;
+  const scale = 1600 / Math.max(east - west, north - south);
+  const canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
+  canvas.width = Math.round((east - west) * scale);
+  canvas.height = Math.round((north - south) * scale);
+  pen.fillStyle = "#fff";
+  pen.fillRect(0, 0, canvas.width, canvas.height);
+  for (const name of ["ground", "colour", "blocked"]) {
+    const image = pictures[name]?.getElement();
+    if (image) { await image.decode(); pen.drawImage(image, 0, 0, canvas.width, canvas.height); }
+  }
+  for (const { path, colour: ink, width } of routes) {
+    for (const [stroke, wide] of [["#fff", width + 4], [ink, width]]) {
+      pen.beginPath();
+      path.forEach(([x, y], k) => pen[k ? "lineTo" : "moveTo"]((x - west) * scale, (north - y) * scale));
+      Object.assign(pen, { strokeStyle: stroke, lineWidth: wide, lineJoin: "round", lineCap: "round" });
+      pen.stroke();
+    }
+  }
+  return new Promise(done => canvas.toBlob(done, "image/png"));
+}
+
+export { metres };

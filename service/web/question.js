@@ -1,0 +1,137 @@
+// The question: markers of start, goal and stops; a question to the service at each change; its routes on the map.
+
+import { Latest, send, superseded } from "./api.js";
+import { by, joules, metres } from "./dom.js";
+import { inside, leaf, map, world } from "./map.js";
+import { now, on, set } from "./state.js";
+
+const latest = new Latest();
+const routes = L.layerGroup().addTo(map), pins = L.layerGroup().addTo(map);
+const guide = L.polyline([], { color: "#1d2329", weight: 1.5, dashArray: "4 6", interactive: false }).addTo(map);
+const COLOURS = { optimal: "#0072B2", shortest: "#D55E00", other: "#3b3f45", before: "#6d6d6d" };
+let next = "start", fields = [];
+
+/** Which fields a question may have, as the service says. */
+export const useFields = known => { fields = known; };
+export const can = field => fields.includes(field);
+
+/** What the next click on the map sets: "start", "goal" or "stop". */
+export function expect(what) {
+  next = what;
+  hint();
+}
+export const expected = () => next;
+
+export function hint(words) {
+  const here = by("hint");
+  const usual = !now.costmap ? "" : next === "start" && !now.start ? "Click where the robot starts" : next === "goal" && !now.goal ? "Click where it shall go" : next === "stop" ? "Click a place to visit on the way" : "";
+  here.textContent = words ?? usual;
+  here.hidden = !here.textContent;
+}
+
+/** A click that others have taken, such as for the corner of an area, is not for us. */
+export const takers = [];
+map.on("click", event => {
+  const place = world(event.latlng).map(value => +value.toFixed(3));
+  if (!now.costmap || takers.some(taker => taker(place, event)) || !inside(place)) return;
+  if (next === "stop") { next = "goal"; set({ stops: [...now.stops, place] }); }
+  else if (next === "start") { next = "goal"; set({ start: place }); }
+  else set({ goal: place });
+});
+
+function pin(kind, place, label, change) {
+  const mark = { start: "S", goal: "G" }[kind] ?? label;
+  const icon = L.divIcon({ className: `pin ${kind}`, html: mark, iconSize: [28, 28] });
+  const marker = L.marker(leaf(place), { icon, draggable: true, autoPan: true, keyboard: true, alt: label, title: `${label}: drag it, or move it with the arrow keys`, zIndexOffset: 1000 });
+  marker.on("drag", () => drawGuide(kind, world(marker.getLatLng())));
+  marker.on("dragend", () => { guide.setLatLngs([]); change(world(marker.getLatLng()).map(value => +value.toFixed(3))); });
+  marker.addTo(pins);
+  const node = marker.getElement();
+  node.setAttribute("aria-label", `${label} at x ${place[0].toFixed(1)}, y ${place[1].toFixed(1)} metres; arrow keys move it`);
+  node.addEventListener("keydown", event => {
+    const [dx, dy] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key] ?? [0, 0];
+    if (!dx && !dy) return;
+    event.preventDefault();
+    event.stopPropagation();
+    const step = now.costmap.spacing_m * (event.shiftKey ? 10 : 1);
+    change([place[0] + dx * step, place[1] + dy * step]);
+    pins.getLayers().find(layer => layer.getElement()?.className.includes(kind))?.getElement().focus();
+  });
+}
+
+function drawGuide(kind, place) {
+  const other = kind === "start" ? now.goal : now.start;
+  guide.setLatLngs(other ? [leaf(place), leaf(other)] : []);
+}
+
+function place() {
+  pins.clearLayers();
+  if (now.start) pin("start", now.start, "Start", start => set({ start }));
+  now.stops.forEach((stop, k) => pin("stop", stop, `${k + 1}`, moved => set({ stops: now.stops.map((one, i) => (i === k ? moved : one)) })));
+  if (now.goal) pin("goal", now.goal, "Goal", goal => set({ goal }));
+  hint();
+}
+
+const battery = () => ({ charge: now.battery.charge, reserve: now.battery.reserve });
+const avoiding = () => (now.avoid.length && can("avoid") ? { avoid: now.avoid } : {});
+
+async function search(signal) {
+  const here = `v1/costmaps/${now.costmap.id}`;
+  if (now.stops.length) {
+    const answer = await send(`${here}/tours`, { stops: [now.start, ...now.stops, ...(now.goal ? [now.goal] : [])], battery: battery() }, { signal });
+    return { ...answer, tour: true, alternatives: [], verdict: answer.battery };
+  }
+  const ends = { start: now.start, goal: now.goal, battery: battery(), ...avoiding() };
+  const answer = await send(`${here}/paths`, { ...ends, planner: now.planner, alternatives: now.alternatives }, { signal });
+  return { ...answer, verdict: answer.battery };
+}
+
+/** Asks again; the answer before stays on the map until the new one is there. */
+export async function askAgain() {
+  latest.stop();
+  if (!now.costmap || !now.start || !(now.goal || now.stops.length)) { show(null); set({ answer: null }); return; }
+  try {
+    const answer = await latest.run(search);
+    show(answer);
+    set({ answer });
+    if (now.roundTrip && !answer.tour) {
+      const body = { start: now.start, goal: now.goal, round_trip: true, battery: battery(), ...avoiding() };
+      const both = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/feasibility`, body, { signal }));
+      set({ answer: { ...answer, verdict: both, back: both.back } });
+      show({ ...answer, back: both.back });
+    }
+  } catch (error) {
+    if (superseded(error)) return;
+    show(null);
+    set({ answer: { error } });
+  }
+}
+
+function line(path, colour, weight, words, options = {}) {
+  const points = path.map(leaf);
+  L.polyline(points, { color: "#fff", weight: weight + 3, opacity: 0.9, interactive: false, ...options.halo }).addTo(routes);
+  L.polyline(points, { color: colour, weight, lineJoin: "round", dashArray: options.dash, smoothFactor: 0.6 }).bindTooltip(words, { sticky: true }).addTo(routes);
+}
+
+function show(answer) {
+  routes.clearLayers();
+  if (now.before) line(now.before.path, COLOURS.before, 3, `before, model ${now.before.model}: ${joules(now.before.energy_j)}, ${metres(now.before.length_m)}`, { dash: "2 7" });
+  if (!answer || answer.error) return;
+  const words = route => `${joules(route.energy_j)}, ${metres(route.length_m)}`;
+  answer.alternatives.forEach((other, k) => line(other.path, COLOURS.other, 2, `alternative ${k + 1}: ${words(other)}`, { dash: "6 5" }));
+  if (answer.shortest) line(answer.shortest.path, COLOURS.shortest, 3.5, `shortest: ${words(answer.shortest)}`);
+  if (answer.back) line(answer.back.path, COLOURS.optimal, 3, `way back: ${words(answer.back)}`, { dash: "1 7" });
+  line(answer.path, COLOURS.optimal, 5, `least energy: ${words(answer)}`);
+  document.dispatchEvent(new CustomEvent("drawn"));
+}
+
+on("start goal stops", place);
+on("start goal stops costmap planner alternatives roundTrip avoid battery", askAgain);
+on("before", () => show(now.answer));
+
+/** Lines for a picture. */
+export function lines() {
+  const answer = now.answer;
+  if (!answer || answer.error) return [];
+  return [...(answer.shortest ? [{ path: answer.shortest.path, colour: COLOURS.shortest, width: 4 }] : []), { path: answer.path, colour: COLOURS.optimal, width: 6 }];
+}

@@ -1,0 +1,61 @@
+// The robot: a form with units and presets, or a TOML file.
+
+import { fill, make } from "./dom.js";
+
+const USUAL = ["mass_kg", "battery_wh", "speed_mps", "wheel_radius_m", "max_grade_deg", "max_cross_slope_deg"];
+/** Sizes and batteries are of the makers' data sheets; what these do not say is as in the default robot. */
+const PRESETS = {
+  "Rover of the paper (35 kg)": {},
+  "Clearpath Husky A200 (50 kg)": { name: "husky-a200", mass_kg: 50, width_m: 0.67, length_m: 0.99, wheel_radius_m: 0.165, nominal_voltage_v: 24, battery_wh: 480 },
+  "Clearpath Jackal (17 kg)": { name: "jackal", mass_kg: 17, width_m: 0.43, length_m: 0.508, wheel_radius_m: 0.098, battery_wh: 270 },
+};
+let fields = {}, values = {};
+
+/** The fields that the service knows, with their limits. */
+export function use(properties) {
+  fields = Object.fromEntries(Object.entries(properties).map(([name, { description, examples, anyOf }]) => {
+    const limits = anyOf.find(one => one.type !== "null"), [, label, unit] = /^([^[(;,]*[^[(;, ])[^[]*(?:\[(.*?)\])?/.exec(description);
+    return [name, { label, unit: unit ?? "", usual: examples[0], text: limits.type === "string", min: limits.minimum, max: limits.maximum, description }];
+  }));
+}
+
+/** What differs from the default robot. */
+export const robot = () => ({ ...values });
+export const set = given => { values = { ...given }; };
+
+/** Flat TOML: `key = value` lines. What is wrong with a value, the service says. */
+export function fromToml(text) {
+  const found = {};
+  text.split("\n").forEach((line, k) => {
+    const bare = line.replace(/^((?:[^"'#]|"[^"]*"|'[^']*')*)#.*$/, "$1").trim();
+    if (!bare) return;
+    const parts = /^([A-Za-z0-9_-]+)\s*=\s*(?:"(.*)"|'(.*)'|([+-]?[\d_.eE+-]+))$/.exec(bare);
+    if (!parts) throw new Error(`Line ${k + 1} of the robot file is "${bare.slice(0, 60)}"; a line looks like mass_kg = 35.0`);
+    found[parts[1]] = parts[4] === undefined ? parts[2] ?? parts[3] : Number(parts[4].replaceAll("_", ""));
+  });
+  return found;
+}
+
+export function form(said) {
+  const here = make("div", { id: "robot" });
+  const one = name => {
+    const { label, unit, usual, text, min, max, description } = fields[name];
+    const input = make("input", { type: text ? "text" : "number", step: "any", min, max, value: values[name] ?? usual, title: description, onchange: () => {
+      if (!input.reportValidity()) return;
+      const value = text ? input.value.trim() : input.valueAsNumber;
+      if (value === "" || Number.isNaN(value) || value === usual) delete values[name]; else values[name] = value;
+    } });
+    return make("label", { class: text ? "field wide" : "field" }, label, input, text ? null : make("span", { class: "unit" }, unit));
+  };
+  const file = make("input", { type: "file", accept: ".toml", "aria-label": "Robot file (TOML)", onchange: async () => {
+    try { set(fromToml(await file.files[0].text())); show(); said(`robot read from ${file.files[0].name}`); } catch (error) { said(error.message, true); }
+  } });
+  const preset = make("select", { onchange: () => { set(PRESETS[preset.value]); show(); } }, Object.keys(PRESETS).map(name => make("option", { selected: PRESETS[name].name === values.name }, name)));
+  function show() {
+    const unknown = Object.keys(values).filter(name => !(name in fields));
+    fill(here, unknown.length ? make("p", { class: "error", role: "alert" }, `Not fields of a robot: ${unknown.join(", ")}`) : null, USUAL.map(one),
+      make("details", {}, make("summary", {}, "All fields"), Object.keys(fields).filter(name => !USUAL.includes(name)).map(one)));
+  }
+  show();
+  return make("div", {}, make("label", { class: "field wide" }, "Robot", preset), here, make("label", { class: "row note" }, "or a TOML file ", file));
+}

@@ -1,0 +1,29 @@
+// What the page shows now, in one place; whoever depends on a part of it listens for that part.
+
+const parts = {
+  start: null, goal: null, stops: [], // [x, y] in metres
+  costmap: null, layers: null, heightmap: null,
+  view: "mean", heading: 0, show: { contours: true, blocked: true, roses: true },
+  battery: { charge: 1, reserve: 0.2 }, roundTrip: false,
+  planner: "astar", alternatives: 0, avoid: [],
+  answer: null, cursor: null, before: null,
+};
+const listeners = new Map();
+
+export const now = parts;
+
+/** Calls `listener` after each change of one of these parts. */
+export function on(names, listener) {
+  for (const name of names.split(" ")) listeners.set(name, [...(listeners.get(name) ?? []), listener]);
+}
+
+/** Changes parts and tells those who listen, each of them once. */
+export function set(changes) {
+  const concerned = new Set();
+  for (const [name, value] of Object.entries(changes)) {
+    if (!(name in parts)) throw new Error(`the page has no state ${name}`);
+    parts[name] = value;
+    for (const listener of listeners.get(name) ?? []) concerned.add(listener);
+  }
+  for (const listener of concerned) listener(parts);
+}
