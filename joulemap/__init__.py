@@ -18,8 +18,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from joulemap.model.battery import Battery
     from joulemap.model.errors import JoulemapError
-    from joulemap.model.robot import Battery, Robot
+    from joulemap.model.robot import Robot
     from joulemap.model.terrain.heightmap import Heightmap
     from joulemap.model.terrain.readers import read_heightmap
     from joulemap.planner.energy_map import EnergyMap
@@ -60,7 +61,8 @@ __all__ = [
 
 _HOMES = {
     "joulemap.model.errors": ("JoulemapError",),
-    "joulemap.model.robot": ("Battery", "Robot"),
+    "joulemap.model.battery": ("Battery",),
+    "joulemap.model.robot": ("Robot",),
     "joulemap.model.terrain.heightmap": ("Heightmap",),
     "joulemap.model.terrain.readers": ("read_heightmap",),
     "joulemap.planner.energy_map": ("EnergyMap",),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model import ranges
-from joulemap.model.errors import InputError
+from joulemap.model.errors import InputError, nearest_name
 
 Curve = tuple[tuple[float, float], ...]
 
@@ -128,6 +128,35 @@ class Battery:
         if self.usable_share < 1.0:
             words += f", of which age and cold leave {100 * self.usable_share:.4g} %"
         return words
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> Battery:
+        """Return the battery with these values; what is missing keeps its default.
+
+        Parameters
+        ----------
+        values : mapping
+            Attributes by name, `capacity_wh` among them.
+
+        Returns
+        -------
+        Battery
+            The battery.
+
+        Raises
+        ------
+        InputError
+            On an unknown name, an impossible value, or without a capacity.
+        """
+        known = [field.name for field in fields(cls)]
+        for name in values:
+            if name not in known:
+                near = nearest_name(str(name), known)
+                hint = f"did you mean {near}?" if near else f"known are {', '.join(known)}"
+                raise InputError(f"battery: unknown {ranges.short(name)!r}; {hint}", key=str(name)[:60])
+        if values.get("capacity_wh") is None:
+            raise InputError("battery: capacity_wh is missing: give the energy of the full battery [Wh]")
+        return cls(**values)
 
     @property
     def usable_share(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -10,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.battery import Battery, pack_of
 from joulemap.planner.battery_trace import BatteryTrace, electric_available_j, trace_battery
-from joulemap.planner.course import Course, Place
+from joulemap.planner.course import Course, Place, course_of
 from joulemap.planner.odds import QUANTILES, SURE, UNSEEN_SHARE, EnergyOdds, class_of
+from joulemap.planner.route import Route
 from joulemap.planner.verdict_words import verdict_in_words
 from joulemap.planner.words import probability_words
 
@@ -215,6 +217,34 @@ def judge_course(
     verdict = judged.verdict if trace is None else _under_load(judged, course, trace, known=odds is not None)
     verdict = replace(verdict, reserve_at=_reserve_at(course, judged.left_j), yes_until_m=_yes_until_m(course, judged))
     return replace(verdict, verdict_text=verdict_in_words(verdict, course))
+
+
+def battery_along(routes: Sequence[Route], battery: Battery, nominal_voltage_v: float) -> tuple[Course, BatteryTrace]:
+    """Return a battery along routes that are driven one after another.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        In the order of driving, at least one.
+    battery : Battery
+        With a plain pack's values where it does not say its own.
+    nominal_voltage_v : float
+        Of the robot [V].
+
+    Returns
+    -------
+    course : Course
+        The pieces.
+    trace : BatteryTrace
+        The battery at each of them.
+
+    Raises
+    ------
+    InputError
+        If the battery's cut-off voltage is above every voltage that it has.
+    """
+    course = course_of(routes)
+    return course, trace_battery(course, battery, pack_of(battery, nominal_voltage_v))
 
 
 class _Judged(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,18 +33,28 @@ class EnergyOdds:
         Standard deviation of the normal distribution, or scale of Student's t [J].
     freedom : ndarray of float, (n,), or None
         Degrees of freedom, above 2; None for a normal distribution.
+    bias : float
+        By which share of the expected energy the median lies above it.
+    skew : float
+        Scale above the median over that below it; their geometric mean is `scale_j`.
     """
 
     mean_j: NDArray[np.float64]
     scale_j: NDArray[np.float64]
     freedom: NDArray[np.float64] | None = None
+    bias: float = 0.0
+    skew: float = 1.0
+
+    @property
+    def median_j(self) -> NDArray[np.float64]:
+        """Energy that half of the drives do not exceed [J], (n,)."""
+        return self.mean_j + self.bias * np.abs(self.mean_j)
 
     @property
     def std_j(self) -> NDArray[np.float64]:
-        """Standard deviation [J], (n,)."""
-        if self.freedom is None:
-            return self.scale_j
-        return self.scale_j * np.sqrt(self.freedom / (self.freedom - 2.0))
+        """Root mean square distance from the median [J], (n,): the standard deviation of equal sides."""
+        std = self.scale_j * np.sqrt(0.5 * (self.skew + 1.0 / self.skew))
+        return std if self.freedom is None else std * np.sqrt(self.freedom / (self.freedom - 2.0))
 
     def quantile(self, share: float) -> NDArray[np.float64]:
         """Return the energies that a share of drives does not exceed.
@@ -62,7 +72,7 @@ class EnergyOdds:
         from scipy.special import ndtri, stdtrit  # loads slowly, and few questions need it
 
         steps = ndtri(share) if self.freedom is None else stdtrit(self.freedom, share)
-        return np.asarray(self.mean_j + steps * self.scale_j)
+        return np.asarray(self.median_j + steps * self.scale_j * np.sqrt(self.skew if share > 0.5 else 1.0 / self.skew))
 
     def lasts(self, available_j: ArrayLike) -> NDArray[np.float64]:
         """Return the probabilities that no more energy is needed than there is.
@@ -79,9 +89,10 @@ class EnergyOdds:
         """
         from scipy.special import ndtr, stdtr
 
-        margin = np.asarray(available_j, dtype=np.float64) - self.mean_j
+        margin = np.asarray(available_j, dtype=np.float64) - self.median_j
         known = self.scale_j > 0.0
-        steps = margin / np.where(known, self.scale_j, 1.0)
+        side = np.sqrt(np.where(margin > 0.0, self.skew, 1.0 / self.skew))
+        steps = margin / np.where(known, self.scale_j * side, 1.0)
         probability = ndtr(steps) if self.freedom is None else stdtr(self.freedom, steps)
         return np.where(known, probability, margin >= 0.0)
 
@@ -106,7 +117,8 @@ class EnergyOdds:
         if not self.mean_j.size:
             return 0.0
         freedom = None if self.freedom is None else self.freedom[-1:]
-        last = float(EnergyOdds(self.mean_j[-1:], self.scale_j[-1:], freedom).quantile(share)[0])
+        end = replace(self, mean_j=self.mean_j[-1:], scale_j=self.scale_j[-1:], freedom=freedom)
+        last = float(end.quantile(share)[0])
         rising = bool((np.diff(self.mean_j, prepend=0.0) >= 0.0).all())
         return max(last, 0.0) if rising else last
 

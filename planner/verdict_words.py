@@ -54,11 +54,16 @@ def _chance(verdict: Verdict, course: Course) -> str:
 def _energy(verdict: Verdict) -> str:
     between = ""
     if verdict.energy_p05_j is not None and verdict.energy_p95_j is not None:
-        between = f" (90 % between {verdict.energy_p05_j / 1000:.3g} and {verdict.energy_p95_j / 1000:.3g})"
-    words = f"expected {verdict.energy_j / 1000:.3g} kJ{between}"
+        between = f" (90 % between {_kj(verdict.energy_p05_j)} and {_kj(verdict.energy_p95_j)})"
+    words = f"expected {_kj(verdict.energy_j)} kJ{between}"
     if verdict.available_j < 0.0:
         return f"{words}, and the charge is below the reserve already"
-    return f"{words} of {verdict.available_j / 1000:.3g} kJ"
+    return f"{words} of {_kj(verdict.available_j)} kJ"
+
+
+def _kj(energy_j: float) -> str:
+    """Three digits, and never a power of ten."""
+    return f"{energy_j / 1000.0:.0f}" if abs(energy_j) >= 1e5 else f"{energy_j / 1000.0:.3g}"
 
 
 def _stretch(stretch: Stretch, course: Course) -> str:

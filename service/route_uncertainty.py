@@ -48,7 +48,8 @@ def odds_along(routes: Sequence[Route]) -> EnergyOdds | None:
     scale, freedom = spread.along(*by_metre)
     if freedom is not None:
         freedom = np.interp(distance[1:], marks[1:], freedom) if freedom.size else np.zeros(0)
-    return EnergyOdds(mean_j[1:], np.interp(distance[1:], marks, np.append(0.0, scale)), freedom)
+    scale_j = np.interp(distance[1:], marks, np.append(0.0, scale))
+    return EnergyOdds(mean_j[1:], scale_j, freedom, spread.bias, spread.skew)
 
 
 def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | None:
@@ -75,7 +76,7 @@ def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | 
     length_m = np.maximum(energy, 0.0) / max(per_metre, 1e-9)
     of_run = (spread.run_share * energy) ** 2
     rest = std**2 * spread.correlation_m * length_m
-    return EnergyOdds(energy, np.sqrt(of_run + rest), spread.freedom_of(of_run, rest))
+    return EnergyOdds(energy, np.sqrt(of_run + rest), spread.freedom_of(of_run, rest), spread.bias, spread.skew)
 
 
 def quantiles_of_route(route: Route) -> dict[str, float | None]:

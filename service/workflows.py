@@ -356,6 +356,11 @@ class Assessment:
     route_out: Route
     route_back: Route | None = None
 
+    @property
+    def routes(self) -> list[Route]:
+        """What is driven, in this order."""
+        return [route for route in (self.route_out, self.route_back) if route is not None]
+
 
 def assess(
     planner: RoutePlanner | StoredPlanner | CostLattice,

@@ -52,6 +52,10 @@ class Spread:
         Degrees of freedom of Student's t of the remaining errors; None for a normal distribution.
     run_freedom : float or None
         The same of the error of a whole run: few runs, or campaigns, leave its scale uncertain.
+    bias : float
+        Median of the relative error of routes: what a route is expected to take beyond the prediction.
+    skew : float
+        Scale of the errors of routes above that median over the scale below it.
     """
 
     factor: float = 1.0
@@ -61,9 +65,11 @@ class Spread:
     segments: int = 0
     freedom: float | None = None
     run_freedom: float | None = None
+    bias: float = 0.0
+    skew: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("factor", "correlation_m"):
+        for name in ("factor", "correlation_m", "skew"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"{name} of a spread must be positive, got {getattr(self, name)}")
         for name in ("freedom", "run_freedom"):
@@ -293,4 +299,6 @@ def fit_spread(
         int(energy.size),
         freedom if freedom < NORMAL_FREEDOM else None,
         of_run if of_run < NORMAL_FREEDOM else None,
+        found.bias,
+        found.skew,
     )

@@ -9,11 +9,11 @@ import typer
 
 from joulemap.model.errors import TooLargeError
 from joulemap.model.terrain.formats import formats_in_words
+from joulemap.service.commands.battery_file import BatteryFile, battery_values
 from joulemap.service.commands.cluster import Scheduler, costmap_there
 from joulemap.service.commands.console import (
     JsonFile,
     Output,
-    json_text,
     leaves_nothing_behind,
     parse_point,
     progress_bar,
@@ -33,7 +33,8 @@ from joulemap.service.commands.options import (
     there,
 )
 from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served, service_at, unpack
-from joulemap.service.words import energy_words, route_words, saving_words
+from joulemap.service.commands.route_files import PLACE, RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
+from joulemap.service.words import duration_words, energy_words, route_words, saving_words
 
 if TYPE_CHECKING:
     from joulemap.model.frames import GridFrame
@@ -87,7 +88,8 @@ def costmap(
         ),
     ] = MOST_VALUES,
     geotiff: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write a GeoTIFF, a band per heading [J/m].")
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write a GeoTIFF: by heading, energies [J/m] and blocked reasons."),
     ] = None,
     npz: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write a NumPy .npz.")] = None,
     picture: Annotated[
@@ -217,11 +219,14 @@ def _also_as(folder: Path, geotiff: Path | None, npz: Path | None, picture: Path
     """Other files of a cost map; it is only read, as a whole, when one is wanted."""
     if geotiff is None and npz is None and picture is None:
         return
-    from joulemap.planner.lattice_io import export_geotiff, export_npz, load_lattice
+    from joulemap.planner.lattice_io import export_npz, load_lattice
+    from joulemap.service.exports.maps import save_map
     from joulemap.service.pictures import lattice_image
 
     lattice = load_lattice(folder)
-    for place, make in ((geotiff, export_geotiff), (npz, export_npz), (picture, lattice_image)):
+    if geotiff is not None:
+        save_map(lattice, geotiff, "geotiff")
+    for place, make in ((npz, export_npz), (picture, lattice_image)):
         if place is not None:
             write_file(place, make(lattice))
 
@@ -247,8 +252,8 @@ def _memory_for(costmap: Path) -> float | None:
 
 def path(
     costmap: MapOrId,
-    start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m, map's CRS].")],
-    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m, map's CRS].")],
+    start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help=f"Where to start: {PLACE}.")],
+    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go.")],
     planner: Annotated[
         str,
         typer.Option(help="astar or dijkstra (exact on the grid); rrtstar, informed_rrtstar or bitstar (sampling)."),
@@ -268,6 +273,9 @@ def path(
         ),
     ] = False,
     memory: Memory = None,
+    out: RouteFiles = None,
+    format: RouteFormatName = None,
+    coordinates: RouteCoordinates = None,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write all paths as GeoJSON.")] = None,
     picture: Annotated[
         Path | None,
@@ -285,12 +293,14 @@ def path(
 
     `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --picture path.png`
 
+    `joulemap path dem.zarr --start 36.7201,-4.4903 --goal 36.7215,-4.4871 --out path.gpx --out path.plan`
+
     `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --planner bitstar --time-limit 10 --json -`
     """
     from joulemap.service.library.costmaps import open_costmap
-    from joulemap.service.schemas.answers import path_geojson, path_out
+    from joulemap.service.schemas.answers import path_out
 
-    output = Output(json_file)
+    output, files = Output(json_file), wanted_files(out, format, coordinates, geojson)
     asked: dict[str, Any] = {
         "planner": planner,
         "neighbours": neighbours,
@@ -304,19 +314,23 @@ def path(
     if server is not None:
         refuse_local(memory=memory, picture=picture)
         with served(server, key, costmap) as map_there, progress_bar("Path") as report:
+            for file in files:
+                file.check(map_there.crs)
             answer = map_there.plan(start, goal, progress=report, **asked)
-            if geojson is not None:
-                write_file(geojson, json_text(map_there.plan_geojson(start, goal, **asked)).encode())
+            for file in files:
+                write_file(file.path, map_there.plan_file(start, goal, **file.query, **asked))
         _say_path(output, answer.model_dump(mode="json"), map_there.about.robot.name, bound=bound)
         return
     in_parts = planner == "astar" and alternatives == 0 and picture is None and not bound
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if in_parts and memory is None else memory)
+    for file in files:
+        file.check(ground.crs)
     with progress_bar("Path") as report:
         route = ground.plan(start, goal, progress=report, **asked)
     plan = route.found
     _say_path(output, path_out(plan, None, ground.warnings).model_dump(mode="json"), ground.robot.name, bound=bound)
-    if geojson is not None:
-        write_file(geojson, json_text(path_geojson(plan, None, ground.warnings)).encode())
+    for file in files:
+        write_file(file.path, file.content(route.track))
     if picture is not None:
         from joulemap.service.pictures import route_picture
 
@@ -343,15 +357,15 @@ def _say_path(output: Output, found: dict[str, Any], robot: str, *, bound: bool)
 
 def feasibility(
     costmap: MapOrId,
-    start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to start [m].")] = None,
-    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go [m].")] = None,
+    start: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help=f"Where to start: {PLACE}.")] = None,
+    goal: Annotated[Any, typer.Option(metavar="X,Y", parser=parse_point, help="Where to go.")] = None,
     path: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
             callback=there,
-            help="A path instead: GeoJSON, the JSON of `joulemap path` or `tour`, or CSV with lines x,y. Several "
-            "lines are driven one after another.",
+            help="A path instead: GeoJSON, GPX, KML, a mission (.plan, .waypoints), the JSON of `joulemap path` or "
+            "`tour`, or CSV with lines x,y. Several lines are driven one after another.",
         ),
     ] = None,
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
@@ -363,31 +377,36 @@ def feasibility(
     ] = None,
     charge: StateOfCharge = 1.0,
     reserve: Reserve = 0.0,
+    battery_file: BatteryFile = None,
     server: Server = None,
     key: Key = None,
     json_file: JsonFile = None,
 ) -> None:
     """Say whether the **battery lasts**, for the best route between two points or for a given path.
 
-    The exit code is 0 in both cases: "not feasible" is an answer, not an error (`feasible` in the JSON).
+    The verdict is yes (95 % likely, or more), likely (two thirds), marginal (one third) or no. The exit code is 0 for
+    all of them: "no" is an answer, not an error (`verdict` and `feasible` in the JSON).
 
     Examples:
 
     `joulemap feasibility dem.zarr --start 12,40 --goal 180,95 --round-trip --charge 0.6 --reserve 0.2`
 
     `joulemap feasibility dem.zarr --path survey.geojson --charge 0.8`
+
+    `joulemap feasibility dem.zarr --path survey.geojson --charge 0.8 --battery pack.toml`
     """
-    from joulemap.model.robot import Battery
+    from joulemap.model.battery import Battery
     from joulemap.service.commands.path_files import read_path
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.answers import feasibility_out
     from joulemap.service.workflows import assess
 
     output = Output(json_file)
-    points = read_path(path) if path is not None else None
+    given = battery_values(battery_file, capacity_wh)
     if server is not None:
         refuse_local(memory=memory)
         with served(server, key, costmap) as map_there:
+            points, notes = (None, []) if path is None else read_path(path, map_there.grid)
             verdict = map_there.feasibility(
                 points,
                 start=start,
@@ -397,23 +416,32 @@ def feasibility(
                 charge=charge,
                 reserve=reserve,
                 capacity_wh=capacity_wh,
+                battery=given,
             )
+        output.warn(notes)
         _say_verdict(output, verdict.model_dump(mode="json"), round_trip=round_trip)
         return
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if memory is None else memory)
-    battery = Battery(
-        capacity_wh=capacity_wh if capacity_wh is not None else ground.robot.battery_wh, charge=charge, reserve=reserve
+    battery = Battery.from_mapping(
+        {"capacity_wh": ground.robot.battery_wh, **given, "charge": charge, "reserve": reserve}
     )
     planner = ground.planner
+    points, notes = (None, []) if path is None else read_path(path, planner.lattice.frame)
+    output.warn(notes)
     assessment = assess(planner, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip, snap=snap)
     _say_verdict(output, feasibility_out(assessment, ground.warnings).model_dump(mode="json"), round_trip=round_trip)
 
 
 def _say_verdict(output: Output, found: dict[str, Any], *, round_trip: bool) -> None:
-    output.say(f"[bold {'green' if found['feasible'] else 'red'}]{found['message']}[/]")
-    rows = {"way out": route_words(found["out"])}
+    colour = {"yes": "green", "likely": "green", "marginal": "yellow", "no": "red"}[found["verdict"]]
+    output.say(f"[bold {colour}]{found['verdict_text']}[/]")
+    rows = {"verdict": found["message"], "way out": route_words(found["out"])}
     if found["back"] is not None:
         rows["way back"] = route_words(found["back"])
+    if (place := found["reserve_at"]) is not None:
+        rows["reserve touched"] = f"after {place['distance_m']:.0f} m, {duration_words(place['time_s'])}"
+    if found["least_voltage_v"] is not None:
+        rows["least voltage"] = f"{found['least_voltage_v']:.1f} V under load"
     output.table(rows)
     output.warn(dict.fromkeys(found["warnings"]))
     output.document({**found, "round_trip": round_trip})

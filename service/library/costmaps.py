@@ -7,31 +7,35 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from joulemap.model.battery import Battery
 from joulemap.model.errors import ConflictError, InputError
-from joulemap.model.robot import Battery, Robot
+from joulemap.model.robot import Robot
 from joulemap.planner.energy_map import EnergyMap, energy_map
 from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_build import DEFAULT_HEADINGS
-from joulemap.planner.lattice_io import export_geotiff, load_lattice, save_lattice
+from joulemap.planner.lattice_io import load_lattice, save_lattice
 from joulemap.planner.moves import move_table
 from joulemap.planner.places import end_point
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.planner.tiled_search import DEFAULT_MEMORY
+from joulemap.service.coordinates import PlaceLike
+from joulemap.service.exports.maps import save_map
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
 from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.places import Places
 from joulemap.service.workflows import PointCosts, assess, costs_at, judge_routes, make_cost_lattice, summarise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from xarray import Dataset
 
-Point = Sequence[float]
-"""World x, y [m] in the CRS of the map."""
+Point = PlaceLike
+"""World x, y [m] in the CRS of the map; or latitude, longitude, see `joulemap.service.coordinates.world_point`."""
 
 
 class CostMap:
@@ -94,6 +98,7 @@ class CostMap:
         bound: bool = False,
         time_limit_s: float = 5.0,
         seed: int = 0,
+        avoid: Sequence[Sequence[Point]] = (),
         progress: Callable[[float], None] | None = None,
     ) -> PlannedRoute:
         """Find the route of least energy, and the shortest one beside it.
@@ -119,6 +124,8 @@ class CostMap:
             For the sampling planners [s].
         seed : int, optional
             For the sampling planners.
+        avoid : sequence of sequence of points, optional
+            Areas that no route may touch: the corners of each, world x, y [m].
         progress : callable, optional
             Called with the share done, 0..1.
 
@@ -130,15 +137,17 @@ class CostMap:
         Raises
         ------
         PointError
-            If a point lies outside the map.
+            If a point or an area lies outside the map.
         BlockedError
             If a point lies on blocked ground, and `snap` is false.
         NoRouteError
             If no route joins the two.
         """
-        found = self.planner.plan(
-            _point(start, "start"),
-            _point(goal, "goal"),
+        places = Places(self.lattice.frame)
+        router = self.planner.avoiding(places.areas(avoid))
+        found = router.plan(
+            places(start, "start"),
+            places(goal, "goal"),
             planner=planner,
             neighbours=neighbours,
             refine=refine,
@@ -149,7 +158,7 @@ class CostMap:
             seed=seed,
             progress=progress,
         )
-        return PlannedRoute(found, self.lattice)
+        return PlannedRoute(places.noted(found), router.lattice)
 
     def tour(
         self,
@@ -159,6 +168,7 @@ class CostMap:
         refine: bool = True,
         snap: bool = False,
         time_limit_s: float = 10.0,
+        avoid: Sequence[Sequence[Point]] = (),
         progress: Callable[[float], None] | None = None,
     ) -> PlannedTour:
         """Visit all stops and come home to the first one, in the order that takes least energy.
@@ -175,6 +185,8 @@ class CostMap:
             Whether a stop on blocked ground is moved to the nearest free place.
         time_limit_s : float, optional
             For the search of the order [s].
+        avoid : sequence of sequence of points, optional
+            Areas that no leg may touch: the corners of each, world x, y [m].
         progress : callable, optional
             Called with the share done, 0..1.
 
@@ -188,11 +200,17 @@ class CostMap:
         PointError, BlockedError, NoRouteError
             As `plan`; the two stops are named.
         """
-        places = [_point(stop, f"stop {k}") for k, stop in enumerate(stops)]
-        found = self.planner.tour(
-            places, neighbours=neighbours, refine=refine, snap=snap, time_limit_s=time_limit_s, progress=progress
+        places = Places(self.lattice.frame)
+        router = self.planner.avoiding(places.areas(avoid))
+        found = router.tour(
+            [places(stop, f"stop {k}") for k, stop in enumerate(stops)],
+            neighbours=neighbours,
+            refine=refine,
+            snap=snap,
+            time_limit_s=time_limit_s,
+            progress=progress,
         )
-        return PlannedTour(found, self.lattice)
+        return PlannedTour(places.noted(found), router.lattice)
 
     def feasibility(
         self,
@@ -202,8 +220,9 @@ class CostMap:
         reserve: float = 0.0,
         capacity_wh: float | None = None,
         round_trip: bool = False,
+        battery: Battery | None = None,
     ) -> Feasibility:
-        """Say whether the battery lasts for a route.
+        """Say whether the battery lasts for a route, how likely that is, and what would make it sure.
 
         Parameters
         ----------
@@ -218,6 +237,8 @@ class CostMap:
         round_trip : bool, optional
             Whether the way back is driven too: the best one back to the start of a planned route, the same points in
             reverse otherwise.
+        battery : Battery, optional
+            With its charge and reserve, where more is known of it than its energy; the other three then do not count.
 
         Returns
         -------
@@ -231,8 +252,10 @@ class CostMap:
         BlockedError
             If points cross blocked ground.
         """
-        full = self.robot.battery_wh if capacity_wh is None else capacity_wh
-        battery, warnings = Battery(full, charge=charge, reserve=reserve), tuple(self.warnings)
+        warnings = tuple(self.warnings)
+        if battery is None:
+            full = self.robot.battery_wh if capacity_wh is None else capacity_wh
+            battery = Battery(full, charge=charge, reserve=reserve)
         if isinstance(route, PlannedTour):
             if round_trip:
                 raise InputError("a tour comes home already: leave out `round_trip`")
@@ -243,10 +266,12 @@ class CostMap:
                 here, there = ((float(p[0]), float(p[1])) for p in (route.points[0], route.points[-1]))
                 back = self.planner.plan(there, here).route
             driven = [route.route] if back is None else [route.route, back]
-            return Feasibility(judge_routes(self.lattice, driven, battery), route.route, back, warnings)
-        points = [_point(point, f"point {k}") for k, point in enumerate(route)]
+            verdict, volts = judge_routes(self.lattice, driven, battery), self.robot.nominal_voltage_v
+            return Feasibility(verdict, route.route, back, warnings, battery, volts)
+        points = Places(self.lattice.frame).path(list(route))
         judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
-        return Feasibility(judged.verdict, judged.route_out, judged.route_back, warnings)
+        ways = judged.route_out, judged.route_back
+        return Feasibility(judged.verdict, *ways, warnings, battery, self.robot.nominal_voltage_v)
 
     def field(
         self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False
@@ -278,8 +303,9 @@ class CostMap:
             If a place lies on blocked ground, and `snap` is false.
         """
         table = move_table(self._whole, neighbours=neighbours)
+        places = Places(self._whole.frame)
         ends = [
-            None if place is None else end_point(self._whole, *_point(place, name), name=name, snap=snap)[0]
+            None if place is None else end_point(self._whole, *places(place, name), name=name, snap=snap)[0]
             for name, place in (("start", start), ("goal", goal))
         ]
         out = None if ends[0] is None else field_from(self._whole, table, ends[0])
@@ -381,7 +407,7 @@ class CostMap:
         return folder
 
     def write_geotiff(self, path: str | Path) -> Path:
-        """Write a GeoTIFF with a band of energy per metre [J/m] for each heading.
+        """Write a GeoTIFF: `export` with the format "geotiff".
 
         Parameters
         ----------
@@ -393,9 +419,29 @@ class CostMap:
         Path
             The file.
         """
-        file = Path(path)
-        file.write_bytes(export_geotiff(self._whole))
-        return file
+        return self.export(path, format="geotiff")
+
+    def export(self, path: str | Path, *, format: str | None = None) -> Path:
+        """Write the map for another program; the name says for which, like site.yaml (Nav2) or site.cog.tif.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; one that is there is replaced. A Nav2 map has its image beside it.
+        format : str, optional
+            A name of `joulemap.service.exports.maps.MAP_FORMATS`; by default the suffix decides.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the format is unknown.
+        """
+        return save_map(self._whole, path, format)[0]
 
     def summary(self) -> dict[str, Any]:
         """Return least, mean and greatest price [J/m], and the share that is blocked, by reason.
@@ -583,14 +629,3 @@ def open_costmap(path: str | Path, *, memory_gb: float | None = None) -> CostMap
         If the folder is no cost map.
     """
     return CostMap(load_lattice(path)) if memory_gb is None else StoredCostMap(path, memory_gb=memory_gb)
-
-
-def _point(point: Point, name: str) -> tuple[float, float]:
-    """x and y of a point; a height that comes with them, as in the points of a route, is left out."""
-    try:
-        if isinstance(point, str) or not 2 <= len(point) <= 3:
-            raise ValueError
-        x, y = float(point[0]), float(point[1])
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is {point!r}: give x and y in metres") from None
-    return x, y

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
-from joulemap.planner.budget import Verdict
+from joulemap.model.robot import Robot
+from joulemap.planner.budget import Verdict, battery_along
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.plan import Plan, RoundTrip
 from joulemap.planner.route import Profile, Route
@@ -24,6 +25,10 @@ from joulemap.service.words import duration_words, energy_words, route_words, sa
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
     from matplotlib.axes import Axes
+
+    from joulemap.model.battery import Battery
+    from joulemap.planner.battery_trace import BatteryTrace
+    from joulemap.planner.course import Course
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -398,12 +403,18 @@ class Feasibility:
         The way back of a round trip.
     warnings : tuple of str
         Where map or robot lie outside what the model learned.
+    battery : Battery or None
+        That was judged; None for a tour.
+    nominal_voltage_v : float
+        Of the robot [V].
     """
 
     verdict: Verdict
     route_out: Route
     route_back: Route | None = None
     warnings: tuple[str, ...] = ()
+    battery: Battery | None = None
+    nominal_voltage_v: float = Robot.nominal_voltage_v
 
     @property
     def feasible(self) -> bool:
@@ -431,6 +442,36 @@ class Feasibility:
         return self.verdict.charge_at_end
 
     @property
+    def class_(self) -> str:
+        """One of "yes" (95 % likely, or more), "likely" (2/3), "marginal" (1/3) and "no"."""
+        return self.verdict.verdict
+
+    @property
+    def text(self) -> str:
+        """The verdict in one sentence, with what would make it a yes."""
+        return self.verdict.verdict_text
+
+    def battery_along(self) -> tuple[Course, BatteryTrace]:
+        """Return the battery piece by piece, with a plain pack's values where nothing else is known.
+
+        Returns
+        -------
+        course : Course
+            The pieces of the way, with distance [m], time [s] and energy [J].
+        trace : BatteryTrace
+            State of charge, voltage [V] and power [W] of each.
+
+        Raises
+        ------
+        InputError
+            If the task is a tour, or the cut-off voltage is above every voltage that the battery has.
+        """
+        if self.battery is None:
+            raise InputError("a tour has no trace of the battery: ask for one of its legs")
+        routes = [route for route in (self.route_out, self.route_back) if route is not None]
+        return battery_along(routes, self.battery, self.nominal_voltage_v)
+
+    @property
     def probability(self) -> float | None:
         """Probability that the battery lasts, 0.01..0.99; None where the model does not know its own uncertainty."""
         return self.verdict.probability
@@ -442,7 +483,7 @@ class Feasibility:
         return f"<Feasibility: {verdict_words(self.verdict)}>"
 
     def __str__(self) -> str:
-        return "\n".join([verdict_words(self.verdict), *(f"Warning: {words}" for words in self.warnings)])
+        return "\n".join([self.text, verdict_words(self.verdict), *(f"Warning: {words}" for words in self.warnings)])
 
     def _repr_html_(self) -> str:
         routes = {"way out": self.route_out, "way back": self.route_back}

@@ -15,7 +15,9 @@ from pydantic import BaseModel, ValidationError
 from joulemap.model.battery import Battery
 from joulemap.model.errors import ConflictError, JoulemapError
 from joulemap.model.robot import Robot
+from joulemap.planner.battery_trace import BatteryTrace
 from joulemap.planner.budget import Verdict
+from joulemap.planner.course import Course
 from joulemap.planner.plan import Plan
 from joulemap.planner.route import Route
 from joulemap.service.problems import jsonable, problem_of
@@ -382,7 +384,9 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
     )
 
 
-def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityOut:
+def feasibility_out(
+    assessment: Assessment, warnings: list[str], *, along: tuple[Course, BatteryTrace] | None = None
+) -> FeasibilityOut:
     """Return the answer to the question whether the battery lasts.
 
     Parameters
@@ -391,6 +395,9 @@ def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityO
         Verdict and routes.
     warnings : list of str
         Of the cost map.
+
+    along : tuple of (Course, BatteryTrace), optional
+        The battery piece by piece.
 
     Returns
     -------
@@ -404,8 +411,17 @@ def feasibility_out(assessment: Assessment, warnings: list[str]) -> FeasibilityO
         duration_s=sum(r.duration_s for r in routes),
         out=RouteOut(**route_values(assessment.route_out)),
         back=RouteOut(**route_values(routes[1])) if len(routes) == 2 else None,
+        profile=None if along is None else _battery_pieces(*along),
         warnings=[*warnings, *(note for r in routes for note in r.notes)],
     )
+
+
+def _battery_pieces(course: Course, trace: BatteryTrace) -> list[Any]:
+    columns = (course.distance_m, np.cumsum(course.duration_s), trace.charge, trace.voltage_v, trace.power_w)
+    return [
+        {"distance_m": distance, "time_s": time, "charge": charge, "voltage_v": voltage, "power_w": power}
+        for distance, time, charge, voltage, power in zip(*(column.tolist() for column in columns), strict=True)
+    ]
 
 
 def _utc(time: dt.datetime) -> dt.datetime:

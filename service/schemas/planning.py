@@ -182,7 +182,8 @@ class VerdictOut(ResponseModel):
     overload_w: float | None = Field(description="power there [W]")
     most_power_w: float | None = Field(description="most power that the battery can give there [W]")
     least_voltage_v: float | None = Field(
-        description="least voltage under load [V], before any overload; null for a battery of which only energy is known"
+        description="least voltage under load [V], before any overload; null where only the energy of the battery is "
+        "known"
     )
     probability: float | None = Field(
         description="probability that the battery lasts, 0.01..0.99: 0.99 means at least 0.99 and 0.01 at most 0.01, "
@@ -253,6 +254,7 @@ class FeasibilityRequest(Request):
     )
     avoid: Areas = Field(default=[])
     battery: BatteryIn | None = Field(default=None, description="default: the robot's own, full, without a reserve")
+    profile: bool = Field(default=False, description="also answer charge and voltage along the way")
     robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
 
     @model_validator(mode="after")
@@ -263,6 +265,16 @@ class FeasibilityRequest(Request):
         return self
 
 
+class BatteryPieceOut(ResponseModel):
+    """The battery at the end of a piece of the way, at the expected energy."""
+
+    distance_m: float = Field(description="from the start; over both ways of a round trip [m]")
+    time_s: float = Field(description="from the start, at the robot's speed [s]")
+    charge: float = Field(description="state of charge, 0..1")
+    voltage_v: float = Field(description="voltage under load [V]; 0 where the battery cannot give the power")
+    power_w: float = Field(description="mean power of the piece [W]")
+
+
 class FeasibilityOut(VerdictOut):
     """The verdict, and the routes that it was made from."""
 
@@ -270,4 +282,8 @@ class FeasibilityOut(VerdictOut):
     duration_s: float = Field(description="time for all routes at the robot's speed [s]")
     out: RouteOut
     back: RouteOut | None = Field(description="the way back; null unless a round trip was asked for")
+    profile: list[BatteryPieceOut] | None = Field(
+        description="charge and voltage along the way, of a plain lithium-ion pack where the battery does not say; "
+        "null unless asked for"
+    )
     warnings: list[str]

@@ -56,7 +56,7 @@ def judged(name: str, spread: Spread, test: Held, *, shortest: int, longest: int
             mean = float(test.predicted[route].sum())
             rows.append((test.measured[route].sum(), mean, scale[-1], 1e6 if freedom is None else freedom[-1]))
     measured, mean_j, scale_j, degrees = np.array(rows).T
-    return Judged(name, measured, EnergyOdds(mean_j, scale_j, degrees))
+    return Judged(name, measured, EnergyOdds(mean_j, scale_j, degrees, spread.bias, spread.skew))
 
 
 def _routes(

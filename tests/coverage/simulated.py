@@ -16,7 +16,6 @@ from joulemap.model.robot import Robot
 from joulemap.model.training.simulated_set import (
     MAX_SLOPE_DEG,
     MU_RANGE,
-    ROBOTS_PER_SITE,
     level_ground,
     random_robot,
     rolling_resistance_on,
@@ -36,21 +35,20 @@ def simulated(sites: int, *, seed: int = TEST_SEED) -> tuple[Held, np.ndarray]:
         rng = np.random.default_rng([seed, number])
         site = smooth_site(rng) if rng.random() < SMOOTH_SHARE else random_site(rng, max_slope_deg=MAX_SLOPE_DEG)
         level = level_ground(site.ground, rng)
-        for k in range(ROBOTS_PER_SITE):
-            declared, truth, here = _robot(site, level, rng)
-            points = random_waypoints(site.drivable, int(rng.integers(4, 26)), rng)
-            drive = drive_along(points, speed_mps=declared.speed_mps, rng=rng)
-            driven = simulate_segments(here, truth, drive, rng=rng, max_driven_m=3.0)
-            places = site.survey, declared, driven.x, driven.y, driven.heading_rad
-            traction, std = network.segment_traction_and_std(*places)
-            plain = physics.segment_traction(*places)
-            assert std is not None
-            beyond = declared.turn_j_per_rad * np.abs(driven.heading_change_rad)
-            said, eq5 = (declared.price_per_m(t) * driven.driven_m + beyond for t in (traction, plain))
-            own = std / network.spread.factor * driven.driven_m
-            known = np.isfinite(said) & np.isfinite(eq5)
-            run = np.full(known.sum(), number * ROBOTS_PER_SITE + k)
-            parts.append((driven.energy_j[known], said[known], own[known], eq5[known], run))
+        declared, truth, here = _robot(site, level, rng)
+        points = random_waypoints(site.drivable, int(rng.integers(4, 26)), rng)
+        drive = drive_along(points, speed_mps=declared.speed_mps, rng=rng)
+        driven = simulate_segments(here, truth, drive, rng=rng, max_driven_m=3.0)
+        places = site.survey, declared, driven.x, driven.y, driven.heading_rad
+        traction, std = network.segment_traction_and_std(*places)
+        plain = physics.segment_traction(*places)
+        assert std is not None
+        beyond = declared.turn_j_per_rad * np.abs(driven.heading_change_rad)
+        said, eq5 = (declared.price_per_m(t) * driven.driven_m + beyond for t in (traction, plain))
+        own = std / network.spread.factor * driven.driven_m
+        known = np.isfinite(said) & np.isfinite(eq5)
+        run = np.full(known.sum(), number)
+        parts.append((driven.energy_j[known], said[known], own[known], eq5[known], run))
     measured, predicted, std_j, eq5_j, runs = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Held(measured, predicted, std_j, runs, runs), eq5_j
 
