@@ -23,6 +23,7 @@ from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.schemas.loop import CalibrationOut, RunsOut
 from joulemap.service.schemas.maps import AtOut, CostmapOut, HeightmapOut
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
+from joulemap.service.schemas.reach import ReachOut
 from joulemap.service.schemas.tours import TourOut
 
 Answer = TypeVar("Answer", bound=BaseModel)
@@ -567,6 +568,53 @@ class ServedCostMap:
         """
         body = {"stops": [_sent(stop) for stop in stops], **options}
         return self._client._ask(TourOut, "POST", f"{self._place}/tours", json=body)
+
+    def reach(
+        self,
+        start: Point,
+        *,
+        charges: Sequence[float] | None = None,
+        battery: Mapping[str, Any] | None = None,
+        round_trip: bool = False,
+        confidence: float | None = None,
+        **options: Any,
+    ) -> ReachOut:
+        """Say where the battery lasts to from a place, or where it lasts to and back.
+
+        Parameters
+        ----------
+        start : sequence of float
+            World x, y [m].
+        charges : sequence of float, optional
+            States of charge at the start, 0..1, each answered on its own; by default that of the battery.
+        battery : mapping, optional
+            `charge`, `reserve`, `capacity_wh` and more, as `joulemap.Battery` has them; by default the robot's, full.
+        round_trip : bool, optional
+            Whether it must come back, by the best way back.
+        confidence : float, optional
+            With what probability the battery is to last. By default the expected energy decides.
+        **options
+            Other fields of a request for reach: avoid, snap.
+
+        Returns
+        -------
+        ReachOut
+            Outlines and areas, one for each charge.
+
+        Raises
+        ------
+        PointError, BlockedError
+            As `CostMap.reach`.
+        """
+        body = {
+            "start": _sent(start),
+            "charges": None if charges is None else list(charges),
+            "battery": None if battery is None else dict(battery),
+            "round_trip": round_trip,
+            "confidence": confidence,
+            **options,
+        }
+        return self._client._ask(ReachOut, "POST", f"{self._place}/reach", json=body)
 
     def feasibility(
         self,

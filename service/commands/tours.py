@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from joulemap.service.commands.console import JsonFile, Output, json_text, parse_point, progress_bar, write_file
+from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
 from joulemap.service.commands.options import Reserve, Snap, StateOfCharge
-from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served
+from joulemap.service.commands.remote import Key, MapOrId, Server, served
+from joulemap.service.commands.route_files import PLACE, RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
 from joulemap.service.words import route_words
 
 
@@ -17,7 +18,7 @@ def tour(
     costmap: MapOrId,
     stop: Annotated[
         list[Any],
-        typer.Option(metavar="X,Y...", parser=parse_point, help="Places to visit [m, map's CRS], home first."),
+        typer.Option(metavar="X,Y...", parser=parse_point, help=f"Places to visit, home first: {PLACE}."),
     ],
     neighbours: Annotated[int, typer.Option(metavar="N", help="Directions of a step on the grid: 8, 16 or 32.")] = 16,
     refine: Annotated[bool, typer.Option(help="Straighten the legs to any angle.")] = True,
@@ -27,6 +28,9 @@ def tour(
     charge: StateOfCharge = 1.0,
     reserve: Reserve = 0.0,
     snap: Snap = False,
+    out: RouteFiles = None,
+    format: RouteFormatName = None,
+    coordinates: RouteCoordinates = None,
     geojson: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the legs as GeoJSON.")] = None,
     server: Server = None,
     key: Key = None,
@@ -38,30 +42,36 @@ def tour(
 
     Example:
 
-    `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --charge 0.8 --geojson tour.geojson`
+    `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --charge 0.8 --out tour.geojson`
     """
-    from joulemap.model.robot import Battery
+    from joulemap.model.battery import Battery
     from joulemap.service.library.costmaps import open_costmap
-    from joulemap.service.schemas.tours import tour_geojson, tour_out
+    from joulemap.service.schemas.tours import tour_out
     from joulemap.service.workflows import judge_routes
 
-    output = Output(json_file)
+    output, files = Output(json_file), wanted_files(out, format, coordinates, geojson)
     if server is not None:
-        refuse_local(geojson=geojson)
-        asked = {"neighbours": neighbours, "refine": refine, "snap": snap, "time_limit_s": time_limit}
+        asked: dict[str, Any] = {"neighbours": neighbours, "refine": refine, "snap": snap, "time_limit_s": time_limit}
         with served(server, key, costmap) as map_there:
+            for file in files:
+                file.check(map_there.crs)
             answer = map_there.tour(stop, **asked, battery={"charge": charge, "reserve": reserve})
+            for file in files:
+                write_file(file.path, map_there.tour_file(stop, **file.query, **asked))
         _say_tour(output, answer.model_dump(mode="json"), map_there.about.robot.name)
         return
     ground = open_costmap(costmap)
+    for file in files:
+        file.check(ground.crs)
     with progress_bar("Tour") as report:
-        trip = ground.tour(
+        planned = ground.tour(
             stop, neighbours=neighbours, refine=refine, snap=snap, time_limit_s=time_limit, progress=report
-        ).found
+        )
+    trip = planned.found
     battery = Battery(ground.robot.battery_wh, charge=charge, reserve=reserve)
     found = tour_out(trip, judge_routes(ground.lattice, trip.legs, battery), ground.warnings).model_dump(mode="json")
-    if geojson is not None:
-        write_file(geojson, json_text(tour_geojson(trip, ground.warnings)).encode())
+    for file in files:
+        write_file(file.path, file.content(planned.track))
     _say_tour(output, found, ground.robot.name)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from joulemap.planner.lattice_io import load_lattice, save_lattice
 from joulemap.planner.moves import move_table
 from joulemap.planner.places import end_point
 from joulemap.planner.plan import RoutePlanner
+from joulemap.planner.reach_map import ReachMap
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.planner.tiled_search import DEFAULT_MEMORY
 from joulemap.service.coordinates import PlaceLike
@@ -28,6 +30,7 @@ from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.places import Places
+from joulemap.service.reach import reach_map
 from joulemap.service.workflows import PointCosts, assess, costs_at, judge_routes, make_cost_lattice, summarise
 
 if TYPE_CHECKING:
@@ -272,6 +275,71 @@ class CostMap:
         judged = assess(self.planner, battery=battery, path=points, round_trip=round_trip)
         ways = judged.route_out, judged.route_back
         return Feasibility(judged.verdict, *ways, warnings, battery, self.robot.nominal_voltage_v)
+
+    def reach(
+        self,
+        start: Point,
+        *,
+        charge: float | Sequence[float] = 1.0,
+        reserve: float = 0.0,
+        capacity_wh: float | None = None,
+        battery: Battery | None = None,
+        round_trip: bool = False,
+        confidence: float | None = None,
+        avoid: Sequence[Sequence[Point]] = (),
+        snap: bool = False,
+    ) -> ReachMap:
+        """Say where the battery lasts to from a place, or where it lasts to and back.
+
+        Parameters
+        ----------
+        start : sequence of float
+            World x, y [m].
+        charge : float or sequence of float, optional
+            State of charge at the start, 0..1; several are answered one by one.
+        reserve : float, optional
+            Share of the capacity that must remain, 0..1.
+        capacity_wh : float, optional
+            Energy of the full battery [Wh]. By default that of the robot.
+        battery : Battery, optional
+            Where more is known of it than its energy; capacity and reserve are its own then.
+        round_trip : bool, optional
+            Whether it must come back, by the best way back, which is not the way out.
+        confidence : float, optional
+            With what probability the battery is to last, 0.5..0.99. By default the expected energy decides.
+        avoid : sequence of sequence of points, optional
+            Areas that no route may touch: the corners of each, world x, y [m].
+        snap : bool, optional
+            Whether a start on blocked ground is moved to the nearest free place.
+
+        Returns
+        -------
+        ReachMap
+            What is left at every cell [J], with `polygons`, `area_m2`, `margin_at`, `geotiff` and `to_xarray`.
+
+        Raises
+        ------
+        InputError
+            If a share lies outside 0..1, or a confidence is asked of a model that does not know its uncertainty.
+        PointError
+            If the start lies outside the map.
+        BlockedError
+            If the start lies on blocked ground, and `snap` is false.
+        """
+        charges = (charge,) if isinstance(charge, int | float) else tuple(charge)
+        full = self.robot.battery_wh if capacity_wh is None else capacity_wh
+        given = Battery(full, reserve=reserve) if battery is None else battery
+        places = Places(self._whole.frame)
+        found = reach_map(
+            self.planner.avoiding(places.areas(avoid)),
+            places(start, "start"),
+            given,
+            charges=charges,
+            confidence=confidence,
+            round_trip=round_trip,
+            snap=snap,
+        )
+        return replace(found, notes=(*places.notes, *found.notes))
 
     def field(
         self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False

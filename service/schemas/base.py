@@ -13,12 +13,15 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     ValidationError,
+    ValidatorFunctionWrapHandler,
     create_model,
     model_validator,
 )
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from joulemap.model.errors import nearest_name
 from joulemap.model.ranges import COORDINATE_M, LONGEST_NAME, NAME_PATTERN, ROBOT, Range
@@ -106,6 +109,55 @@ Point = Annotated[
 PathPoint = Annotated[
     list[Coordinate | None],
     Field(min_length=2, max_length=3, description="world [x, y] or [x, y, z] [m]; z, which may be null, is ignored"),
+]
+
+
+class LatLon(Request):
+    """A place on Earth, WGS 84."""
+
+    lat: float = Field(ge=-90.0, le=90.0, description="latitude [degrees]", examples=[36.72])
+    lon: float = Field(ge=-180.0, le=180.0, description="longitude [degrees]", examples=[-4.49])
+
+
+class _OrLatLon:
+    """Accepts an object with `lat` and `lon` in the place of what is annotated, and leaves it as it is."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def _either(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+            return LatLon.model_validate(value).model_dump() if isinstance(value, Mapping) else check(value)
+
+        return core_schema.no_info_wrap_validator_function(
+            _either,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda value: value),
+        )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [handler(schema["schema"]), handler(LatLon.__pydantic_core_schema__)]}
+
+
+_DEGREES = (
+    "or latitude, longitude [degrees], where that is on the map and the numbers are not, which a warning says; or an "
+    "object with `lat` and `lon`"
+)
+Place = Annotated[
+    Point,
+    _OrLatLon(),
+    Field(description=f"world [x, y] in the map's CRS [m], x east and y north, z is ignored; {_DEGREES}"),
+]
+PathPlace = Annotated[
+    PathPoint,
+    _OrLatLon(),
+    Field(description=f"world [x, y] or [x, y, z] [m]; z, which may be null, is ignored; {_DEGREES}"),
+]
+Areas = Annotated[
+    list[Annotated[list[Place], Field(min_length=3, max_length=10_000)]],
+    Field(
+        max_length=100,
+        description="areas that no route may touch: the corners of each, world [x, y] [m]; their cells are blocked "
+        "with the reason `avoid`",
+        examples=[[[[20.0, 20.0], [30.0, 20.0], [30.0, 35.0]]]],
+    ),
 ]
 _MANY = 1_000  # points
 

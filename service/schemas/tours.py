@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from joulemap.model.ranges import SEARCH_S
 from joulemap.planner.budget import Verdict
 from joulemap.planner.plan import RoundTrip
-from joulemap.planner.route import geojson
 from joulemap.planner.tours import MAX_STOPS
 from joulemap.service.schemas.answers import route_values, verdict_out
-from joulemap.service.schemas.base import Point, Request, RobotIn, within
+from joulemap.service.schemas.base import Areas, Place, Request, RobotIn, within
 from joulemap.service.schemas.planning import BatteryIn, RouteOut, VerdictOut
 
 
 class TourRequest(Request):
     """Places to visit, and how to search. The service finds the order."""
 
-    stops: list[Point] = Field(
+    stops: list[Place] = Field(
         min_length=2,
         max_length=MAX_STOPS,
         description="places to visit, world [x, y] [m]; the first is where the tour begins and ends",
@@ -33,6 +32,7 @@ class TourRequest(Request):
     time_limit_s: Annotated[float, within(SEARCH_S)] = Field(
         default=10.0, description="longest time for proving that the order is the best one [s]"
     )
+    avoid: Areas = Field(default=[])
     battery: BatteryIn | None = Field(
         default=None, description="given: the answer says whether this battery lasts for the whole tour"
     )
@@ -85,29 +85,3 @@ def tour_out(trip: RoundTrip, verdict: Verdict | None, warnings: list[str]) -> T
         warnings=[*warnings, *trip.notes],
         crs=trip.legs[0].crs,
     )
-
-
-def tour_geojson(trip: RoundTrip, warnings: list[str]) -> dict[str, Any]:
-    """Return a tour as a GeoJSON FeatureCollection.
-
-    Parameters
-    ----------
-    trip : RoundTrip
-        From the planner.
-    warnings : list of str
-        Of the cost map.
-
-    Returns
-    -------
-    dict
-        A feature for each leg, in the order of driving; the CRS is given once, at the top.
-    """
-    legs = [
-        geojson(leg, kind="tour_leg", from_stop=here, to_stop=there)
-        for leg, here, there in zip(trip.legs, trip.order, (*trip.order[1:], 0), strict=True)
-    ]
-    crs = None
-    for leg in legs:
-        crs = leg.pop("crs", None)
-    collection: dict[str, Any] = {"type": "FeatureCollection", "features": legs, "warnings": [*warnings, *trip.notes]}
-    return collection | ({"crs": crs} if crs is not None else {})

@@ -192,7 +192,7 @@ def test_a_geotiff_has_a_band_for_each_heading(costmap: jm.CostMap, tmp_path: Pa
     import rasterio
 
     with rasterio.open(costmap.write_geotiff(tmp_path / "prices.tif")) as file:
-        assert file.count == costmap.lattice.headings
+        assert file.count == 2 * costmap.lattice.headings  # energies, and why headings are blocked
 
 
 def test_points_of_a_route_may_be_given_back(costmap: jm.CostMap, route: jm.PlannedRoute) -> None:

@@ -6,14 +6,12 @@ from typing import Annotated, Any
 
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Header, Request, Response
-from pydantic import BaseModel
 from sse_starlette import EventSourceResponse
 
-from joulemap.model.errors import ConflictError
-from joulemap.model.robot import Robot
 from joulemap.planner.budget import battery_along
 from joulemap.planner.stopping import check_stop
 from joulemap.service.exports.track import track_of_plan, track_of_tour
+from joulemap.service.http.asked import answer_of, same_robot, warnings_of
 from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import EVENTS, Report, events, while_connected
@@ -21,12 +19,9 @@ from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, route_file_wanted
 from joulemap.service.http.state import KernelsDep
 from joulemap.service.places import Places
-from joulemap.service.problems import jsonable
 from joulemap.service.schemas.answers import battery_of, feasibility_out, path_out, verdict_out
-from joulemap.service.schemas.base import robot_values
 from joulemap.service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
 from joulemap.service.schemas.tours import TourOut, TourRequest, tour_out
-from joulemap.service.storage.tables import CostmapRow
 from joulemap.service.workflows import assess, judge_routes
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"], route_class=QuickJsonRoute)
