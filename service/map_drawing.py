@@ -370,9 +370,7 @@ def style_map(axes: Axes, frame: GridFrame) -> None:
     _quiet(axes)
 
 
-def values_of_view(
-    lattice: CostLattice, view: str, heading_deg: float | None
-) -> tuple[Image, NDArray[np.uint8], str]:
+def values_of_view(lattice: CostLattice, view: str, heading_deg: float | None) -> tuple[Image, NDArray[np.uint8], str]:
     """Return what a cost map is coloured by.
 
     Parameters
