@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.contract import Log, mentioned, on_disk
@@ -69,6 +70,12 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     """
     from pymavlink.DFReader import DFReader_binary
 
+    class _Reader(DFReader_binary):
+        """Lists the messages in Python: the compiled way writes a line to the terminal for each bad byte."""
+
+        def init_arrays_fast(self, progress_callback: Any = None) -> None:
+            self.init_arrays(progress_callback)
+
     collector = Collector(source.name, limits)
     log = None
 
@@ -77,7 +84,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
     with on_disk(source) as path, reading("ArduPilot log", source.name, _place):
         try:
-            log = DFReader_binary(str(path), zero_time_base=True)
+            log = _Reader(str(path), zero_time_base=True)
             known = set(log.name_to_id)
             wanted = [kind for kind in known if kind in _KINDS or any(_names(mapping, kind))]
             if not wanted:

@@ -71,10 +71,9 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     import fitdecode
 
     collector = Collector(source.name, limits)
-    place = 0
 
     def _place() -> str:
-        return f"at byte {place:,}, after {collector.messages:,} records"
+        return f"after {collector.messages:,} records"
 
     with (
         reading("FIT file", source.name, _place),
@@ -86,8 +85,6 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         ) as frames,
     ):
         for frame in frames:
-            chunk = getattr(frame, "chunk", None)
-            place = chunk.offset if chunk is not None else place
             if not isinstance(frame, fitdecode.FitDataMessage) or frame.name != "record":
                 continue
             values: dict[str, float] = {}

@@ -71,7 +71,8 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     def _place() -> str:
         return f"after {collector.messages:,} messages" + (f", at {last:.3f} s" if last else "")
 
-    with reading("MCAP recording", source.name, _place), source.open() as stream:
+    repair = "mcap recover IN -o OUT"
+    with reading("MCAP recording", source.name, _place, repair=repair), source.open() as stream:
         reader = SeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
         topics: list[str] | None = None
         summary = reader.get_summary()

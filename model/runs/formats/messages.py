@@ -156,7 +156,7 @@ def log_of(
 
 
 @contextmanager
-def reading(kind: str, name: str, place: Callable[[], str]) -> Iterator[None]:
+def reading(kind: str, name: str, place: Callable[[], str], *, repair: str = "") -> Iterator[None]:
     """Turn whatever a library raises on a broken file into an error that says where, and keep it from printing.
 
     Parameters
@@ -167,6 +167,8 @@ def reading(kind: str, name: str, place: Callable[[], str]) -> Iterator[None]:
         Of the run.
     place : callable
         Says how far the file was read.
+    repair : str, optional
+        Command that repairs such a file.
 
     Yields
     ------
@@ -177,28 +179,37 @@ def reading(kind: str, name: str, place: Callable[[], str]) -> Iterator[None]:
     ------
     RunsError
         If the library fails.
+    TooLargeError
+        If it asks for more memory than there is.
     """
     said = _Complaints()
     try:
         with redirect_stdout(said), redirect_stderr(said):
             yield
-    except (JoulemapError, ImportError, MemoryError):
+    except (JoulemapError, ImportError):
         raise
+    except MemoryError as error:
+        raise TooLargeError(
+            f"run {name}: the {kind} asks for more memory than there is, {place()}: it is corrupt, or much larger "
+            "inside than outside",
+            run=name,
+        ) from error
     except OSError as error:
         if error.errno is not None:
             raise
-        raise _broken(kind, name, place(), error) from error
+        raise _broken(kind, name, place(), error, repair) from error
     except Exception as error:  # what a library raises on a broken file is not documented
-        raise _broken(kind, name, place(), error) from error
+        raise _broken(kind, name, place(), error, repair) from error
 
 
-def _broken(kind: str, name: str, place: str, error: Exception) -> RunsError:
+def _broken(kind: str, name: str, place: str, error: Exception, repair: str) -> RunsError:
     words = str(error).strip().split("\n")[0][:200] if not isinstance(error, KeyError) else f"unknown {error}"
     what = (
         "ends too early" if isinstance(error, (EOFError, struct.error)) or "EndOfFile" in type(error).__name__ else ""
     )
     return RunsError(
-        f"run {name}: the {kind} is truncated or corrupt {place}: {what or words or type(error).__name__}",
+        f"run {name}: the {kind} is truncated or corrupt {place}: {what or words or type(error).__name__}"
+        + (f". `{repair}` may repair it" if repair else ""),
         run=name,
         place=place,
     )

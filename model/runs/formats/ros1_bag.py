@@ -68,7 +68,11 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     def _place() -> str:
         return f"after {collector.messages:,} messages" + (f", at {last:.3f} s" if last else "")
 
-    with on_disk(source, ".bag") as path, reading("ROS 1 bag", source.name, _place), Reader(path) as bag:
+    with (
+        on_disk(source, ".bag") as path,
+        reading("ROS 1 bag", source.name, _place, repair="rosbag reindex BAG"),
+        Reader(path) as bag,
+    ):
         if bag.message_count > limits.cells:
             raise TooLargeError(
                 f"run {source.name} has {bag.message_count:,} messages, the limit is {limits.cells:,}: split it",
