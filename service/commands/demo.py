@@ -35,6 +35,7 @@ from joulemap.planner.route import price_route
 from joulemap.service.commands.console import Output, write_file
 from joulemap.service.commands.options import Reading
 from joulemap.service.pictures import route_picture
+from joulemap.service.places import Places
 from joulemap.service.words import energy_words, route_words, saving_words
 
 READY_WITHIN_S = 180.0
@@ -125,7 +126,11 @@ def run_demo(
         output.warn(answers.document["costmap"]["warnings"])
         output.document({"url": url, "picture": str(picture), **answers.document})
         if keep:
-            output.say(f"\nThe service goes on at {url} until you press Ctrl-C.")
+            page = f"{url}/#map={answers.document['costmap']['id']}&{_ends_in_link(answers.document)}"
+            output.say(
+                f"\n[bold]Page[/]       {page}\n           This map and route, to look at and to change; your own ground: "
+                f"{url}\nThe service goes on until you press Ctrl-C."
+            )
             with contextlib.suppress(KeyboardInterrupt):
                 process.wait()
 
@@ -199,6 +204,12 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
     return _Answers(plan, document)
 
 
+def _ends_in_link(document: Mapping[str, Any]) -> str:
+    """Start, goal and battery as in the address of the page."""
+    start, goal = (",".join(f"{value:.2f}" for value in document[end]) for end in ("start", "goal"))
+    return f"from={start}&to={goal}&battery={CHARGE},{RESERVE}&back=1"
+
+
 def free_corners(lattice: CostLattice) -> tuple[Point, Point]:
     """Return two places near opposite corners, south-west and north-east, that a route surely joins.
 
@@ -233,6 +244,8 @@ def free_corners(lattice: CostLattice) -> tuple[Point, Point]:
 def _ground(file: Path | None, start: Point | None, goal: Point | None, reading: Reading) -> Ground:
     if file is not None:
         known = read_heightmap(file, **reading)
+        places = Places(known.frame)
+        start, goal = (place and places(place, name) for place, name in ((start, "start"), (goal, "goal")))
         given = {key: str(value) for key, value in reading.items() if value is not None}
         return Ground(file.name, file.read_bytes(), known, start, goal, given)
     sample = sample_terrain()
