@@ -29,6 +29,7 @@ from joulemap.service.commands.options import (
     reads_heightmap,
     robot_of,
 )
+from joulemap.service.commands.route_files import RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
 from joulemap.service.words import energy_words, runs_words
 
 if TYPE_CHECKING:
@@ -344,6 +345,9 @@ def suggest_drive(
         ),
     ] = None,
     length: Annotated[float, typer.Option(min=10.0, metavar="M", help="About how far to drive in all [m].")] = 200.0,
+    out: RouteFiles = None,
+    format: RouteFormatName = None,
+    coordinates: RouteCoordinates = None,
     baseline_runs: BaselineRuns = None,
     odometry: OdometryTrack = None,
     terrain_from_name: TerrainFromName = False,
@@ -354,13 +358,14 @@ def suggest_drive(
 ) -> None:
     """Suggest **what to drive next**: the route that best separates confounded effects or narrows a coefficient.
 
-    Example: `joulemap suggest-drive --model mine --heightmap dem.tif --robot robot.toml --runs new/*.csv`
+    Example: `joulemap suggest-drive --model mine --heightmap dem.tif --runs new/*.csv --out drive.plan`
     """
+    from joulemap.service.exports.track import track_of_drive
     from joulemap.service.loop.deprecated_keys import with_former_keys
     from joulemap.service.loop.next_drive import suggest_next_drive
     from joulemap.service.loop.summary import drive_words
 
-    output = Output(json_file)
+    output, files = Output(json_file), wanted_files(out, format, coordinates)
     asked = _Asked(
         model,
         runs,
@@ -386,4 +391,6 @@ def suggest_drive(
             "one round": f"{found['length_m']:.0f} m, repeated for {length:.0f} m, at {_pace(found)}",
         }
     )
+    for file in files:
+        write_file(file.path, file.content(track_of_drive(found)))
     output.document(with_former_keys(found))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Profile, Route
 
@@ -154,21 +155,31 @@ def track_of_tour(trip: RoundTrip, lattice: CostLattice, *, warnings: Sequence[s
     return Track("joulemap tour", lines, trip.legs[0].crs, lattice.robot.speed_mps, lattice, extra)
 
 
-def track_of_drive(drive: dict[str, Any], crs: str | None) -> Track:
+def track_of_drive(drive: Mapping[str, Any]) -> Track:
     """Return a suggested drive as a track.
 
     Parameters
     ----------
-    drive : dict
-        As `NextDrive.as_dict` returns it, with places of a map.
-    crs : str or None
-        Coordinate reference system of its points.
+    drive : mapping
+        As `NextDrive.as_dict` returns it, or the `next_drive` of a report.
 
     Returns
     -------
     Track
         One line; what it takes is not known, and its heights are not either.
+
+    Raises
+    ------
+    InputError
+        If no drive is suggested, or its corners are no places of a map.
     """
+    if "why_not" in drive:
+        raise InputError(f"no drive is suggested: {drive['why_not']}")
+    if not drive.get("placed", True):
+        raise InputError(
+            "the corners of this drive are no places: its runs have no positions, so only its shape counts. "
+            "`points` of the answer has them, with 0,0 wherever there is room"
+        )
     points = np.array(drive["points"], dtype=np.float64)
     speeds = drive["speeds_mps"]
     keys = ("effect", "label", "length_m", "total_length_m", "speeds_mps")
@@ -177,4 +188,4 @@ def track_of_drive(drive: dict[str, Any], crs: str | None) -> Track:
         np.column_stack([points, np.full(len(points), np.nan)]),
         {"kind": DRIVE, **{key: drive[key] for key in keys}},
     )
-    return Track(f"joulemap drive for {drive['label']}", (line,), crs, float(speeds[0]))
+    return Track(f"joulemap drive for {drive['label']}", (line,), drive.get("crs"), float(speeds[0]))

@@ -59,7 +59,7 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
         "runs": _files(asked["runs"]),
         "base_runs": _files(asked["base_runs"]),
         "test_runs": _files(named_test_runs(asked)),
-        "task": None if asked["start"] is None else [asked["start"][:2], asked["goal"][:2]],
+        "task": None if asked["start"] is None else [asked["start"], asked["goal"]],
         "campaigns": asked.get("campaigns", False),  # not in requests of older versions
         "quick": asked.get("quick", False),
         "seed": asked["seed"],

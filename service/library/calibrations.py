@@ -10,6 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.errors import InputError
+from joulemap.service.coordinates import PlaceLike
+from joulemap.service.exports.routes import route_file, route_format_of
+from joulemap.service.exports.track import track_of_drive
 from joulemap.service.library.heightmaps import GroundLike, RobotLike
 from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.run_files import RunsLike, find_run_files
@@ -18,10 +21,10 @@ from joulemap.service.models import CALIBRATED_FOLDER, DEFAULT_MODEL
 
 if TYPE_CHECKING:
     from joulemap.model.runs.calibration_runs import CalibrationRuns
-    from joulemap.service.loop.rerouting import Task
+    from joulemap.service.loop.rerouting import AskedTask
 
-Point = Sequence[float]
-"""World x, y [m] in the CRS of the map."""
+Point = PlaceLike
+"""World x, y [m] in the CRS of the map; or latitude, longitude, see `joulemap.service.coordinates.world_point`."""
 REPORT_JSON, REPORT_HTML = "report.json", "report.html"
 """What `calibrate` writes beside the calibrated model."""
 
@@ -60,6 +63,33 @@ class CalibrationResult:
     def report_html(self) -> Path:
         """The report for a browser."""
         return self.out / REPORT_HTML
+
+    def save_next_drive(self, path: str | Path, *, format: str | None = None, coordinates: str | None = None) -> Path:
+        """Write what to drive next for another program, as `PlannedRoute.save` writes a route.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; one that is there is replaced.
+        format : str, optional
+            By default the suffix decides.
+        coordinates : str, optional
+            Of GeoJSON, "wgs84" or "map".
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If no drive is suggested, its corners are no places of a map, or the format does not go with the map.
+        """
+        file = Path(path)
+        chosen, track = route_format_of(file, format), track_of_drive(self.report["next_drive"])
+        file.write_bytes(route_file(track, chosen, coordinates=coordinates))
+        return file
 
     def _lines(self) -> list[str]:
         from joulemap.service.loop.summary import summary_lines
@@ -163,7 +193,7 @@ def calibrate(
             raise InputError("`baseline_runs` go with one heightmap; in a campaign file a site has the key `baseline`")
         given = [replace(given[0], baseline_files=tuple(find_run_files(baseline_runs)))]
     read = read_calibration_runs(with_test_files(given, find_run_files(test_runs)))
-    task = None if start is None or goal is None else ((start[0], start[1]), (goal[0], goal[1]))
+    task = None if start is None or goal is None else (start, goal)
     return calibrate_and_report(
         model_folder(model),
         read,
@@ -181,7 +211,7 @@ def calibrate_and_report(
     runs: CalibrationRuns,
     *,
     out: Path,
-    task: Task | None = None,
+    task: AskedTask | None = None,
     campaigns: bool = False,
     quick: bool = False,
     seed: int = 0,

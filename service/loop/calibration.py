@@ -31,7 +31,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.measured import Measured, measure, sites_document
 from joulemap.service.loop.next_drive import next_drive
-from joulemap.service.loop.rerouting import Comparison, Task, compare_routes
+from joulemap.service.loop.rerouting import AskedTask, Comparison, compare_routes
 from joulemap.service.models import CALIBRATED_FOLDER, load_model, model_name, planning_robot
 
 FloatArray = NDArray[np.float64]
@@ -68,7 +68,7 @@ def calibrate_on_runs(
     runs: CalibrationRuns,
     *,
     out: Path,
-    task: Task | None = None,
+    task: AskedTask | None = None,
     groups: Sequence[str] | None = None,
     cross_validate: bool = True,
     seed: int = 0,

@@ -42,6 +42,8 @@ class NextDrive:
         About how far to drive in all [m].
     placed : bool
         Whether its corners are places of a map; else only its shape counts.
+    crs : str or None
+        Coordinate reference system of that map.
     """
 
     suggestion: Suggestion
@@ -49,6 +51,7 @@ class NextDrive:
     rivals: tuple[Form, ...]
     length_m: float
     placed: bool
+    crs: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the drive as a JSON-able document: corners [m], length of one round [m], speeds [m/s]."""
@@ -60,6 +63,7 @@ class NextDrive:
             "confounded_labels": [form.title for form in self.rivals],
             "kind": drive.kind,
             "placed": self.placed,
+            "crs": self.crs,
             "points": [[round(float(x), 2), round(float(y), 2)] for x, y in drive.points],
             "speeds_mps": list(drive.speeds),
             "length_m": drive.length_m,
@@ -138,7 +142,7 @@ def next_drive(
         length_m=length_m,
         seed=seed,
     )
-    return NextDrive(suggestion, forms[name], rivals, length_m, placed)
+    return NextDrive(suggestion, forms[name], rivals, length_m, placed, heightmap.frame.crs if placed else None)
 
 
 def _least_certain(found: Calibration) -> str:

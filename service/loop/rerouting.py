@@ -18,12 +18,15 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.route import Route, price_route
+from joulemap.service.coordinates import PlaceLike
 from joulemap.service.models import planning_robot
+from joulemap.service.places import Places
 from joulemap.service.route_uncertainty import quantiles_of_route
 
 FloatArray = NDArray[np.float64]
 Point = tuple[float, float]
 Task = tuple[Point, Point]
+AskedTask = tuple[PlaceLike, PlaceLike]
 
 _OTHERS = 5  # tasks tried beside the farthest one
 _LEAST_SHARE = 0.4  # of the greatest distance that lies between the ends of those
@@ -144,7 +147,7 @@ def compare_routes(
     after: Predictor,
     places: FloatArray,
     *,
-    task: Task | None = None,
+    task: AskedTask | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Comparison:
@@ -162,8 +165,9 @@ def compare_routes(
         The calibrated model.
     places : ndarray, (n, 2)
         World points that the runs visited [m].
-    task : tuple of tuple of float, optional
-        Start and goal [m]. Without it a few pairs of `places` are tried, and the one with the largest saving is shown.
+    task : tuple of places, optional
+        Start and goal, as `joulemap.service.coordinates.world_point` takes them. Without it a few pairs of `places`
+        are tried, and the one with the largest saving is shown.
     seed : int
         Of the pairs.
     progress : callable, optional
@@ -188,7 +192,8 @@ def compare_routes(
     # an effect may be unknown where the base model is not: both go where both know
     old = replace(build_lattice(heightmap, robots[0], before, spacing_m=spacing), blocked=new.blocked)
     planners = RoutePlanner(old), RoutePlanner(new)
-    tasks = [task] if task is not None else drawn_tasks(places, seed=seed)
+    meant = Places(heightmap.frame)
+    tasks = drawn_tasks(places, seed=seed) if task is None else [(meant(task[0], "start"), meant(task[1], "goal"))]
     tried = []
     for number, one in enumerate(tasks):
         try:

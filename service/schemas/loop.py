@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AliasChoices, Field, model_validator
 
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.schemas.base import JobOut, Point, Problem, Request, ResponseModel, RobotIn, RobotOut
+from joulemap.service.schemas.base import JobOut, Place, Problem, Request, ResponseModel, RobotIn, RobotOut
 
 
 class OdometryOut(ResponseModel):
@@ -100,10 +100,10 @@ class CalibrationRequest(Request):
         examples=["physics"],
     )
     robot: RobotIn | None = Field(default=None, description="robot that drove; default: the 4WD robot of the paper")
-    start: Point | None = Field(
+    start: Place | None = Field(
         default=None, description="start of the route that is compared before and after; default: a few pairs are tried"
     )
-    goal: Point | None = Field(default=None, description="its goal")
+    goal: Place | None = Field(default=None, description="its goal")
     campaigns: bool = Field(
         default=False,
         description="for the errors, leave out whole campaigns instead of single runs; runs of one campaign have the "
@@ -157,3 +157,21 @@ class CalibrationOut(JobOut):
     )
     problem: Problem | None = Field(description="why it failed")
     links: dict[str, str]
+
+
+class RunSegmentsOut(ResponseModel):
+    """Measured and predicted, segment by segment of one run."""
+
+    name: str = Field(description="name of its file", examples=["run_01.csv"])
+    x: list[float] = Field(description="middle of each segment [m]")
+    y: list[float] = Field(description="[m]")
+    measured: list[float] = Field(description="in `unit`, per segment")
+    before: list[float] = Field(description="predicted by the model before")
+    after: list[float] = Field(description="predicted by the calibrated model, found without this run")
+
+
+class SegmentsOut(ResponseModel):
+    """What was measured and predicted on each segment of 1 m."""
+
+    unit: str = Field(description="J, or A s where no voltage was recorded", examples=["J"])
+    runs: list[RunSegmentsOut]

@@ -19,12 +19,13 @@ from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
 from joulemap.service.loop.report_page import report_page
+from joulemap.service.loop.segments_document import segments_document
 from joulemap.service.loop.summary import NextStep
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.problems import problem_of
 from joulemap.service.work.processes import end_with_parent, run
 
-REPORT, PAGE = "report.json", "report.html"
+REPORT, PAGE, SEGMENTS = "report.json", "report.html", "segments.json"
 _ORDER, _PROBLEM = "order.json", "problem.json"
 _FULL_EXIT = 28  # of the process, when the disk is full
 
@@ -119,7 +120,7 @@ def main(out: Path, topic: str) -> None:
             order["model"],
             runs,
             out=out,
-            task=None if order["task"] is None else (tuple(order["task"][0]), tuple(order["task"][1])),
+            task=None if order["task"] is None else (order["task"][0], order["task"][1]),
             groups=campaigns_of(runs.segments.runs) if order["campaigns"] else None,
             cross_validate=not order["quick"],
             seed=order["seed"],
@@ -129,6 +130,7 @@ def main(out: Path, topic: str) -> None:
         (out / _PROBLEM).write_text(json.dumps(problem_of(error, order["id"])), encoding="utf-8")
         sys.exit(1)
     (out / REPORT).write_text(json.dumps(made.document, allow_nan=False) + "\n", encoding="utf-8")
+    (out / SEGMENTS).write_text(json.dumps(segments_document(made.found), allow_nan=False), encoding="utf-8")
     steps = [NextStep("Make a cost map with the calibrated model", order["next"])]
     (out / PAGE).write_text(report_page(made, steps=steps), encoding="utf-8")
 

@@ -378,10 +378,16 @@ def test_a_suggested_drive_is_a_mission_too(tmp_path: Path) -> None:
         "label": "turning",
         "points": [[370_010.0, 4_064_010.0], [370_040.0, 4_064_010.0], [370_040.0, 4_064_030.0]],
         "speeds_mps": [0.4, 0.8],
+        "placed": True,
+        "crs": WESTERN[0],
         "length_m": 50.0,
         "total_length_m": 200.0,
     }
-    track = track_of_drive(drive, WESTERN[0])
+    track = track_of_drive(drive)
+    with pytest.raises(InputError, match="are no places"):
+        track_of_drive(drive | {"placed": False})
+    with pytest.raises(InputError, match="no effect"):
+        track_of_drive({"why_not": "no effect was found"})
     back = Transformer.from_crs("EPSG:4326", WESTERN[0], always_xy=True)
     for chosen in ROUTE_FORMATS.values():
         assert route_file(track, chosen)

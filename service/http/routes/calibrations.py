@@ -12,17 +12,19 @@ from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 
 from joulemap.model.energy.predictor import MODEL_NAMES
-from joulemap.model.errors import InputError, TooLargeError
+from joulemap.model.errors import InputError, NotFoundError, TooLargeError
 from joulemap.model.robot import Robot
+from joulemap.service.exports.track import track_of_drive
 from joulemap.service.http.documents import problems
+from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, route_file_wanted
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
 from joulemap.service.schemas.answers import calibration_out, listed, shown
 from joulemap.service.schemas.base import UnreadableOut, robot_values
-from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest
+from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest, SegmentsOut
 from joulemap.service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
-from joulemap.service.work.calibrations import PAGE
+from joulemap.service.work.calibrations import PAGE, SEGMENTS
 
 router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
 PLACE = "/v1/calibrations"
@@ -73,6 +75,33 @@ def get_report(calibration_id: str, service: ServiceDep) -> HTMLResponse:
     row = service.done_calibration(calibration_id)
     folder = service.store.here(service.store.calibration_folder(row.id))
     return HTMLResponse((folder / PAGE).read_bytes())
+
+
+@router.get("/{calibration_id}/segments", response_model=SegmentsOut, responses=problems(404, 409))
+def get_segments(calibration_id: str, service: ServiceDep) -> Response:
+    """Measured and predicted energy of each segment, before and after, by run; at most 20,000 segments."""
+    row = service.done_calibration(calibration_id)
+    file = service.store.here(service.store.calibration_folder(row.id)) / SEGMENTS
+    if not file.exists():
+        raise NotFoundError(f"{row.id} is of a version that kept no segments: calibrate again", id=row.id)
+    return Response(file.read_bytes(), media_type="application/json")
+
+
+@router.get(
+    "/{calibration_id}/next-drive",
+    response_model=dict[str, Any],
+    responses={200: {"content": dict(FILES)}, **problems(404, 409)},
+)
+def get_next_drive(
+    calibration_id: str, service: ServiceDep, format: FileFormat = None, coordinates: Coordinates = None
+) -> Any:
+    """What to drive next: the route that best separates confounded effects or narrows a coefficient."""
+    row = service.done_calibration(calibration_id)
+    file, drive = route_file_wanted(format, None, coordinates), (row.summary or {})["report"]["next_drive"]
+    if file.chosen is None:
+        return drive
+    track = track_of_drive(drive)
+    return file.response(track, f"{row.id}-next-drive")
 
 
 @router.delete("/{calibration_id}", status_code=204, responses=problems(404, 409))
