@@ -128,8 +128,8 @@ def run_demo(
         if keep:
             page = f"{url}/#map={answers.document['costmap']['id']}&{_ends_in_link(answers.document)}"
             output.say(
-                f"\n[bold]Page[/]       {page}\n           This map and route, to look at and to change; your own ground: "
-                f"{url}\nThe service goes on until you press Ctrl-C."
+                f"\n[bold]Page[/]       {page}\n           This map and route, to look at and to change; your own "
+                f"ground: {url}\nThe service goes on until you press Ctrl-C."
             )
             with contextlib.suppress(KeyboardInterrupt):
                 process.wait()
