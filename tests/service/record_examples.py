@@ -80,6 +80,7 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_heightmap", "GET", f"/v1/heightmaps/{heightmap}")
     ask("get_runs", "GET", f"/v1/runs/{runs}")
     ask("get_calibration", "GET", f"/v1/calibrations/{calibration}")
+    ask("get_segments", "GET", f"/v1/calibrations/{calibration}/segments")
     here = f"/v1/costmaps/{costmap}"
     ask("get_costmap", "GET", here)
     ask("get_provenance", "GET", f"{here}/provenance")
@@ -87,6 +88,13 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_image", "GET", f"{here}/image.png", query={"view": "mean"})
     ask("get_data", "GET", f"{here}/data", query={"format": "geotiff"})
     ends = {"start_x": START[0], "start_y": START[1], "goal_x": GOAL[0], "goal_y": GOAL[1]}
+    ask("get_ground", "GET", f"/v1/heightmaps/{heightmap}/ground.png")
+    ask("get_layers", "GET", f"{here}/layers")
+    ask("get_layer", "GET", f"{here}/layer.png", query={"layer": "energy", "view": "mean"})
+    ask("get_contours", "GET", f"{here}/contours")
+    around = {"west": START[0] - 2.0, "south": START[1] - 2.0, "east": START[0] + 2.0, "north": START[1] + 2.0}
+    ask("get_roses", "GET", f"{here}/roses", query={**around, "across": 2})
+    ask("get_surface", "GET", f"{here}/surface")
     ask("get_field", "GET", f"{here}/field", query={**ends, "within": 5.0})
     task = {"start": START, "goal": GOAL, "battery": {"charge": 0.8, "reserve": 0.2}}
     ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1})

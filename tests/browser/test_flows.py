@@ -1,0 +1,198 @@
+"""Long ways through the page on a real service: own ground and robot, slow jobs, the loop, files, keys."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.writers import write_geotiff
+from joulemap.service.storage.keys import add_key
+from joulemap.service.storage.store import Store
+from tests.browser.chromium import PHONE, opened
+from tests.browser.conftest import serving
+from tests.service.test_calibrations import ROBOT, hills, run_csv
+
+pytestmark = pytest.mark.slow
+
+
+def shot(tab: Any, name: str) -> None:
+    """A picture for a person who looks at it, where one asks for pictures."""
+    if folder := os.environ.get("JOULEMAP_PICTURES"):
+        tab.page.wait_for_timeout(700)
+        tab.page.screenshot(path=str(Path(folder) / f"{name}.png"))
+
+
+def tif(folder: Path, heightmap: Heightmap, name: str) -> Path:
+    file = folder / name
+    file.write_bytes(write_geotiff(None, heightmap) or b"")
+    return file
+
+
+@pytest.fixture(scope="module")
+def calibrated_on(browser: Any, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A link to a physics cost map of hilly ground, made on the page with a robot file."""
+    folder = tmp_path_factory.mktemp("own")
+    robot = folder / "robot.toml"
+    robot.write_text("# a robot\n" + "".join(f"{key} = {value}\n" for key, value in ROBOT.items()))
+    with opened(browser, address) as tab:
+        tab.page.set_input_files("#heightmap-file", tif(folder, hills(), "hills.tif"))
+        tab.page.wait_for_selector("#make")
+        tab.page.set_input_files("input[accept='.toml']", robot)
+        tab.page.wait_for_function("() => document.getElementById('robot').textContent.length > 0")
+        assert float(tab.page.input_value("#robot input >> nth=0")) == ROBOT["mass_kg"]
+        tab.page.wait_for_selector("#model option[value=physics]", state="attached")
+        tab.page.select_option("#model", "physics")
+        shot(tab, "own-ground")
+        tab.page.click("#make")
+        tab.page.wait_for_selector("#legend #scale")
+        made = tab.page.evaluate("joulemap.now.costmap.robot")
+        assert {key: made[key] for key in ROBOT} == ROBOT
+        west, _, _, north = hills().frame.bounds
+        tab.page.mouse.click(*tab.place(west + 8.0, north - 30.0))
+        tab.page.mouse.click(*tab.place(west + 42.0, north - 10.0))
+        tab.page.click("#tab-route")
+        tab.drawn()
+        tab.page.mouse.move(*tab.place(west + 20.0, north - 20.0))
+        tab.page.wait_for_function("() => /J\\/m/.test(document.getElementById('readout').textContent)")
+        assert "°" in tab.text("#readout")  # EPSG:32630 has latitudes
+        shot(tab, "own-route")
+        tab.page.wait_for_function("() => location.hash.includes('to=')")
+        yield tab.page.evaluate("location.hash")
+
+
+def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path) -> None:
+    """Runs of which one has other names of columns; an effect is found; the route changes with the model."""
+    plain, renamed = tmp_path / "run_01.csv", tmp_path / "run_02.csv"
+    plain.write_bytes(run_csv(1))
+    text = run_csv(2).decode().replace("t,x,y,voltage,current", "q1,q2,q3,q4,q5", 1)
+    renamed.write_text(text)
+    with opened(browser, address, hash=calibrated_on) as tab:
+        tab.drawn()
+        before = tab.page.evaluate("joulemap.now.answer.energy_j")
+        tab.page.click("#tab-runs")
+        tab.page.set_input_files("#runs-files", renamed)
+        tab.page.wait_for_selector("#columns select")
+        for k, name in enumerate(("q1", "q2", "q3", "q4", "q5")):
+            tab.page.select_option(f"#columns select >> nth={k}", name)
+        shot(tab, "columns")
+        tab.page.click("#columns button")
+        tab.page.wait_for_selector("#sent table")
+        tab.page.set_input_files("#runs-files", plain)
+        tab.page.wait_for_function("() => document.querySelector('#sent table')?.textContent.includes('run_01.csv')")
+        tab.page.wait_for_selector("#runs-list input >> nth=2")
+        for box in tab.page.query_selector_all("#runs-list input"):
+            box.check()
+        tab.page.click("#calibrate")
+        tab.page.wait_for_selector("#found h2", timeout=120_000)
+        assert "turning" in tab.text("#found h2")
+        tab.page.wait_for_selector("#measured svg")
+        shot(tab, "found")
+        tab.page.click("#use-model")
+        tab.page.wait_for_function("() => joulemap.now.before !== null", timeout=60_000)
+        tab.page.wait_for_function("before => joulemap.now.answer?.energy_j > before", arg=before)  # turns cost
+        shot(tab, "before-and-after")
+
+
+def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -> None:
+    with opened(browser, address, hash=calibrated_on) as tab:
+        tab.drawn()
+        west, _, _, north = hills().frame.bounds
+        before = tab.page.evaluate("joulemap.now.answer.energy_j")
+        tab.page.click("text=Draw an area")
+        (x0, y0), (x1, y1) = tab.page.evaluate("[joulemap.now.start, joulemap.now.goal]")
+        x, y = (x0 + x1) / 2, (y0 + y1) / 2
+        for dx, dy in ((-3, -6), (3, -6), (3, 6), (-3, 6)):
+            tab.page.mouse.click(*tab.place(x + dx, y + dy))
+        tab.page.keyboard.press("Enter")
+        tab.page.wait_for_function("before => joulemap.now.answer?.energy_j > before", arg=before)
+        shot(tab, "avoid")
+        tab.page.click("[aria-label='Remove area 1']")
+        tab.page.wait_for_function("before => Math.abs(joulemap.now.answer?.energy_j - before) < 1e-6", arg=before)
+        if tab.page.query_selector("#reach"):
+            tab.page.click("#reach summary")
+            tab.page.wait_for_selector("#reach-said p.note i")
+            shot(tab, "reach")
+        tab.page.click("text=Add a stop")
+        tab.page.mouse.click(*tab.place(west + 25.0, north - 8.0))
+        tab.page.wait_for_function("() => joulemap.now.answer?.tour === true")
+        shot(tab, "stops")
+
+
+def test_files(browser: Any, address: str, calibrated_on: str) -> None:
+    with opened(browser, address, hash=calibrated_on, accept_downloads=True) as tab:
+        tab.drawn()
+        tab.page.click("#tab-save")
+        shot(tab, "save")
+
+        def saved(words: str) -> bytes:
+            with tab.page.expect_download() as waiting:
+                tab.page.click(f"#step-save button:has-text('{words}')")
+            return Path(waiting.value.path()).read_bytes()
+
+        kinds = [one["properties"]["kind"] for one in json.loads(saved("GeoJSON"))["features"]]
+        assert kinds[:2] == ["energy_optimal", "shortest"]
+        assert b"<gpx" in saved("GPX")
+        assert saved("PNG").startswith(b"\x89PNG")
+        assert saved("GeoTIFF")[:2] in (b"II", b"MM")
+        assert saved("Zarr").startswith(b"PK")
+
+
+def test_three_dimensions(browser: Any, address: str, calibrated_on: str) -> None:
+    with opened(browser, address, hash=calibrated_on) as tab:
+        tab.drawn()
+        assert not any("plotly.min.js" in url for url in tab.asked)
+        tab.page.click("#view-3d")
+        frame = tab.page.frame_locator("iframe")
+        frame.locator("#view[data-drawn]").wait_for()
+        shot(tab, "3d")
+        tab.page.click("dialog button")
+
+
+def test_a_slow_cost_map_shows_its_progress_and_is_cancelled(browser: Any, address: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rough = Heightmap(rng.random((600, 600)).astype(np.float32) * 0.05, GridFrame(0.0, 150.0, 0.25, 600, 600))
+    with opened(browser, address, viewport=PHONE) as tab:
+        tab.page.set_input_files("#heightmap-file", tif(tmp_path, rough, "rough.tif"))
+        tab.page.wait_for_selector("#make")
+        tab.page.click("summary:has-text('Cells and headings')")
+        tab.page.fill("label:has-text('Side of a cell') input", "0.25")
+        tab.page.fill("label:has-text('Headings') input", "180")
+        tab.page.click("#make")
+        tab.page.wait_for_selector("#cancel")
+        tab.page.wait_for_function("() => /%/.test(document.getElementById('making').textContent)")
+        shot(tab, "progress-phone")
+        tab.page.click("#cancel")
+        tab.page.wait_for_function("() => document.getElementById('making').textContent.includes('Cancelled')")
+
+
+def test_what_a_cost_map_may_not_be_is_said_in_words(browser: Any, address: str, tmp_path: Path) -> None:
+    flat = Heightmap(np.zeros((40, 40), dtype=np.float32), GridFrame(0.0, 40.0, 1.0, 40, 40))
+    with opened(browser, address) as tab:
+        tab.page.set_input_files("#heightmap-file", tif(tmp_path, flat, "flat.tif"))
+        tab.page.wait_for_selector("#make")
+        tab.page.click("summary:has-text('Cells and headings')")
+        tab.page.fill("label:has-text('Side of a cell') input", "5000")
+        tab.page.click("#make")
+        tab.page.wait_for_selector("#making .error")
+        assert "5000" in tab.text("#making .error")
+
+
+def test_a_service_with_keys_asks_for_one(browser: Any, tmp_path: Path) -> None:
+    store = Store(tmp_path, f"sqlite:///{tmp_path / 'joulemap.db'}")
+    store.open()
+    key = add_key(store.sessions, "somebody")
+    store.close()
+    with serving(tmp_path) as url, opened(browser, url) as tab:
+        assert httpx.get(f"{url}/v1/costmaps").status_code == 401
+        tab.page.fill("dialog input", key)
+        tab.page.click("dialog button")
+        tab.page.wait_for_function("() => document.querySelector('#welcome')?.textContent.includes('Nothing yet')")
