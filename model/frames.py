@@ -17,6 +17,9 @@ from joulemap.model.errors import HeightmapError, PointError
 from joulemap.model.ranges import COORDINATE_M, RESOLUTION_M
 
 TAU = 2.0 * math.pi
+RIM_CELLS = 1e-6
+"""Places so far beyond the rim of a map [cells] are on it, as for the legs of `planner.kernels`: coordinates are
+rounded."""
 
 
 def heading_bins(count: int) -> NDArray[np.float64]:
@@ -227,7 +230,8 @@ class GridFrame:
         if not (math.isfinite(x) and math.isfinite(y)):
             raise PointError(f"{name} ({x}, {y}) is not a pair of finite numbers", x=str(x), y=str(y))
         west, south, east, north = self.bounds
-        if not (west <= x <= east and south <= y <= north):
+        slack = RIM_CELLS * self.resolution_m
+        if not (west - slack <= x <= east + slack and south - slack <= y <= north + slack):
             raise PointError(
                 f"{name} ({x:.2f}, {y:.2f}) lies outside the map, which spans x {west:.2f}..{east:.2f}, "
                 f"y {south:.2f}..{north:.2f}{self._likely_mistake(x, y)}",

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
@@ -17,11 +19,13 @@ from joulemap.planner.avoid import Polygon, checked_polygons, window_of, without
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.edges import Points, path_price
+from joulemap.planner.fields import field_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import check_neighbours
 from joulemap.planner.moves import MoveTable, distance_table, move_table, repriced
 from joulemap.planner.places import end_point
 from joulemap.planner.planners import PLANNERS, Options, planner_named
+from joulemap.planner.reach import ReachField, reach_field
 from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.search import grid_search
@@ -33,6 +37,8 @@ SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_
 ANY_ANGLE_NEIGHBOURS = 32
 """The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
 valleys."""
+_KEPT_REACHES = 2
+_KEPT_TOWARDS = 20  # of 4 bytes a cell
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,8 +183,11 @@ class RoutePlanner:
         self._distances = distance_lattice(lattice)
         self._tables: dict[tuple[bool, int], MoveTable] = {}
         self._bounds: tuple[BoundTable | None] | None = None
+        self._reaching = threading.Lock()
         self._making = threading.RLock()  # what is kept is made once; questions then share it without a lock
         self._avoiding: tuple[tuple[Polygon, ...], RoutePlanner] | None = None
+        self._towards: OrderedDict[tuple[float, float], NDArray[np.float32]] = OrderedDict()
+        self._reaches: OrderedDict[tuple[tuple[float, ...], bool], ReachField] = OrderedDict()
 
     def prepare(self) -> None:
         """Price the moves of refined routes now, so that the first question does not wait for it."""
@@ -214,6 +223,48 @@ class RoutePlanner:
                 self._avoiding = None  # its memory is given back first
                 self._avoiding = areas, _Avoiding(self, areas)
             return self._avoiding[1]
+
+    def reach(
+        self, start_xy: tuple[float, float], *, round_trip: bool = False, snap: bool = False
+    ) -> tuple[ReachField, list[str]]:
+        """Return what it takes to drive from one place to every cell, or there and back.
+
+        Those that were asked for last are kept.
+
+        Parameters
+        ----------
+        start_xy : tuple of float
+            World x, y [m].
+        round_trip : bool, default False
+            Whether it must come back to the start, by the best way back.
+        snap : bool, default False
+            Whether a start on blocked ground is moved to the nearest free place.
+
+        Returns
+        -------
+        field : ReachField
+            For any battery.
+        notes : list of str
+            Where the start was moved to, if it was.
+
+        Raises
+        ------
+        PointError
+            If the start is not finite or lies outside the map.
+        BlockedError
+            If the start is on blocked ground.
+        """
+        notes: list[str] = []
+        start = self._end("start", start_xy, notes, snap)
+        table = self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
+        key = tuple(start.tolist()), round_trip
+        with self._reaching:
+            if key not in self._reaches:
+                while len(self._reaches) >= _KEPT_REACHES:
+                    self._reaches.popitem(last=False)
+                self._reaches[key] = reach_field(self.lattice, table, start, round_trip=round_trip)
+            self._reaches.move_to_end(key)
+            return self._reaches[key], notes
 
     def _priced(self, neighbours: int) -> MoveTable:
         return move_table(self.lattice, neighbours=neighbours)
@@ -330,6 +381,41 @@ class RoutePlanner:
         bound_j = least if math.isfinite(least) else None
         route, *rest = (self._route(way, notes) for way in ways)
         return Plan(route, self._route(shortest, notes), planner, details, tuple(rest), bound_j)
+
+    def energies_towards(self, goal_xy: tuple[float, float], *, name: str = "goal") -> NDArray[np.float32]:
+        """Return the least energy from every cell to one place, over grid moves.
+
+        Those that were asked for last are kept, so that a robot on its way may ask every second.
+
+        Parameters
+        ----------
+        goal_xy : tuple of float
+            World x, y [m].
+        name : str, default "goal"
+            What messages call it.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols)
+            Energy [J]; infinite where there is no way.
+
+        Raises
+        ------
+        PointError
+            If the place is not finite or lies outside the map.
+        BlockedError
+            If it is on blocked ground.
+        """
+        key = (float(goal_xy[0]), float(goal_xy[1]))
+        with self._reaching:
+            if key not in self._towards:
+                goal = self._end(name, key, [], False)
+                found = field_towards(self.lattice, self._table(ANY_ANGLE_NEIGHBOURS, distance=False), goal[None])
+                while len(self._towards) >= _KEPT_TOWARDS:
+                    self._towards.popitem(last=False)
+                self._towards[key] = found.energy_j.astype(np.float32)
+            self._towards.move_to_end(key)
+            return self._towards[key]
 
     def tour(
         self,

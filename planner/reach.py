@@ -1,9 +1,9 @@
 """Reach: where the battery lasts to, and where it lasts to and back.
 
-An energy field over grid moves is a little dearer than the routes that a planner improves at any angle, and that little
-grows with the distance. So the routes to some cells (anchors) at certain energies of the field are improved as a planner
-does it. Their ratios of energy needed to energy of the field, interpolated between them, correct the field everywhere.
-Which cells are anchors depends on the field alone, not on the battery: what one battery reaches, a larger one reaches.
+An energy field over grid moves is a little dearer than the routes that a planner improves at any angle, and the
+difference grows with the distance. So the routes to some cells (anchors) at certain energies of the field are improved
+as a planner does it. Their ratios of energy needed to energy of the field, interpolated between them, correct the field
+everywhere. Which cells are anchors depends on the field alone: what one battery reaches, a larger one reaches too.
 """
 
 from __future__ import annotations

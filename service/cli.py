@@ -15,10 +15,12 @@ from joulemap.service.commands import (
     exports,
     fields,
     heightmaps,
+    homeward,
     keys,
     logs,
     maps,
     models,
+    reach,
     reproduction,
     services,
     tours,
@@ -65,7 +67,7 @@ def joulemap(
 
 
 for _panel, _commands in (
-    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour, fields.field, exports.export)),
+    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour, fields.field, reach.reach, exports.export)),
     ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
     ("Keep", (data_directory.check, data_directory.backup, data_directory.restore, doctor.doctor)),
     (
@@ -85,6 +87,7 @@ for _panel, _commands in (
 ):
     for _command in _commands:
         app.command(cls=Command, rich_help_panel=_panel)(_command)
+app.command("return", cls=Command, rich_help_panel="Plan")(homeward.point_of_no_return)
 app.command("import", cls=Command, rich_help_panel="Learn")(logs.import_logs)
 app.add_typer(keys.keys, rich_help_panel="Serve")
 

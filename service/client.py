@@ -20,6 +20,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.library.heightmaps import robot_of
 from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.schemas.homeward import ReturnOut
 from joulemap.service.schemas.loop import CalibrationOut, RunsOut
 from joulemap.service.schemas.maps import AtOut, CostmapOut, HeightmapOut
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
@@ -670,6 +671,32 @@ class ServedCostMap:
             body |= {} if value is None else {name: _sent(value)}
         body |= {} if points is None else {"path": [_sent(point) for point in points]}
         return self._client._ask(FeasibilityOut, "POST", f"{self._place}/feasibility", json=body)
+
+    def homeward(self, position: Point, home: Point, **asked: Any) -> ReturnOut:
+        """Say until where a robot may follow the rest of its path and still come home: the point of no return.
+
+        Parameters
+        ----------
+        position, home : sequence of float or mapping
+            World x, y [m].
+        **asked
+            `path`, `charging`, `battery` with the charge now, `confidence`, `avoid`: see the HTTP reference.
+
+        Returns
+        -------
+        ReturnOut
+            In words and numbers.
+
+        Raises
+        ------
+        PointError, BlockedError
+            As `CostMap.homeward`.
+        """
+        body = {"position": _sent(position), "home": _sent(home), **asked}
+        for name in ("path", "charging"):
+            if body.get(name) is not None:
+                body[name] = [_sent(point) for point in body[name]]
+        return self._client._ask(ReturnOut, "POST", f"{self._place}/return", json=body)
 
     def at(self, point: Point) -> AtOut:
         """Return the energy per metre at one place in all headings.

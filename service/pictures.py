@@ -5,15 +5,20 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 
+import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path
 from matplotlib.transforms import offset_copy
 
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.energy_map import EnergyMap, FieldKind
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.reach_map import ReachMap
 from joulemap.planner.route import Route
 from joulemap.service.map_drawing import (
     FAINT,
@@ -30,7 +35,7 @@ from joulemap.service.map_drawing import (
 
 _NAME_LETTERS = 60  # of a name that is drawn
 
-__all__ = ["VIEWS", "field_image", "lattice_image", "route_picture"]
+__all__ = ["VIEWS", "field_image", "lattice_image", "reach_image", "route_picture"]
 
 
 def lattice_image(lattice: CostLattice, *, view: str = "mean", heading_deg: float | None = None) -> bytes:
@@ -116,6 +121,41 @@ def field_image(field: EnergyMap, *, within: float | None = None) -> bytes:
     axes.set_title(_FIELD_TITLES[field.kind], loc="left", fontsize=13, fontweight="bold", color=INK)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
+    return _png(figure)
+
+
+def reach_image(lattice: CostLattice, reach: ReachMap) -> bytes:
+    """Draw where a battery lasts to, over the terrain.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The terrain, with what is blocked.
+    reach : ReachMap
+        On the same cells.
+
+    Returns
+    -------
+    bytes
+        A PNG: a filled outline for each charge, the largest charge below.
+    """
+    figure, axes = _map_figure(lattice.frame, extra_in=1.2)
+    patches = draw_lattice_ground(axes, lattice)
+    shades = colormaps["viridis"](np.linspace(0.15, 0.9, len(reach.charges)))
+    handles: list[Patch] = []
+    for shade, k in zip(shades, np.argsort(reach.charges)[::-1], strict=True):
+        rings = [ring for part in reach.polygons(int(k)) for ring in part]
+        if rings:
+            codes = [[Path.MOVETO, *[Path.LINETO] * (len(ring) - 2), Path.CLOSEPOLY] for ring in rings]
+            outline = Path(np.concatenate(rings), np.concatenate(codes))
+            axes.add_patch(PathPatch(outline, facecolor=(*shade[:3], 0.25), edgecolor=shade, linewidth=1.6))
+        label = f"from {100 * reach.charges[k]:g} % charge: {reach.area_m2(int(k)):,.0f} m²"
+        handles.append(Patch(facecolor=(*shade[:3], 0.25), edgecolor=shade, label=label))
+    axes.plot(*reach.start, marker="o", markersize=7, color="white", markeredgecolor=INK, linestyle="none", zorder=5)
+    how = "Reach, there and back" if reach.round_trip else "Reach"
+    sure = "" if reach.confidence is None else f", {reach.confidence:.0%} likely"
+    axes.set_title(how + sure, loc="left", fontsize=13, fontweight="bold", color=INK)
+    figure.legend(handles=[*handles, *patches], loc="outside lower center", ncols=2, frameon=False, fontsize=9.5)
     return _png(figure)
 
 

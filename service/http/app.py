@@ -24,11 +24,13 @@ from joulemap.service.http.routes import (
     contents,
     costmaps,
     heightmaps,
+    homeward,
     job_progress,
     layers,
     meta,
     page,
     questions,
+    reach,
     runs,
 )
 from joulemap.service.http.state import Service
@@ -79,7 +81,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.service = service
     app.include_router(meta.router)
     app.include_router(page.router)
-    for module in (heightmaps, costmaps, contents, questions, runs, calibrations, job_progress, layers):
+    for module in (heightmaps, costmaps, contents, questions, reach, homeward, runs, calibrations, job_progress, layers):
         app.include_router(module.router, prefix="/v1")
     problems.install(app)
     documents.install(app)

@@ -24,6 +24,7 @@ from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.planner.tiled_search import DEFAULT_MEMORY
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.exports.maps import save_map
+from joulemap.service.homeward import CONFIDENCE, Homeward, homeward
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.models import ModelLike, model_folder
@@ -340,6 +341,58 @@ class CostMap:
             snap=snap,
         )
         return replace(found, notes=(*places.notes, *found.notes))
+
+    def homeward(
+        self,
+        position: Point,
+        home: Point,
+        *,
+        battery: Battery,
+        path: Sequence[Point] | None = None,
+        charging: Sequence[Point] = (),
+        confidence: float | None = CONFIDENCE,
+    ) -> Homeward:
+        """Say until where a robot may follow the rest of its path and still come home: the point of no return.
+
+        Parameters
+        ----------
+        position : sequence of float or mapping
+            Where the robot is, world x, y [m].
+        home : sequence of float or mapping
+            World x, y [m].
+        battery : Battery
+            With its charge now.
+        path : sequence of points, optional
+            The rest of its path.
+        charging : sequence of points, optional
+            Places to charge, at most 16.
+        confidence : float or None, optional
+            Probability with which the battery must last; None where the expected energy decides.
+
+        Returns
+        -------
+        Homeward
+            Answers again about the same home come from kept energies, in milliseconds.
+
+        Raises
+        ------
+        InputError
+            If there are too many places to charge, or the map is not in memory.
+        PointError
+            If a place lies outside the map.
+        BlockedError
+            If home or a place to charge is on blocked ground, or the path crosses it.
+        """
+        places = Places(self.lattice.frame)
+        return homeward(
+            self.planner,
+            places(position, "position"),
+            places(home, "home"),
+            battery,
+            path=None if path is None else places.path(list(path)),
+            charging=[places(place, f"charging place {k}") for k, place in enumerate(charging)],
+            confidence=confidence,
+        )
 
     def field(
         self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False

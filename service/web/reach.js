@@ -34,10 +34,10 @@ async function ask() {
     return;
   }
   const { charge, reserve } = now.battery, levels = [0.25, 0.5, 0.75, 1].map(share => +(reserve + (charge - reserve) * share).toFixed(3));
-  const body = { start: now.start, battery: { charge, reserve }, charges: charge > reserve ? levels : null, reserve, confidence: wish.confidence, round_trip: wish.back, avoid: now.avoid };
+  const body = { start: now.start, battery: { charge, reserve }, charges: charge > reserve ? levels : null, confidence: wish.confidence, round_trip: wish.back, avoid: now.avoid };
   fill(said, make("p", { class: "note" }, "Searching…"));
   try {
-    const found = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/reach?format=geojson`, body, { signal }));
+    const found = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/reach?format=geojson&coordinates=map`, body, { signal }));
     contours.clearLayers();
     const order = found.features.filter(one => one.geometry).sort((a, b) => b.properties.charge - a.properties.charge);
     order.forEach(({ geometry, properties }, k) => {

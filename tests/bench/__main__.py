@@ -21,6 +21,7 @@ from tests.bench.calibration import bench_calibration
 from tests.bench.large_maps import bench_large, bench_start_up
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.quality import compare_options, compare_peers, compare_planners
+from tests.bench.reach import compare_reach
 from tests.bench.searches import bench_searches
 from tests.bench.stages import bench
 from tests.bench.timing import Row
@@ -43,9 +44,10 @@ def main() -> None:
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     only.add_argument("--quality", action="store_true", help="set the default answer beside every other option of ours")
-    parser.add_argument("--tasks", type=int, default=10, help="random tasks a map with --quality; 100 for the whole")
+    only.add_argument("--reach", action="store_true", help="set reach beside planning to one goal after another")
+    parser.add_argument("--tasks", type=int, default=10, help="random tasks a map with --quality or --reach")
     parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
-    parser.add_argument("--real", type=Path, help="a heightmap for --quality")
+    parser.add_argument("--real", type=Path, help="a heightmap for --quality and --reach")
     options = parser.parse_args()
     console = Console(width=140)
     if options.heightmap:
@@ -53,6 +55,9 @@ def main() -> None:
     elif options.quality:
         real = read_heightmap(options.real) if options.real else None
         console.print(compare_options(real, options.tasks, options.sampling))
+    elif options.reach:
+        for found in compare_reach(read_heightmap(options.real) if options.real else None, options.tasks):
+            console.print(found)
     elif options.peers:
         for cells in options.sizes:
             console.print(compare_peers(cells, options.resolution))

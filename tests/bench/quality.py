@@ -132,7 +132,7 @@ def compare_options(heightmap: Heightmap | None, tasks: int, sampling_s: float) 
     columns = ("map", "beside", "mean gap %", "95th percentile %", "worst %", "tasks above 0.1 %")
     for column in columns:
         out.add_column(column, justify="left" if column in columns[:2] else "right")
-    for name, lattice in _maps(heightmap):
+    for name, lattice in quality_maps(heightmap):
         gaps, below, seconds_each = _gaps(lattice, tasks, sampling_s)
         for beside, values in gaps.items():
             share = 100.0 * np.array(values)
@@ -148,7 +148,7 @@ def compare_options(heightmap: Heightmap | None, tasks: int, sampling_s: float) 
     return out
 
 
-def _maps(heightmap: Heightmap | None) -> Iterator[tuple[str, CostLattice]]:
+def quality_maps(heightmap: Heightmap | None) -> Iterator[tuple[str, CostLattice]]:
     if heightmap is not None:
         for model in ("default", "physics"):
             yield f"heightmap, {model}", build_lattice(heightmap, Robot(), load_predictor(model))

@@ -2,6 +2,7 @@
 
 import io
 import json
+import zipfile
 
 import numpy as np
 import pytest
@@ -111,3 +112,87 @@ def test_fields_over_http(client, costmap_id):
     assert client.get(place, params={**ends, "format": "png"}).content[:4] == b"\x89PNG"
     assert client.get(place).status_code == 422
     assert client.get(place, params={"start_x": 1.0}).status_code == 422
+
+
+def test_areas_to_avoid_hold_for_paths_tours_and_verdicts_over_http(client, costmap_id):
+    west, north = HTTP_START[0] - 3.5, HTTP_START[1] + 15.5
+    area = [
+        [west + 18.0, north - 20.0],
+        [west + 22.0, north - 20.0],
+        [west + 22.0, north - 2.0],
+        [west + 18.0, north - 2.0],
+    ]
+    place = f"/v1/costmaps/{costmap_id}"
+    asked = {"start": HTTP_START, "goal": HTTP_GOAL, "avoid": [area]}
+    free = client.post(f"{place}/paths", json=asked | {"avoid": []}).json()
+    path = client.post(f"{place}/paths", json=asked).json()
+    assert path["energy_j"] > free["energy_j"]
+    assert not any(west + 18.0 < x < west + 22.0 and north - 20.0 < y < north - 2.0 for x, y, _ in path["path"])
+    verdict = client.post(f"{place}/feasibility", json=asked).json()
+    assert verdict["energy_j"] == pytest.approx(path["energy_j"], rel=1e-6)
+    tour = client.post(f"{place}/tours", json={"stops": [HTTP_START, HTTP_GOAL], "avoid": [area]}).json()
+    assert tour["legs"][0]["energy_j"] == pytest.approx(path["energy_j"], rel=1e-6)
+    refused = client.post(f"{place}/paths", json=asked | {"start": [west + 20.0, north - 10.0]})
+    assert refused.status_code == 422
+    assert refused.json()["reason"] == "avoid"
+    short = client.post(f"{place}/paths", json=asked | {"avoid": [area[:2]]})
+    assert short.status_code == 422
+
+
+def test_reach_over_http_and_in_python_is_one_answer_in_every_format(client, costmap_id, costmap, tmp_path):
+    place = f"/v1/costmaps/{costmap_id}/reach"
+    asked = {"start": HTTP_START, "charges": [0.001, 0.002, 1.0], "round_trip": True, "battery": {"reserve": 0.0}}
+    found = client.post(place, json=asked).json()
+    areas = [level["area_m2"] for level in found["levels"]]
+    assert 0.0 < areas[0] < areas[1] < areas[2]
+    features = client.post(place, json=asked, params={"format": "geojson"}).json()["features"]
+    assert [one["properties"]["area_m2"] for one in features] == areas
+    longitude, latitude = features[0]["geometry"]["coordinates"][0][0][0]
+    assert (longitude, latitude) == pytest.approx((-3.0, 36.14), abs=0.01)
+    assert features[0]["properties"] | {"charge": 0.001, "round_trip": True} == features[0]["properties"]
+    mine = client.post(place, json=asked, params={"format": "geojson", "coordinates": "map"}).json()
+    assert mine["features"][0]["geometry"]["coordinates"] == found["levels"][0]["polygons"]
+    tif = client.post(place, json=asked, params={"format": "geotiff"}).content
+    with rasterio.open(io.BytesIO(tif)) as dataset:
+        assert (np.nan_to_num(dataset.read(2), nan=-1.0) >= 0.0).sum() == areas[1]
+    assert client.post(place, json=asked, params={"format": "png"}).content[:4] == b"\x89PNG"
+    here = jm.open_costmap(_saved(client, costmap_id, tmp_path)).reach(HTTP_START, charge=[0.002], round_trip=True)
+    assert here.area_m2() == areas[1]
+
+
+def _saved(client, costmap_id, folder):
+    content = client.get(f"/v1/costmaps/{costmap_id}/data", params={"format": "zarr"}).content
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        archive.extractall(folder / "map.zarr")
+    found = next((folder / "map.zarr").rglob("zarr.json"))
+    return found.parent
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"confidence": 0.9}, "does not know its uncertainty"),
+        ({"confidence": 1.0}, "less than or equal to 0.99"),
+        ({"charges": []}, "at least 1"),
+        ({"charges": [0.5] * 11}, "at most 10"),
+        ({"battery": {"reserve": 2.0}}, "reserve"),
+    ],
+)
+def test_questions_for_reach_that_have_no_answer_are_refused_in_words(client, costmap_id, more, words):
+    answer = client.post(f"/v1/costmaps/{costmap_id}/reach", json={"start": HTTP_START, **more})
+    assert answer.status_code == 422
+    assert words in answer.text
+
+
+def test_reach_from_the_command_line(costmap, tmp_path):
+    place = costmap.save(tmp_path / "hills.zarr")
+    out = tmp_path / "reach.geojson"
+    words = ["reach", str(place), "--start", "105.5,5.5", "--charge", "0.0008,0.003", "--return", "--out", str(out)]
+    found = CliRunner().invoke(app, [*words, "--json", str(tmp_path / "reach.json")])
+    assert found.exit_code == 0, found.output
+    assert "from 0.08 % charge" in found.output
+    assert len(json.loads(out.read_text())["features"]) == 2
+    levels = json.loads((tmp_path / "reach.json").read_text())["levels"]
+    assert [level["charge"] for level in levels] == [0.0008, 0.003]
+    refused = CliRunner().invoke(app, [*words[:-1], "reach.gpx"])
+    assert refused.exit_code == 2

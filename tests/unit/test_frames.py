@@ -84,6 +84,12 @@ def test_a_point_off_the_map_is_named(x: float, y: float) -> None:
         GridFrame(100.0, 500.0, 2.0, 3, 4).cell_of(x, y, name="goal")
 
 
+def test_rounding_puts_no_point_off_the_map() -> None:
+    frame = GridFrame(0.0, 40.0, 1.0, 40, 50)
+    assert frame.cell_of(50.0 + 1e-9, -1e-9, name="start") == (39, 49)
+    assert frame.cell_of(-1e-9, 40.0 + 1e-9, name="start") == (0, 0)
+
+
 @pytest.mark.parametrize(
     ("x", "y", "hint"),
     [
