@@ -85,7 +85,7 @@ def _cells_apart(lattice: CostLattice, spacing_m: float | None) -> int:
     if nodes > MOST_NODES:
         least = lattice.frame.resolution_m * math.ceil(math.sqrt(rows * cols / MOST_NODES))
         raise TooLargeError(
-            f"a route graph of nodes {spacing_m:g} m apart has {nodes:,}, the limit is {MOST_NODES:,}: choose a "
+            f"a route graph with a node every {spacing_m:g} m has {nodes:,}, the limit is {MOST_NODES:,}: choose a "
             f"spacing of about {least:g} m",
             nodes=nodes,
             limit=MOST_NODES,
