@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import re
 
+import numpy as np
 import rasterio
+from numpy.typing import ArrayLike, NDArray
 from rasterio import warp
 from rasterio.crs import CRS
 
@@ -49,12 +51,9 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
     A Mercator projection stretches every length by 1 / cos(latitude): Snyder 1987, Map Projections: A Working Manual
     (USGS Professional Paper 1395), eq. 7-3 on the sphere. UTM stretches by 0.9996 to 1.001.
     """
+    crs = known_crs(crs)
     try:
         with rasterio.Env(**GDAL_OPTIONS):
-            if isinstance(crs, str):
-                if not _CRS_TEXT.match(crs):  # GDAL would also take file names and addresses
-                    raise ValueError(crs)
-                crs = CRS.from_string(crs)
             code, wkt = crs.to_epsg(), crs.to_wkt()
             geographic, projected = crs.is_geographic, crs.is_projected
             unit, metres = crs.linear_units_factor if projected else ("", 1.0)
@@ -90,6 +89,66 @@ def crs_name(crs: CRS | str, bounds: Bounds | None = None, *, nodata_declared: b
     elif not wkt.upper().startswith(("LOCAL_CS", "ENGCRS", "ENGINEERINGCRS")) or "FOOT" in wkt.upper():
         raise HeightmapError(f"the map's coordinate reference system is no plane in metres: {short}", crs=short)
     return name
+
+
+def known_crs(crs: CRS | str) -> CRS:
+    """Return a CRS by its name, whatever its unit.
+
+    Parameters
+    ----------
+    crs : CRS or str
+        The CRS, or a text: "EPSG:n" or WKT.
+
+    Returns
+    -------
+    CRS
+        Of rasterio.
+
+    Raises
+    ------
+    HeightmapError
+        If there is no such CRS.
+    """
+    if not isinstance(crs, str):
+        return crs
+    try:
+        if not _CRS_TEXT.match(crs):  # GDAL would also take file names and addresses
+            raise ValueError(crs)
+        with rasterio.Env(**GDAL_OPTIONS):
+            return CRS.from_string(crs)
+    except Exception as error:
+        if not (is_gdal_error(error) or isinstance(error, (ValueError, OverflowError))):
+            raise
+        raise HeightmapError(
+            f"the coordinate reference system {crs[:80]!r} is not known: give EPSG:n or its WKT", crs=crs[:80]
+        ) from error
+
+
+def scale_errors(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDArray[np.float64]:
+    """Return by how much a CRS stretches lengths.
+
+    Parameters
+    ----------
+    crs : str
+        "EPSG:n" or WKT, a projection.
+    longitude, latitude : array_like, (n,)
+        WGS 84 [deg].
+
+    Returns
+    -------
+    ndarray of float, (2 n,)
+        Length in the CRS over true length, less one: along the meridians, then along the parallels. Zeros where the
+        CRS is no projection of the Earth.
+    """
+    from pyproj import Proj
+    from pyproj.exceptions import ProjError
+
+    lon, lat = np.atleast_1d(longitude), np.atleast_1d(latitude)
+    try:
+        factors = Proj(crs).get_factors(lon, lat, errcheck=True)
+    except ProjError:
+        return np.zeros(2 * lon.size)
+    return np.concatenate([np.atleast_1d(factors.meridional_scale), np.atleast_1d(factors.parallel_scale)]) - 1.0
 
 
 def _check_projection(wkt: str, short: str) -> None:
@@ -182,4 +241,5 @@ def _advice(centre: tuple[float, float] | None, nodata_declared: bool) -> str:
         target = "EPSG:326xx"
     else:
         words = f"reproject it to UTM zone {target[-2:].lstrip('0')}{'N' if target[5:8] == '326' else 'S'}"
-    return f"{words} with {warp_command(f'--dst-crs {target}', nodata_declared=nodata_declared)}"
+    command = warp_command(f"--dst-crs {target}", nodata_declared=nodata_declared)
+    return f"give `reproject` as auto, or {words} with {command}"

@@ -31,6 +31,8 @@ class Heightmap:
         Where the heights are from, in words.
     part : bool
         Whether this is a part of a larger map; only then may every height be unknown.
+    notes : tuple of str
+        What was done to the file's heights as it was read.
 
     Raises
     ------
@@ -42,6 +44,7 @@ class Heightmap:
     frame: GridFrame
     source: str = field(default="memory")
     part: bool = False
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         heights = np.ascontiguousarray(self.heights, dtype=np.float32)

@@ -8,10 +8,11 @@ from pathlib import Path
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.coordinate_systems import Bounds, crs_name
-from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling
+from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Decoded, Scaling
 from joulemap.model.terrain.formats import FORMATS, formats_in_words
 from joulemap.model.terrain.formats.contract import HeightmapFormat, SourceFile, WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.reproject import reproject_file
 from joulemap.model.terrain.windows import Ground, HeightmapFile
 
 MAX_CELLS = 400_000_000
@@ -32,6 +33,7 @@ def read_heightmap(
     offset_m: float = 0.0,
     nodata: float | None = None,
     band: int | None = None,
+    reproject: str | None = None,
     max_cells: int = MAX_CELLS,
 ) -> Heightmap:
     """Read a heightmap from a file of any known format.
@@ -60,6 +62,10 @@ def read_heightmap(
         Stored value of unknown cells, in addition to those that the file declares.
     band : int, optional
         Number of the band with the heights, from 1, for a GeoTIFF with several.
+    reproject : str, optional
+        "auto", "EPSG:n" or WKT: resample a map in degrees, feet or Web Mercator, a rotated one or one whose cells are
+        not square, to a north-up grid of true metres. "auto" takes the UTM zone, or keeps a CRS in true metres.
+        `resolution_m` is then the side of the new cells.
     max_cells : int, optional
         Largest number of cells.
 
@@ -78,6 +84,23 @@ def read_heightmap(
     """
     scaling = Scaling(scale_m, offset_m, nodata)
     file = _opened(source, filename)
+    if reproject is not None:
+        warped, scaling = reproject_file(
+            file,
+            _format_of(file),
+            scaling,
+            to=reproject,
+            resolution_m=resolution_m,
+            west_m=west_m,
+            north_m=north_m,
+            crs=crs,
+            band=band,
+            max_cells=max_cells,
+            max_cells_whole=max_cells,
+        )
+        rows, cols = warped.shape
+        heights = warped.read(scaling, slice(0, rows), slice(0, cols))
+        return Heightmap(heights, _frame(warped, None, 0.0, None, None), file.name, notes=(warped.note,))
     decoded = _format_of(file).code.decode(file, scaling, max_cells=max_cells, band=band)
     return Heightmap(decoded.heights, _frame(decoded, resolution_m, west_m, north_m, crs), source=file.name)
 
@@ -94,6 +117,7 @@ def open_ground(
     offset_m: float = 0.0,
     nodata: float | None = None,
     band: int | None = None,
+    reproject: str | None = None,
 ) -> Ground:
     """Open a heightmap of any size: read by windows where its format can, and as a whole otherwise.
 
@@ -103,7 +127,7 @@ def open_ground(
         The file.
     filename : str, optional
         What messages call it, if not by its own name.
-    resolution_m, west_m, north_m, crs, scale_m, offset_m, nodata, band : optional
+    resolution_m, west_m, north_m, crs, scale_m, offset_m, nodata, band, reproject : optional
         As in `read_heightmap`.
 
     Returns
@@ -121,6 +145,21 @@ def open_ground(
     scaling = Scaling(scale_m, offset_m, nodata)
     file = _opened(path, filename)
     assert isinstance(file.place, Path)
+    if reproject is not None:
+        warped, scaling = reproject_file(
+            file,
+            _format_of(file),
+            scaling,
+            to=reproject,
+            resolution_m=resolution_m,
+            west_m=west_m,
+            north_m=north_m,
+            crs=crs,
+            band=band,
+            max_cells=MAX_SIDE * MAX_SIDE,
+            max_cells_whole=MAX_CELLS,
+        )
+        return HeightmapFile(warped, scaling, _frame(warped, None, 0.0, None, None), file.name, notes=(warped.note,))
     reader = _format_of(file).open_windows(file.place, band=band)
     if reader is not None:
         frame = _frame(reader, resolution_m, west_m, north_m, crs)

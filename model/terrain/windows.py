@@ -34,6 +34,10 @@ class Ground(Protocol):
         """Where it is from, in words."""
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the file's heights as it was read."""
+
+    @property
     def data_hash(self) -> str:
         """As `Heightmap.data_hash`."""
 
@@ -70,12 +74,15 @@ class HeightmapFile:
         Where the grid lies.
     source : str
         The file's name.
+    notes : tuple of str
+        As `Heightmap.notes`.
     """
 
     reader: WindowReader
     scaling: Scaling
     frame: GridFrame
     source: str
+    notes: tuple[str, ...] = ()
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Heightmap:
         """Return the heights of cells [row0, row1) x [col0, col1).

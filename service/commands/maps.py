@@ -20,6 +20,7 @@ from joulemap.service.commands.console import (
     write_file,
 )
 from joulemap.service.commands.options import (
+    Avoid,
     ModelName,
     Overwrite,
     Reading,
@@ -111,6 +112,7 @@ def costmap(
 
     `joulemap costmap heights.png --resolution 0.5 --scale 0.01 --model physics --out heights.zarr`
     """
+    from joulemap.model.terrain.plausible import heightmap_warnings
     from joulemap.model.terrain.readers import open_ground
     from joulemap.service.workflows import write_cost_lattice
 
@@ -131,6 +133,9 @@ def costmap(
     if out is None:
         raise typer.BadParameter("--out is missing: name the folder to write the cost map to")
     ground = open_ground(heightmap, **reading)
+    for note in ground.notes:
+        output.say(f"[bold]Heightmap[/] {note}")
+    output.warn(heightmap_warnings(ground))
     rover = robot_of(robot)
     _say_size(output, ground.frame, spacing, headings, max_values)
     with leaves_nothing_behind(), progress_bar("Cost map") as report:
@@ -266,6 +271,7 @@ def path(
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the sampling planners.")] = 0,
     alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
     snap: Snap = False,
+    avoid: Avoid = None,
     bound: Annotated[
         bool,
         typer.Option(
@@ -297,6 +303,7 @@ def path(
 
     `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --planner bitstar --time-limit 10 --json -`
     """
+    from joulemap.service.commands.path_files import read_areas
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.answers import path_out
 
@@ -316,15 +323,19 @@ def path(
         with served(server, key, costmap) as map_there, progress_bar("Path") as report:
             for file in files:
                 file.check(map_there.crs)
+            asked["avoid"], notes = read_areas(avoid, map_there.grid)
             answer = map_there.plan(start, goal, progress=report, **asked)
             for file in files:
                 write_file(file.path, map_there.plan_file(start, goal, **file.query, **asked))
+        output.warn(notes)
         _say_path(output, answer.model_dump(mode="json"), map_there.about.robot.name, bound=bound)
         return
     in_parts = planner == "astar" and alternatives == 0 and picture is None and not bound
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if in_parts and memory is None else memory)
     for file in files:
         file.check(ground.crs)
+    asked["avoid"], notes = read_areas(avoid, ground.planner.lattice.frame)
+    output.warn(notes)
     with progress_bar("Path") as report:
         route = ground.plan(start, goal, progress=report, **asked)
     plan = route.found
@@ -370,6 +381,7 @@ def feasibility(
     ] = None,
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
     snap: Snap = False,
+    avoid: Avoid = None,
     memory: Memory = None,
     capacity_wh: Annotated[
         float | None,
@@ -396,7 +408,7 @@ def feasibility(
     `joulemap feasibility dem.zarr --path survey.geojson --charge 0.8 --battery pack.toml`
     """
     from joulemap.model.battery import Battery
-    from joulemap.service.commands.path_files import read_path
+    from joulemap.service.commands.path_files import read_areas, read_path
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.answers import feasibility_out
     from joulemap.service.workflows import assess
@@ -407,18 +419,20 @@ def feasibility(
         refuse_local(memory=memory)
         with served(server, key, costmap) as map_there:
             points, notes = (None, []) if path is None else read_path(path, map_there.grid)
+            areas, more = read_areas(avoid, map_there.grid)
             verdict = map_there.feasibility(
                 points,
                 start=start,
                 goal=goal,
                 round_trip=round_trip,
                 snap=snap,
+                avoid=areas,
                 charge=charge,
                 reserve=reserve,
                 capacity_wh=capacity_wh,
                 battery=given,
             )
-        output.warn(notes)
+        output.warn(notes + more)
         _say_verdict(output, verdict.model_dump(mode="json"), round_trip=round_trip)
         return
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if memory is None else memory)
@@ -427,7 +441,9 @@ def feasibility(
     )
     planner = ground.planner
     points, notes = (None, []) if path is None else read_path(path, planner.lattice.frame)
-    output.warn(notes)
+    areas, more = read_areas(avoid, planner.lattice.frame)
+    output.warn(notes + more)
+    planner = planner.avoiding(areas)
     assessment = assess(planner, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip, snap=snap)
     _say_verdict(output, feasibility_out(assessment, ground.warnings).model_dump(mode="json"), round_trip=round_trip)
 

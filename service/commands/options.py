@@ -124,6 +124,12 @@ BaselineRuns = Annotated[
         "was trained on, if its folder keeps them]",
     ),
 ]
+Avoid = Annotated[
+    Path | None,
+    typer.Option(
+        "--avoid", metavar="FILE", callback=there, help="GeoJSON with areas (polygons) that no route may touch."
+    ),
+]
 Snap = Annotated[
     bool,
     typer.Option("--snap", help="Take the nearest free place for a point on blocked ground, with a warning."),
@@ -151,6 +157,7 @@ class Reading(TypedDict):
     offset_m: float
     nodata: float | None
     band: int | None
+    reproject: str | None
 
 
 def _heightmap_option(help: str, **more: Any) -> Any:
@@ -192,6 +199,18 @@ _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library call
         Annotated[int | None, _heightmap_option("Band of a GeoTIFF with several, from 1.", min=1, metavar="N")],
         None,
     ),
+    "reproject": (
+        "reproject",
+        Annotated[
+            str | None,
+            _heightmap_option(
+                "Resample a map in degrees, feet or Web Mercator, rotated or with oblong cells, to true metres: `auto` "
+                "(its UTM zone) or EPSG:n. `--resolution` is then the side of the new cells.",
+                metavar="auto|CRS",
+            ),
+        ],
+        None,
+    ),
 }
 
 
@@ -206,7 +225,8 @@ def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
     Returns
     -------
     callable
-        The command with `--resolution`, `--west`, `--north`, `--crs`, `--scale`, `--offset`, `--nodata`, `--band`.
+        The command with `--resolution`, `--west`, `--north`, `--crs`, `--scale`, `--offset`, `--nodata`, `--band`,
+        `--reproject`.
     """
     hints = get_type_hints(command, include_extras=True)
     parameters = []

@@ -6,6 +6,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol
 
+from joulemap.model.terrain.plausible import heightmap_warnings
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.storage.stats import heightmap_stats
@@ -69,6 +70,7 @@ def read_map(
         heightmap = read_heightmap(path, filename=name, max_cells=max_cells, **options)
     with guard.keeping(heightmap.heights.size):
         stats = heightmap_stats(heightmap, band=options.get("band"))
+        stats["notes"] = [*heightmap.notes, *heightmap_warnings(heightmap)]
         write_geotiff(out, heightmap, quick=True)
     return stats
 

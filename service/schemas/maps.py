@@ -58,6 +58,14 @@ class UploadOptions(ClosedModel):
         le=65_535,
         description="band that holds the heights, from 1; a GeoTIFF with several needs it",
     )
+    reproject: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=4000,
+        description="resample a map in degrees, feet or Web Mercator, rotated or with oblong cells, to true metres: "
+        "`auto` (its UTM zone), EPSG:n or WKT; `resolution_m` is then the side of the new cells",
+        examples=["auto"],
+    )
 
 
 class HeightmapOut(ResponseModel):
@@ -81,6 +89,9 @@ class HeightmapOut(ResponseModel):
     )
     band: int | None = Field(
         default=None, description="band of the sent GeoTIFF that holds the heights, from 1; null where none was named"
+    )
+    notes: list[str] = Field(
+        default=[], description="what was done to the heights as they were read, and what of them is hardly right"
     )
     links: dict[str, str]
 

@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+import rasterio
+from rasterio.transform import Affine
 from typer.testing import CliRunner
 
 import joulemap as jm
@@ -103,3 +105,27 @@ def test_a_python_user_gives_a_mapping_and_is_warned(tmp_path):
         )
     with pytest.raises(RunsError, match="near it are batt_current_mA"):
         jm.read_runs(tmp_path / "a.csv", mapping={"current": "batt_current"})
+
+
+def test_a_map_in_degrees_is_reprojected_on_request(client):
+    second = 1 / 3600
+    row, col = np.mgrid[0:40, 0:50]
+    with rasterio.MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff",
+            width=50,
+            height=40,
+            count=1,
+            dtype="float32",
+            crs="EPSG:4326",
+            transform=Affine(second, 0, -4.5, 0, -second, 36.74),
+        ) as dataset:
+            dataset.write((50 + 0.3 * row + 0.1 * col).astype(np.float32), 1)
+        content = bytes(memory.getbuffer())
+    refused = client.post("/v1/heightmaps", files={"file": ("dem.tif", content)})
+    assert refused.status_code == 422
+    assert "give `reproject` as auto" in refused.json()["detail"]
+    kept = client.post("/v1/heightmaps", files={"file": ("dem.tif", content)}, params={"reproject": "auto"})
+    assert kept.status_code == 201, kept.text
+    assert kept.json()["crs"] == "EPSG:32630"
+    assert kept.json()["notes"][0].startswith("reprojected from EPSG:4326 to EPSG:32630 (UTM zone 30N)")

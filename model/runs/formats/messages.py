@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import struct
 from array import array
@@ -195,7 +196,8 @@ def reading(kind: str, name: str, place: Callable[[], str], *, repair: str = "")
             run=name,
         ) from error
     except OSError as error:
-        if error.errno is not None:
+        # a place that no file has is a fault of the content
+        if error.errno not in (None, errno.EINVAL, errno.EOVERFLOW):
             raise
         raise _broken(kind, name, place(), error, repair) from error
     except Exception as error:  # what a library raises on a broken file is not documented

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -176,7 +177,7 @@ class GeoTiffWindows:
 
 
 def _header(dataset: DatasetReader, place: Path | bytes, band: int | None) -> GeoTiffWindows:
-    band = _checked_band(dataset, band)
+    band, _ = checked_band(dataset, band)
     transform = dataset.transform
     nodata_declared = dataset.nodatavals[band - 1] is not None
     crs = None
@@ -192,28 +193,52 @@ def _header(dataset: DatasetReader, place: Path | bytes, band: int | None) -> Ge
             target = crs if crs is not None and crs.startswith("EPSG:") else "CRS"
             options = f"--dst-crs {target} --res {math.hypot(transform.a, transform.d):g}"
             raise HeightmapError(
-                f"the GeoTIFF is rotated (transform terms {transform.b:g}, {transform.d:g}): turn it north-up with "
-                f"{warp_command(options, nodata_declared=nodata_declared)}",
+                f"the GeoTIFF is rotated (transform terms {transform.b:g}, {transform.d:g}): give `reproject` as auto, "
+                f"or turn it north-up with {warp_command(options, nodata_declared=nodata_declared)}",
                 transform=list(transform)[:6],
             )
         if transform.a <= 0:
             raise HeightmapError(f"the GeoTIFF is mirrored: its columns run west (pixel width {transform.a:g} m)")
         resolution, height = transform.a, abs(transform.e)
         if abs(resolution - height) > SAME_LENGTH * max(resolution, height):
+            command = warp_command(f"--res {max(resolution, height):g}", nodata_declared=nodata_declared)
             raise HeightmapError(
-                f"cells must be square, but the GeoTIFF's are {resolution:g} x {height:g} m: resample it with "
-                f"{warp_command(f'--res {max(resolution, height):g}', nodata_declared=nodata_declared)}",
+                f"cells must be square, but the GeoTIFF's are {resolution:g} x {height:g} m: give `reproject` as "
+                f"auto, or resample it with {command}",
                 width_m=resolution,
                 height_m=height,
             )
         flip = transform.e > 0
         west = transform.c
         north = transform.f + (dataset.height * transform.e if flip else 0.0)
-    _check_blocks(dataset, band)
+    check_blocks(dataset, band)
     return GeoTiffWindows(place, band, dataset.shape, west, north, resolution, crs, flip)
 
 
-def _checked_band(dataset: DatasetReader, band: int | None) -> int:
+def checked_band(
+    dataset: DatasetReader, band: int | None, *, feet: Mapping[str, float] | None = None
+) -> tuple[int, float]:
+    """Return the band with the heights.
+
+    Parameters
+    ----------
+    dataset : DatasetReader
+        An open GeoTIFF.
+    band : int or None
+        Its number, from 1, as the user gave it.
+    feet : mapping of str to float, optional
+        Metres by the name of a unit that is not the metre; without it such units are refused.
+
+    Returns
+    -------
+    tuple of (int, float)
+        Its number, and metres per unit of its heights.
+
+    Raises
+    ------
+    HeightmapError
+        If it is not said which band, there is no such band, or it holds no heights in metres.
+    """
     if dataset.count != 1 and band is None:
         raise HeightmapError(
             f"the GeoTIFF has {dataset.count} bands: give `band`, the number of the one with the heights "
@@ -232,19 +257,35 @@ def _checked_band(dataset: DatasetReader, band: int | None) -> int:
     if dataset.colorinterp[band - 1] == ColorInterp.palette:
         raise HeightmapError(f"{what} is a picture with a colour table, not heights")
     unit = dataset.units[band - 1]
-    if unit and unit.strip().lower() in _FOOT_UNITS:
-        raise HeightmapError(f"the GeoTIFF's heights are in {unit}, not in metres: convert them first", unit=unit)
+    factor = (feet or {}).get(unit.strip().lower(), 1.0) if unit else 1.0
+    if unit and unit.strip().lower() in _FOOT_UNITS and factor == 1.0:
+        raise HeightmapError(
+            f"the GeoTIFF's heights are in {unit}, not in metres: `reproject` as auto converts them", unit=unit
+        )
     block_rows, block_cols = dataset.block_shapes[band - 1]
     block_bytes = block_rows * block_cols * dtype.itemsize * dataset.count
     if block_bytes > max(_MAX_BLOCK_BYTES, dataset.height * dataset.width * dtype.itemsize * dataset.count):
         raise HeightmapError(
             f"the GeoTIFF declares blocks of {block_rows} x {block_cols} cells around a small map: corrupt"
         )
-    return band
+    return band, factor
 
 
-def _check_blocks(dataset: DatasetReader, band: int) -> None:
-    """GDAL fills blocks that were never written with nodata, or with 0 where none is declared: refuse the latter."""
+def check_blocks(dataset: DatasetReader, band: int) -> None:
+    """Refuse a file with blocks that were never written, unless it declares a no-data value, which GDAL then returns.
+
+    Parameters
+    ----------
+    dataset : DatasetReader
+        An open GeoTIFF.
+    band : int
+        Number of the band, from 1.
+
+    Raises
+    ------
+    HeightmapError
+        If GDAL would fill them with 0.
+    """
     if dataset.nodatavals[band - 1] is not None:
         return
     block_rows, block_cols = dataset.block_shapes[band - 1]

@@ -1,0 +1,89 @@
+"""Whether the heights of a map can be what they are taken for: metres with decimals, on a grid of true metres."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from joulemap.model.terrain.coordinate_systems import known_crs, scale_errors
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.model.terrain.windows import Ground, overview
+
+STEEPEST = math.tan(math.radians(60.0))
+"""Half of no natural ground is steeper: loose material slides at 35 degrees, and walls of rock are a small part."""
+
+MOST_SCALE_ERROR = 0.005
+"""Lengths that are wrong by more than this are said: half a per cent of the energy of a level path."""
+
+_LEAST_CELLS = 400
+_WHOLE_RANGE_M = 3.0  # flat ground may well be one whole number
+_FAR_M = 10_000.0  # a local plane begins near zero, a national grid does not
+
+
+def heightmap_warnings(ground: Ground) -> list[str]:
+    """Return what of a map is hardly what it is taken for.
+
+    Parameters
+    ----------
+    ground : Ground
+        A map of any size; a large one is judged by windows spread over it.
+
+    Returns
+    -------
+    list of str
+        A sentence for each finding; empty where all is plausible.
+    """
+    sample = overview(ground)
+    found = _heights(sample)
+    frame = ground.frame
+    if frame.crs is None:
+        if max(abs(frame.west_m), abs(frame.north_m)) > _FAR_M:
+            found.append(
+                "the map names no coordinate reference system: logs and places in degrees cannot be used with it; give "
+                "`crs`"
+            )
+        return found
+    crs = known_crs(frame.crs)
+    if not crs.is_projected:
+        return found
+    from pyproj import Transformer
+
+    west, south, east, north = frame.bounds
+    move = Transformer.from_crs(crs.to_wkt(), "EPSG:4326", always_xy=True)
+    lon, lat = move.transform((west + east) / 2, (south + north) / 2)
+    if math.isfinite(lon) and math.isfinite(lat):
+        errors = scale_errors(frame.crs, lon, lat)
+        worst = float(errors[np.argmax(np.abs(errors))])
+        if abs(worst) > MOST_SCALE_ERROR:
+            found.append(
+                f"lengths in {frame.crs[:40]} are {abs(100 * worst):.1f} % too {'long' if worst > 0 else 'short'} "
+                "here: `reproject` as auto makes them true"
+            )
+    return found
+
+
+def _heights(sample: Heightmap) -> list[str]:
+    heights = sample.heights
+    known = heights[~np.isnan(heights)]
+    if known.size < _LEAST_CELLS:
+        return []
+    steps = np.concatenate([np.abs(np.diff(heights, axis=axis)).ravel() for axis in (0, 1)])
+    steps = steps[~np.isnan(steps)]
+    if not steps.size:
+        return []
+    slope = float(np.median(steps)) / sample.resolution_m
+    found = []
+    whole = bool((known == np.round(known)).all()) and float(np.ptp(known)) >= _WHOLE_RANGE_M
+    if slope > STEEPEST:
+        unit = "centimetres: then `scale_m` is 0.01" if slope > 10 * STEEPEST or whole else "another unit than metres"
+        found.append(
+            f"half of the ground is steeper than {math.degrees(math.atan(slope)):.0f} degrees: are its heights in "
+            f"{unit}?"
+        )
+    elif whole:
+        found.append(
+            "every height is a whole metre: steps of a metre are no ground that a robot feels, and block where it is "
+            "nearly level; use a map with decimals, or a smoothed one"
+        )
+    return found

@@ -1,0 +1,433 @@
+"""A heightmap in any coordinate reference system, rotated or with cells that are not square, resampled to true metres.
+
+GDAL's warper reads the file by windows, so that memory is bounded whatever its size. Unknown cells stay unknown:
+heights are interpolated between known ones only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.enums import Resampling
+from rasterio.io import DatasetReader
+from rasterio.transform import Affine
+from rasterio.vrt import WarpedVRT
+from rasterio.windows import Window
+
+from joulemap.model.errors import HeightmapError
+from joulemap.model.ranges import RESOLUTION_M
+from joulemap.model.terrain.coordinate_systems import crs_name, known_crs, scale_errors, utm_zone
+from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
+from joulemap.model.terrain.formats.contract import HeightmapFormat, SourceFile
+from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, opened, read_band
+
+AUTO = "auto"
+"""Reproject to the UTM zone of the map, or keep its CRS where that is in true metres."""
+
+MOST_SCALE_ERROR = 0.002
+"""UTM stretches lengths by 0.9996 to 1.001; a CRS that stretches more at the middle of a map is not kept."""
+
+_MOST_SPREAD = 0.01  # of the scale over a map, in the CRS it is reprojected to
+_TOLERANCE_CELLS = 0.01  # of the places between which GDAL interpolates its transformation
+_COARSER = 2.0  # from this ratio of cells on, heights are averaged and not interpolated
+_EDGE_POINTS = 41  # of each edge, by which the new bounds are found
+_WARP_MB = 64
+_SCAN_CELLS = 4_000_000
+_FEET = {
+    "ft": 0.3048,
+    "foot": 0.3048,
+    "feet": 0.3048,
+    "us survey foot": 1200 / 3937,
+    "us-ft": 1200 / 3937,
+    "ftus": 1200 / 3937,
+}
+
+
+@dataclass(frozen=True)
+class Warped:
+    """A file as it is on the new grid: what is known without its heights, and the heights of any window.
+
+    Attributes
+    ----------
+    place : Path or bytes
+        The file, or its bytes, as GeoTIFF.
+    band : int
+        Number of the band, from 1.
+    source_crs, crs : str or None
+        Before and after; None where the file names none.
+    source_transform : Affine
+        Of the file's own grid.
+    transform : Affine
+        Of the new grid.
+    shape : tuple of int
+        Rows and columns of the new grid.
+    resampling : Resampling
+        How heights are interpolated.
+    nodata : float or None
+        Stored value that means unknown.
+    undeclared : bool
+        Whether nobody said which value that is, so that the usual ones are looked for.
+    factor : float
+        Metres per unit of the heights that the file declares.
+    note : str
+        What was done, for people.
+    """
+
+    place: Path | bytes
+    band: int
+    source_crs: str | None
+    crs: str | None
+    source_transform: Affine
+    transform: Affine
+    shape: tuple[int, int]
+    resampling: Resampling
+    nodata: float | None
+    undeclared: bool
+    factor: float
+    note: str
+
+    @property
+    def west_m(self) -> float:
+        """Western edge [m]."""
+        return float(self.transform.c)
+
+    @property
+    def north_m(self) -> float:
+        """Northern edge [m]."""
+        return float(self.transform.f)
+
+    @property
+    def resolution_m(self) -> float:
+        """Side of a cell [m]."""
+        return float(self.transform.a)
+
+    def read(self, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
+        """Return the heights of a window.
+
+        Parameters
+        ----------
+        scaling : Scaling
+            How stored values become metres.
+        rows, cols : slice
+            The window; row 0 is the northern one.
+
+        Returns
+        -------
+        ndarray of float32, (rows, cols)
+            Heights [m], NaN where unknown.
+
+        Raises
+        ------
+        HeightmapError
+            If the window cannot be read.
+        """
+        heights = np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32)
+        step = max(1, _SCAN_CELLS // max(1, heights.shape[1]))
+        with opened(self.place, "GTiff") as dataset, self._warped(dataset) as vrt:
+            scale, offset = dataset.scales[self.band - 1], dataset.offsets[self.band - 1]
+            for row in range(0, heights.shape[0], step):
+                high = min(step, heights.shape[0] - row)
+                window = Window(cols.start, rows.start + row, heights.shape[1], high)
+                if self.undeclared:
+                    self._refuse_undeclared(dataset, scaling, window)
+                values = vrt.read(self.band, window=window)
+                known = vrt.read_masks(self.band, window=window) != 0
+                heights[row : row + high] = scaling.to_metres(
+                    values, band_scale=scale * self.factor, band_offset=offset * self.factor, known=known
+                )
+        return heights
+
+    def _refuse_undeclared(self, dataset: DatasetReader, scaling: Scaling, window: Window) -> None:
+        """Interpolation would hide values such as -9999; so the stored values under a window are looked at first."""
+        along = np.linspace(0.0, 1.0, _EDGE_POINTS)
+        col = window.col_off + window.width * np.concatenate([along, along, 0 * along, 0 * along + 1])
+        row = window.row_off + window.height * np.concatenate([0 * along, 0 * along + 1, along, along])
+        x, y = _moved(self.crs, self.source_crs, self.transform, col, row)
+        there = ~self.source_transform
+        source_col, source_row = there.a * x + there.b * y + there.c, there.d * x + there.e * y + there.f
+        spans = []
+        for values, most in ((source_row, dataset.height), (source_col, dataset.width)):
+            known = values[np.isfinite(values)]
+            if not known.size:
+                return
+            spans.append(slice(max(0, math.floor(known.min()) - 2), min(most, math.ceil(known.max()) + 2)))
+        rows, cols = spans
+        if rows.stop <= rows.start or cols.stop <= cols.start:
+            return
+        step = max(1, _SCAN_CELLS // (cols.stop - cols.start))
+        for first in range(rows.start, rows.stop, step):
+            read_band(dataset, self.band, scaling, slice(first, min(first + step, rows.stop)), cols)
+
+    @contextmanager
+    def _warped(self, dataset: DatasetReader) -> Iterator[WarpedVRT]:
+        crs = _usable(self.source_crs)
+        # with a scale of 1 GDAL's kernel is the plain bilinear one; a wider one does not reproduce a slope
+        with WarpedVRT(
+            dataset,
+            src_crs=crs,
+            src_transform=self.source_transform,
+            crs=_usable(self.crs),
+            transform=self.transform,
+            width=self.shape[1],
+            height=self.shape[0],
+            resampling=self.resampling,
+            src_nodata=self.nodata,
+            nodata=math.nan,
+            dtype="float64" if dataset.dtypes[self.band - 1] in ("float64", "int32", "uint32") else "float32",
+            add_alpha=False,
+            tolerance=_TOLERANCE_CELLS,
+            warp_mem_limit=_WARP_MB,
+            **({"XSCALE": "1", "YSCALE": "1"} if self.resampling is Resampling.bilinear else {}),
+        ) as vrt:
+            yield vrt
+
+
+def reproject_file(
+    file: SourceFile,
+    kind: HeightmapFormat,
+    scaling: Scaling,
+    *,
+    to: str,
+    resolution_m: float | None,
+    west_m: float,
+    north_m: float | None,
+    crs: str | None,
+    band: int | None,
+    max_cells: int,
+    max_cells_whole: int,
+) -> tuple[Warped, Scaling]:
+    """Return a file as it is on a north-up grid of square cells of true metres.
+
+    Parameters
+    ----------
+    file : SourceFile
+        The file.
+    kind : HeightmapFormat
+        Its format.
+    scaling : Scaling
+        How stored values become metres.
+    to : str
+        "auto", "EPSG:n" or WKT.
+    resolution_m : float, optional
+        Side of a cell of the new grid [m]; without it, that of the file in true metres. Where the file does not say how
+        large its cells are, this is the side of those, in its own unit.
+    west_m, north_m, crs : optional
+        As in `read_heightmap`: what the file does not say. Here `crs` may be in degrees or feet.
+    band : int, optional
+        As in `read_heightmap`.
+    max_cells : int
+        Largest number of cells of the new grid.
+    max_cells_whole : int
+        Largest number of cells of a file that is not read by windows.
+
+    Returns
+    -------
+    tuple of (Warped, Scaling)
+        The file, and how its values become metres.
+
+    Raises
+    ------
+    HeightmapError
+        If the file names no CRS and is not told one, or if the map is too large for one CRS.
+    TooLargeError
+        If the new grid has more than `max_cells` cells.
+    """
+    from joulemap.model.terrain.formats import geotiff
+
+    place: Path | bytes = file.place
+    if kind.code is not geotiff:
+        decoded = kind.code.decode(file, scaling, max_cells=max_cells_whole, band=band)
+        if decoded.resolution_m is None and resolution_m is not None:
+            decoded, resolution_m = _with_cells(decoded, resolution_m), None
+        place, crs = _as_geotiff(decoded, west_m, north_m), decoded.crs or crs
+        scaling, band = Scaling(), 1
+    with opened(place, "GTiff") as dataset:
+        rows, cols = dataset.shape
+        check_cells(rows, cols, rows * cols, what=file.name)
+        number, factor = geotiff.checked_band(dataset, band, feet=_FEET)
+        geotiff.check_blocks(dataset, number)
+        own = dataset.crs.to_wkt() if dataset.crs else None
+        if own is not None and crs is not None and not _same(own, crs):
+            raise HeightmapError(
+                f"`crs` {crs[:80]} was given, but the file says {_short(own)}: leave it out", crs=crs[:80]
+            )
+        source_crs, transform = own or crs, dataset.transform
+        nodata = _nodata(dataset, number, scaling)
+        if transform.is_identity:
+            raise HeightmapError(
+                f"{file.name} does not say where its cells lie, so that it cannot be reprojected: leave `reproject` out"
+            )
+        undeclared = dataset.nodatavals[number - 1] is None and scaling.nodata is None
+    target, why = _target(source_crs, transform, rows, cols, to)
+    grid, shape, size = _grid(source_crs, target, transform, rows, cols, resolution_m)
+    check_cells(*shape, max_cells, what=f"{file.name}, reprojected to cells of {grid.a:g} m,")
+    note = f"reprojected from {_short(source_crs)} to {_short(target)}{why}, with cells of {grid.a:g} m"
+    if factor != 1.0:
+        note += f"; its heights are in feet and were multiplied by {factor:.10g}"
+    resampling = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear
+    warped = Warped(
+        place, number, source_crs, target, transform, grid, shape, resampling, nodata, undeclared, factor, note
+    )
+    return warped, Scaling(scaling.scale_m, scaling.offset_m, None)
+
+
+def _target(crs: str | None, transform: Affine, rows: int, cols: int, to: str) -> tuple[str | None, str]:
+    """The new CRS, and why it is that one."""
+    if to != AUTO:
+        target = crs_name(to)
+        return target, ""
+    if crs is None:
+        return None, ""
+    lon, lat = _places(crs, transform, [cols / 2], [rows / 2])
+    if not (math.isfinite(lon[0]) and math.isfinite(lat[0])):
+        raise HeightmapError(f"the middle of the map lies nowhere on Earth: is {_short(crs)} its CRS?", crs=_short(crs))
+    try:
+        kept = crs_name(crs)
+        if float(np.abs(scale_errors(kept, lon, lat)).max()) <= MOST_SCALE_ERROR:
+            return kept, " (kept: it is in true metres)"
+    except HeightmapError:
+        pass
+    zone = utm_zone(float(lon[0]), float(lat[0]))
+    if zone is not None:
+        return zone, f" (UTM zone {int(zone[-2:])}{'N' if zone[5:8] == '326' else 'S'})"
+    pole = 90 if lat[0] > 0 else -90
+    wkt = CRS.from_string(
+        f"+proj=stere +lat_0={pole} +lat_ts={lat[0]:.4f} +lon_0={lon[0]:.4f} +datum=WGS84 +units=m +no_defs"
+    ).to_wkt()
+    return wkt, " (polar stereographic, true to scale at this latitude)"
+
+
+def _grid(
+    crs: str | None, target: str | None, transform: Affine, rows: int, cols: int, resolution_m: float | None
+) -> tuple[Affine, tuple[int, int], float]:
+    """The new grid, its rows and columns, and the side of a cell of the file in the new CRS."""
+    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
+    zero, one = np.zeros(_EDGE_POINTS), np.ones(_EDGE_POINTS)
+    edge_col = cols * np.concatenate([along, along, zero, one])
+    edge_row = rows * np.concatenate([zero, one, along, along])
+    middle_col, middle_row = cols / 2 + np.array([-0.5, 0.5, 0.0, 0.0]), rows / 2 + np.array([0.0, 0.0, -0.5, 0.5])
+    x, y = _moved(crs, target, transform, np.append(edge_col, middle_col), np.append(edge_row, middle_row))
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise HeightmapError(
+            f"parts of the map cannot be expressed in {_short(target)}: choose the CRS of its place", crs=_short(target)
+        )
+    (x0, x1, x2, x3), (y0, y1, y2, y3) = x[-4:], y[-4:]
+    size = math.sqrt(abs((x1 - x0) * (y3 - y2) - (x3 - x2) * (y1 - y0)))
+    if not size > 0:
+        raise HeightmapError("a cell of the file has no area: its transform is corrupt", transform=list(transform)[:6])
+    _check_spread(target, x[:-4], y[:-4])
+    side = _round(size) if resolution_m is None else resolution_m
+    if side not in RESOLUTION_M:
+        raise HeightmapError(f"`resolution_m` must be {RESOLUTION_M} metres, got {side:g}", resolution_m=side)
+    west, north = math.floor(x[:-4].min() / side + 1e-6) * side, math.ceil(y[:-4].max() / side - 1e-6) * side
+    width = math.ceil((x[:-4].max() - west) / side - 1e-6)
+    height = math.ceil((north - y[:-4].min()) / side - 1e-6)
+    return Affine(side, 0.0, west, 0.0, -side, north), (height, width), size
+
+
+def _check_spread(target: str | None, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """Refuse a map of which parts are stretched otherwise than others."""
+    if target is None:
+        return
+    from pyproj import Transformer
+
+    lon, lat = Transformer.from_crs(target, "EPSG:4326", always_xy=True).transform(x, y)
+    errors = scale_errors(target, lon, lat)
+    if errors.size and float(errors.max() - errors.min()) > _MOST_SPREAD:
+        raise HeightmapError(
+            f"the map is too large for one CRS: {_short(target)} stretches lengths by {100 * errors.min():.1f} to "
+            f"{100 * errors.max():.1f} % on it, the limit is {100 * _MOST_SPREAD:g} %: cut it into parts",
+            crs=_short(target),
+        )
+
+
+def _moved(
+    crs: str | None, target: str | None, transform: Affine, col: NDArray[np.float64], row: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    x = transform.a * col + transform.b * row + transform.c
+    y = transform.d * col + transform.e * row + transform.f
+    if crs is None or target is None:
+        return x, y
+    from pyproj import Transformer
+
+    moved = Transformer.from_crs(known_crs(crs).to_wkt(), known_crs(target).to_wkt(), always_xy=True).transform(x, y)
+    return np.asarray(moved[0]), np.asarray(moved[1])
+
+
+def _places(
+    crs: str, transform: Affine, col: list[float], row: list[float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Longitudes and latitudes [deg] of places on the file's grid."""
+    return _moved(crs, "EPSG:4326", transform, np.array(col), np.array(row))
+
+
+def _usable(crs: str | None) -> CRS:
+    """A map without a CRS is resampled in its own plane; which CRS GDAL is told then makes no difference."""
+    return known_crs(crs) if crs is not None else CRS.from_epsg(32630)
+
+
+def _same(one: str, other: str) -> bool:
+    return known_crs(one) == known_crs(other)
+
+
+def _short(crs: str | None) -> str:
+    if crs is None:
+        return "no CRS"
+    code = known_crs(crs).to_epsg()
+    return f"EPSG:{code}" if code else crs[:60]
+
+
+def _round(size: float) -> float:
+    """Three significant digits."""
+    return float(f"{size:.3g}")
+
+
+def _nodata(dataset: DatasetReader, band: int, scaling: Scaling) -> float | None:
+    """The one stored value that means unknown; NaN where none is declared and values may be NaN."""
+    declared = dataset.nodatavals[band - 1]
+    if scaling.nodata is not None:
+        if declared is not None and declared != scaling.nodata and not math.isnan(declared):
+            raise HeightmapError(
+                f"`nodata` {scaling.nodata:g} was given, but the file declares {declared:g}: with `reproject` only one "
+                "value can mean unknown",
+                nodata=scaling.nodata,
+            )
+        return scaling.nodata
+    if declared is None and np.dtype(dataset.dtypes[band - 1]).kind == "f":
+        return math.nan
+    return declared
+
+
+def _with_cells(decoded: Decoded, resolution_m: float) -> Decoded:
+    return Decoded(decoded.heights, decoded.west_m, decoded.north_m, resolution_m, decoded.crs)
+
+
+def _as_geotiff(decoded: Decoded, west_m: float, north_m: float | None) -> bytes:
+    """Heights of any format as the bytes of a GeoTIFF, for GDAL's warper."""
+    if decoded.resolution_m is None:
+        raise HeightmapError("the file does not say how large a cell is: give `resolution_m`")
+    rows, cols = decoded.shape
+    side = decoded.resolution_m
+    west = decoded.west_m if decoded.west_m is not None else west_m
+    north = next((edge for edge in (decoded.north_m, north_m) if edge is not None), rows * side)
+    with rasterio.Env(**GDAL_OPTIONS), rasterio.MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff",
+            width=cols,
+            height=rows,
+            count=1,
+            dtype="float32",
+            nodata=math.nan,
+            transform=Affine(side, 0.0, west, 0.0, -side, north),
+            BIGTIFF="IF_SAFER",
+        ) as dataset:
+            dataset.write(decoded.heights, 1)
+        return bytes(memory.getbuffer())
