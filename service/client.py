@@ -625,6 +625,7 @@ class ServedCostMap:
         goal: Point | None = None,
         round_trip: bool = False,
         snap: bool = False,
+        avoid: Sequence[Sequence[Point]] = (),
         charge: float = 1.0,
         reserve: float = 0.0,
         capacity_wh: float | None = None,
@@ -642,6 +643,8 @@ class ServedCostMap:
             Whether the way back is driven too: the best one, or the same points in reverse where points are given.
         snap : bool, optional
             Whether a start or goal on blocked ground is moved to the nearest free place.
+        avoid : sequence of sequence of points, optional
+            Areas that no route may touch: the corners of each.
         charge : float, optional
             State of charge at the start, 0..1.
         reserve : float, optional
@@ -661,7 +664,11 @@ class ServedCostMap:
         InputError
             If it is neither a route nor both ends.
         """
-        body: dict[str, Any] = {"round_trip": round_trip, "snap": snap}
+        body: dict[str, Any] = {
+            "round_trip": round_trip,
+            "snap": snap,
+            "avoid": [[_sent(corner) for corner in area] for area in avoid],
+        }
         body["battery"] = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh, **(battery or {})}
         points = route.path if isinstance(route, PathOut | TourOut) else route
         if isinstance(route, PathOut) and round_trip:

@@ -74,6 +74,61 @@ def read_path(file: Path, frame: GridFrame) -> tuple[list[list[float]], list[str
     return _joined([_on(frame, line, found) for line in arrays], file), found.notes
 
 
+def read_areas(file: Path | None, frame: GridFrame) -> tuple[list[list[list[float]]], list[str]]:
+    """Return the areas in a GeoJSON file; their holes are not left out.
+
+    Parameters
+    ----------
+    file : Path or None
+        GeoJSON with polygons; None has no areas.
+    frame : GridFrame
+        Of the map that they are on.
+
+    Returns
+    -------
+    areas : list of list of [x, y]
+        Corners [m] in the CRS of the map.
+    notes : list of str
+        What the user should know.
+
+    Raises
+    ------
+    PointError
+        If the file holds no polygons.
+    InputError
+        If it is in degrees and the map has no CRS.
+    """
+    if file is None:
+        return [], []
+    try:
+        document = json.loads(file.read_text(encoding="utf-8-sig"))
+        found = _referenced(document, list(_outlines(document)))
+        rings = [np.array([[float(v) for v in corner[:2]] for corner in ring]) for ring in found.lines]
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+        raise PointError(f"{file} holds no areas that can be read: {str(error)[:200]}", path=str(file)) from error
+    if not rings or any(ring.ndim != 2 or ring.shape[1] != 2 for ring in rings):
+        raise PointError(f"{file} holds no areas: GeoJSON with polygons is needed", path=str(file))
+    return [_on(frame, ring, found)[:-1].tolist() for ring in rings], found.notes
+
+
+def _outlines(document: Any) -> Iterator[Any]:
+    """The outer rings of all polygons of GeoJSON."""
+    match document["type"]:
+        case "FeatureCollection":
+            for feature in document["features"]:
+                yield from _outlines(feature)
+        case "Feature":
+            yield from _outlines(document["geometry"])
+        case "GeometryCollection":
+            for geometry in document["geometries"]:
+                yield from _outlines(geometry)
+        case "Polygon":
+            yield document["coordinates"][0]
+        case "MultiPolygon":
+            for polygon in document["coordinates"]:
+                yield polygon[0]
+
+
 def _on(frame: GridFrame, line: NDArray[np.float64], found: _Found) -> NDArray[np.float64]:
     """A line in the coordinates of the map."""
     if found.degrees is None:
@@ -130,9 +185,14 @@ def _from_json(document: Any) -> _Found:
         return _Found([[[place["x"], place["y"]] for place in places]])
     if document.get("type") is None:
         return _Found([document["path"]] if "path" in document else [leg["path"] for leg in document["legs"]])
+    return _referenced(document, _from_geojson(document))
+
+
+def _referenced(document: Any, lines: _Lines) -> _Found:
+    """Lines of GeoJSON with what it says about its coordinates."""
     name = ((document.get("crs") or {}).get("properties") or {}).get("name")
     degrees = True if "map_crs" in document or name in _EARTH else None if name is None else False
-    return _Found(_from_geojson(document), degrees=degrees, crs=name)
+    return _Found(lines, degrees=degrees, crs=name)
 
 
 def _from_geojson(document: Any) -> _Lines:

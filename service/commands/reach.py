@@ -11,7 +11,7 @@ import typer
 from joulemap.service.commands.battery_file import BatteryFile, battery_values
 from joulemap.service.commands.console import JsonFile, Output, parse_point, parse_share, write_file
 from joulemap.service.commands.maps import MapFolder
-from joulemap.service.commands.options import Reserve, Snap
+from joulemap.service.commands.options import Avoid, Reserve, Snap
 
 _SUFFIXES = (".geojson", ".tif", ".png")
 
@@ -38,6 +38,7 @@ def reach(
             help="With what probability the battery is to last. [default: the expected energy decides]",
         ),
     ] = None,
+    avoid: Avoid = None,
     snap: Snap = False,
     out: Annotated[
         Path | None,
@@ -64,6 +65,7 @@ def reach(
     `joulemap reach dem.zarr --start 12,40 --charge 0.4,0.6,0.8 --confidence 0.95 --out reach.geojson`
     """
     from joulemap.model.battery import Battery
+    from joulemap.service.commands.path_files import read_areas
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.reach import reach_geojson, reach_out
 
@@ -76,8 +78,9 @@ def reach(
     ground = open_costmap(costmap)
     given = battery_values(battery_file, capacity_wh)
     battery = Battery.from_mapping({"capacity_wh": ground.robot.battery_wh, **given, "reserve": reserve})
+    areas, notes = read_areas(avoid, ground.lattice.frame)
     found = ground.reach(
-        start, charge=charges, battery=battery, round_trip=round_trip, confidence=confidence, snap=snap
+        start, charge=charges, battery=battery, round_trip=round_trip, confidence=confidence, avoid=areas, snap=snap
     )
     if out is not None:
         if out.suffix.lower() == ".geojson":
@@ -94,7 +97,7 @@ def reach(
     output.say(f"[bold]Reach[/] {'there and back' if round_trip else 'one way'}{sure}")
     rows = {f"from {100 * level:g} % charge": f"{found.area_m2(k):,.0f} m2" for k, level in enumerate(found.charges)}
     output.table(rows | ({} if out is None else {"written": str(out)}))
-    output.warn([*found.notes, *ground.warnings])
+    output.warn([*notes, *found.notes, *ground.warnings])
     answer = reach_out(found, ground.warnings).model_dump(mode="json")
     output.document({**answer, "out": None if out is None else str(out)})
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
-from joulemap.service.commands.options import Reserve, Snap, StateOfCharge
+from joulemap.service.commands.options import Avoid, Reserve, Snap, StateOfCharge
 from joulemap.service.commands.remote import Key, MapOrId, Server, served
 from joulemap.service.commands.route_files import PLACE, RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
 from joulemap.service.words import route_words
@@ -28,6 +28,7 @@ def tour(
     charge: StateOfCharge = 1.0,
     reserve: Reserve = 0.0,
     snap: Snap = False,
+    avoid: Avoid = None,
     out: RouteFiles = None,
     format: RouteFormatName = None,
     coordinates: RouteCoordinates = None,
@@ -45,6 +46,7 @@ def tour(
     `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --charge 0.8 --out tour.geojson`
     """
     from joulemap.model.battery import Battery
+    from joulemap.service.commands.path_files import read_areas
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.tours import tour_out
     from joulemap.service.workflows import judge_routes
@@ -55,6 +57,8 @@ def tour(
         with served(server, key, costmap) as map_there:
             for file in files:
                 file.check(map_there.crs)
+            asked["avoid"], notes = read_areas(avoid, map_there.grid)
+            output.warn(notes)
             answer = map_there.tour(stop, **asked, battery={"charge": charge, "reserve": reserve})
             for file in files:
                 write_file(file.path, map_there.tour_file(stop, **file.query, **asked))
@@ -63,9 +67,11 @@ def tour(
     ground = open_costmap(costmap)
     for file in files:
         file.check(ground.crs)
+    areas, notes = read_areas(avoid, ground.lattice.frame)
+    output.warn(notes)
     with progress_bar("Tour") as report:
         planned = ground.tour(
-            stop, neighbours=neighbours, refine=refine, snap=snap, time_limit_s=time_limit, progress=report
+            stop, neighbours=neighbours, refine=refine, snap=snap, time_limit_s=time_limit, avoid=areas, progress=report
         )
     trip = planned.found
     battery = Battery(ground.robot.battery_wh, charge=charge, reserve=reserve)
