@@ -115,7 +115,7 @@ def ground_layer(heights: Image, extent: Extent) -> bytes:
     if times > 1:
         nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
         filled = ground[tuple(nearest)] if known.any() else np.zeros(ground.shape)
-        fine = ndimage.zoom(filled, times, order=1, grid_mode=True, mode="nearest")
+        fine = ndimage.zoom(filled, times, order=3, grid_mode=True, mode="nearest")
         ground = np.where(_enlarged(known, times), fine, np.nan)
     alpha = np.isfinite(ground).astype(np.float64)
     return _png(np.dstack([tinted_relief(ground, extent), alpha]))

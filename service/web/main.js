@@ -111,6 +111,7 @@ async function begin() {
       if (costmap.status === "done") await openCostmap(costmap, asked); else await openGround({ costmap });
     } catch (error) { await ground.welcome(error.message); }
   } else await Promise.all([ground.welcome(), listMaps()]);
+  document.documentElement.dataset.readyAt = Math.round(performance.now());
   document.documentElement.dataset.ready = "yes";
 }
 

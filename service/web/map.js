@@ -55,7 +55,10 @@ function fit() {
   map.invalidateSize({ animate: false, pan: false });
   if (whole) map.fitBounds(bounds(whole), { padding: [18, 18], animate: false });
 }
-for (const name of ["pointerdown", "wheel", "keydown"]) map.getContainer().addEventListener(name, event => { if (!event.target.closest(".pin")) whole = null; }, { passive: true });
+const moved = () => { whole = null; };
+map.on("dragstart", moved);
+for (const name of ["wheel", "keydown"]) map.getContainer().addEventListener(name, event => { if (!event.target.closest(".pin")) moved(); }, { passive: true });
+map.zoomControl.getContainer().addEventListener("click", moved, true);
 
 /** Shows a cost map; `seen` is the place and zoom of a link. */
 export async function showCostmap(costmap, layers, seen) {

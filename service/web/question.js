@@ -9,6 +9,7 @@ const latest = new Latest();
 const routes = L.layerGroup().addTo(map), pins = L.layerGroup().addTo(map);
 const guide = L.polyline([], { color: "#1d2329", weight: 1.5, dashArray: "4 6", interactive: false }).addTo(map);
 const COLOURS = { optimal: "#0072B2", shortest: "#D55E00", other: "#3b3f45", before: "#6d6d6d" };
+const MANY_CELLS = 250_000; // of a larger map a route along the grid is shown first, until the better one is there
 let next = "start", fields = [];
 
 /** Which fields a question may have, as the service says. */
@@ -81,8 +82,9 @@ async function search(signal) {
     const answer = await send(`${here}/tours`, { stops: [now.start, ...now.stops, ...(now.goal ? [now.goal] : [])], battery: battery() }, { signal });
     return { ...answer, tour: true, alternatives: [], verdict: answer.battery };
   }
-  const ends = { start: now.start, goal: now.goal, battery: battery(), ...avoiding() };
-  const answer = await send(`${here}/paths`, { ...ends, planner: now.planner, alternatives: now.alternatives }, { signal });
+  const ends = { start: now.start, goal: now.goal, ...avoiding() }, { rows, cols } = now.costmap.frame;
+  if (rows * cols > MANY_CELLS && now.planner === "astar") show(await send(`${here}/paths`, { ...ends, refine: false }, { signal }), true);
+  const answer = await send(`${here}/paths`, { ...ends, battery: battery(), planner: now.planner, alternatives: now.alternatives }, { signal });
   return { ...answer, verdict: answer.battery };
 }
 
@@ -113,7 +115,7 @@ function line(path, colour, weight, words, options = {}) {
   L.polyline(points, { color: colour, weight, lineJoin: "round", dashArray: options.dash, smoothFactor: 0.6 }).bindTooltip(words, { sticky: true }).addTo(routes);
 }
 
-function show(answer) {
+function show(answer, rough = false) {
   routes.clearLayers();
   if (now.before) line(now.before.path, COLOURS.before, 3, `before, model ${now.before.model}: ${joules(now.before.energy_j)}, ${metres(now.before.length_m)}`, { dash: "2 7" });
   if (!answer || answer.error) return;
@@ -122,7 +124,7 @@ function show(answer) {
   if (answer.shortest) line(answer.shortest.path, COLOURS.shortest, 3.5, `shortest: ${words(answer.shortest)}`);
   if (answer.back) line(answer.back.path, COLOURS.optimal, 3, `way back: ${words(answer.back)}`, { dash: "1 7" });
   line(answer.path, COLOURS.optimal, 5, `least energy: ${words(answer)}`);
-  document.dispatchEvent(new CustomEvent("drawn"));
+  document.dispatchEvent(new CustomEvent(rough ? "drawn-rough" : "drawn"));
 }
 
 on("start goal stops", place);

@@ -4,7 +4,7 @@ import { ask, Latest, superseded } from "./api.js";
 import { map } from "./map.js";
 import { now, on } from "./state.js";
 
-const NEAR_PX = 9; // a cell has so many pixels before roses are drawn
+const NEAR_PX = 26; // a cell has so many pixels before roses are drawn
 const SIZE_PX = 22, APART_PX = 54;
 const group = L.layerGroup().addTo(map), latest = new Latest();
 const renderer = L.canvas({ pane: "roses", padding: 0.2 });

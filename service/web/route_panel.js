@@ -75,7 +75,7 @@ function answer() {
   const rows = [row("optimal", found.tour ? "tour" : "least energy", found), ...(shortest ? [row("shortest", "shortest", shortest)] : []), ...found.alternatives.map((other, k) => row("before", `alternative ${k + 1}`, other)), ...(found.back ? [row("optimal", "way back", found.back)] : [])];
   fill(here,
     verdict ? make("div", { class: `verdict ${word}` }, make("b", {}, TITLES[word] ?? word), verdict.verdict_text ?? verdict.message) : null,
-    typeof band === "number" && typeof top === "number" ? make("p", { class: "note" }, `9 of 10 such drives take ${joules(band)} to ${joules(top)}.`) : null,
+    !verdict?.verdict_text && typeof band === "number" && typeof top === "number" ? make("p", { class: "note" }, `9 of 10 such drives take ${joules(band)} to ${joules(top)}.`) : null,
     shortest ? make("p", {}, found.saving_j > 0.5 ? make("span", {}, "Going this way saves ", make("b", {}, joules(found.saving_j)), ` (${number(found.saving_percent, 1)} %) against the shortest way.`) : "The shortest way is also the cheapest.") : null,
     tableOf(rows),
     make("p", { class: "note" }, `${minutes(found.duration_s)} at ${number(now.costmap.robot.speed_mps, 1)} m/s, ${metres(found.climb_m)} up, ${metres(found.descent_m)} down`),

@@ -9,6 +9,7 @@ import { now, on } from "./state.js";
 
 /** Formats of routes that this service writes, beyond GeoJSON. */
 let formats = [];
+const NAMES = { "qgc-plan": ["QGroundControl", "plan"], waypoints: ["ArduPilot", "waypoints"], mcap: ["ROS 2 (MCAP)", "mcap"], "ros-path": ["ROS path (JSON)", "json"] };
 export const use = known => { formats = known; };
 
 function keep(data, name) {
@@ -35,7 +36,7 @@ export function show() {
   fill(here,
     make("h2", {}, "The routes"), route ? null : make("p", { class: "note" }, "Set a start and a goal first."),
     make("div", { class: "row" }, file("GeoJSON", "route.geojson", () => routeAs("geojson", "application/geo+json"), route),
-      formats.filter(name => !["json", "geojson"].includes(name)).map(name => file(name.toUpperCase(), `route.${name}`, () => routeAs(name, "*/*"), route)),
+      formats.filter(name => !["json", "geojson"].includes(name)).map(name => file(NAMES[name]?.[0] ?? name.toUpperCase(), `route.${NAMES[name]?.[1] ?? name}`, () => routeAs(name, "*/*"), route)),
       now.answer?.tour ? file("Tour as JSON", "tour.json", async () => new Blob([JSON.stringify(now.answer, null, 1)], { type: "application/json" })) : null),
     make("h2", {}, "The map"),
     make("div", { class: "row" }, file("Picture (PNG)", "map.png", () => asPicture(lines())), file("GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)), file("Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`))),

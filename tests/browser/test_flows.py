@@ -110,7 +110,7 @@ def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -
         tab.page.click("text=Draw an area")
         (x0, y0), (x1, y1) = tab.page.evaluate("[joulemap.now.start, joulemap.now.goal]")
         x, y = (x0 + x1) / 2, (y0 + y1) / 2
-        for dx, dy in ((-3, -6), (3, -6), (3, 6), (-3, 6)):
+        for dx, dy in ((-4, -7), (4, -7), (4, 5), (-4, 5)):
             tab.page.mouse.click(*tab.place(x + dx, y + dy))
         tab.page.keyboard.press("Enter")
         tab.page.wait_for_function("before => joulemap.now.answer?.energy_j > before", arg=before)
