@@ -79,13 +79,13 @@ def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | 
     return EnergyOdds(energy, np.sqrt(of_run + rest), spread.freedom_of(of_run, rest), spread.bias, spread.skew)
 
 
-def quantiles_of_route(route: Route) -> dict[str, float | None]:
+def quantiles_of_route(*routes: Route) -> dict[str, float | None]:
     """Return the distribution of a route's energy as answers have it.
 
     Parameters
     ----------
-    route : Route
-        Priced on a lattice.
+    *routes : Route
+        Priced on a lattice; several are driven one after another.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def quantiles_of_route(route: Route) -> dict[str, float | None]:
         its uncertainty.
     """
     names = [f"energy_p{100 * share:02.0f}_j" for share in QUANTILES]
-    odds = odds_along([route])
+    odds = odds_along(routes)
     if odds is None:
         return dict.fromkeys(["energy_std_j", *names])
     return {

@@ -10,6 +10,7 @@ from joulemap.model.ranges import SEARCH_S
 from joulemap.planner.budget import Verdict
 from joulemap.planner.plan import RoundTrip
 from joulemap.planner.tours import MAX_STOPS
+from joulemap.service.route_uncertainty import quantiles_of_route
 from joulemap.service.schemas.answers import route_values, verdict_out
 from joulemap.service.schemas.base import Areas, Place, Request, RobotIn, within
 from joulemap.service.schemas.planning import BatteryIn, RouteOut, VerdictOut
@@ -75,6 +76,7 @@ def tour_out(trip: RoundTrip, verdict: Verdict | None, warnings: list[str]) -> T
     sums = ("energy_j", "energy_wh", "length_m", "duration_s", "climb_m", "descent_m")
     return TourOut(
         **{name: sum(getattr(leg, name) for leg in legs) for name in sums},
+        **quantiles_of_route(*trip.legs),
         path=[*legs[0].path, *(point for leg in legs[1:] for point in leg.path[1:])],
         order=list(trip.order),
         legs=legs,

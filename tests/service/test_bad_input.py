@@ -332,9 +332,14 @@ def test_unknown_things(client: TestClient) -> None:
     assert set(wrong.headers["allow"].split(", ")) >= {"POST"} or "GET" in wrong.headers["allow"]
 
 
-@pytest.mark.parametrize("query", ["x=nan&y=1", "x=1", "x=1&y=inf", "x=a&y=1"])
+@pytest.mark.parametrize("query", ["x=nan&y=1", "x=1&y=inf", "x=a&y=1", "lat=91&lon=0", "lat=0&lon=x"])
 def test_bad_places(client: TestClient, costmap_id: str, query: str) -> None:
     check_problem(client.get(f"/v1/costmaps/{costmap_id}/at?{query}"), 422, "invalid_request")
+
+
+@pytest.mark.parametrize("query", ["", "x=1", "lat=1", "x=1&lon=1", "x=1&y=1&lat=1&lon=1"])
+def test_half_a_place_and_two(client: TestClient, costmap_id: str, query: str) -> None:
+    check_problem(client.get(f"/v1/costmaps/{costmap_id}/at?{query}"), 422, "invalid_input")
 
 
 def test_hostile_json(client: TestClient, costmap_id: str) -> None:
