@@ -22,19 +22,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, minimize
-from scipy.special import gammaln
+from scipy.special import gammaln, stdtrit
 
 FloatArray = NDArray[np.float64]
 
 STRETCHES = (20, 40, 80, 160)
 """Segments of the stretches whose sums are fitted: routes are of 20 to 300 m."""
+LEVELS = (0.5, 0.8, 0.9)
+"""Shares of errors that intervals are made for."""
 LEAST_FREEDOM = 2.5
 """Fewest degrees of freedom: with 2 or less there is no variance."""
 NORMAL_FREEDOM = 100.0
 """More degrees of freedom than these are a normal distribution: their 95 % point differs by less than 1 %."""
-_STARTS = ((0.02, 4.0, 20.0), (0.1, 2.0, 20.0), (0.3, 1.5, 5.0))  # offset of a run, correlation length, freedom
+_STARTS = ((0.02, 4.0, 20.0), (0.1, 1.0, 20.0), (0.3, 0.5, 5.0))  # offset of a run, correlation length, freedom
 ENOUGH = 20
 """Fewest groups for a bias and a skew: ten for each parameter (Peduzzi et al. 1996)."""
+_CORRELATIONS = (1.0 / 3.0, 1e6)
+"""Of neighbours -1/2 at least, that of the differences of independent errors; below 1 they make up for each other."""
 _MOST_SKEW = math.log(10.0)
 _FEWEST = 4  # segments of a run that is shorter than every stretch
 
@@ -48,7 +52,8 @@ class RouteErrors:
     run_share : float
         Scale of the relative error of a whole run.
     correlation_m : float
-        Sum of the correlations of the remaining errors, as of a first-order autoregression [segments].
+        Sum of the correlations of the remaining errors, as of a first-order autoregression [segments]; below 1 where
+        the errors of neighbours make up for each other.
     freedom : float
         Degrees of freedom of Student's t of the sums.
     bias : float
@@ -126,17 +131,15 @@ def fit_route_errors(
     Notes
     -----
     A bias and unequal sides are accepted where there are `ENOUGH` groups and the criterion of Schwarz (1978), with as
-    many observations as there are groups, says so: a few runs show neither.
+    many observations as there are groups, says so: a few runs show neither. With so many groups scales and degrees of
+    freedom are those at which the intervals of `LEVELS` hold what they say.
     """
     sums = _sums(error_j, energy_j, std_j, run, group)
     groups = int(np.unique(group).size)
 
     def _loss(x: FloatArray) -> float:
-        share, correlation, freedom = _parameters(x)
-        variance = (share * sums.energy) ** 2 + correlated_variance(sums.variance, sums.count, correlation)
-        bias, log_skew = (float(x[3]), float(np.clip(x[4], -_MOST_SKEW, _MOST_SKEW))) if x.size > 3 else (0.0, 0.0)
-        away = sums.error - bias * sums.energy
-        variance = np.maximum(variance, 1e-300) * np.exp(np.sign(away) * log_skew)
+        freedom = _parameters(x)[2]
+        away, variance = _steps(x, sums)
         tails = (freedom + 1.0) / 2.0 * np.log1p(away**2 / variance / freedom) + 0.5 * np.log(variance)
         norm = gammaln((freedom + 1.0) / 2.0) - gammaln(freedom / 2.0) - 0.5 * math.log(freedom)
         return float(sums.weight @ (tails - norm)) / groups + 1e-6 * float(x @ x)  # flat directions have an end
@@ -144,11 +147,41 @@ def fit_route_errors(
     plain = min((_least(_loss, _coordinates(*start)) for start in _STARTS), key=lambda found: float(found.fun))
     if groups < ENOUGH:
         return RouteErrors(*_parameters(plain.x), 0.0, 1.0, groups)
+    best, bias, skew = plain, 0.0, 1.0
     uneven = _least(_loss, np.append(plain.x, [0.01, 0.1]))
-    if groups * (plain.fun - uneven.fun) <= math.log(groups):  # half the logarithm for each of two parameters
-        return RouteErrors(*_parameters(plain.x), 0.0, 1.0, groups)
-    skew = math.exp(float(np.clip(uneven.x[4], -_MOST_SKEW, _MOST_SKEW)))
-    return RouteErrors(*_parameters(uneven.x), float(uneven.x[3]), skew, groups)
+    if groups * (plain.fun - uneven.fun) > math.log(groups):  # half the logarithm for each of two parameters
+        best, bias, skew = uneven, float(uneven.x[3]), math.exp(_log_skew(uneven.x))
+    share, correlation, _ = _parameters(best.x)
+    wider, freedom = _matched(best.x, sums)
+    return RouteErrors(share * wider, correlation * wider**2, freedom, bias, skew, groups)
+
+
+def _steps(x: FloatArray, sums: _Sums) -> tuple[FloatArray, FloatArray]:
+    """Distances from the median [J] and their squared scales [J2], (n,)."""
+    share, correlation, _ = _parameters(x)
+    variance = (share * sums.energy) ** 2 + correlated_variance(sums.variance, sums.count, correlation)
+    away = sums.error - (float(x[3]) if x.size > 3 else 0.0) * sums.energy
+    return away, np.maximum(variance, 1e-300) * np.exp(np.sign(away) * _log_skew(x))
+
+
+def _log_skew(x: FloatArray) -> float:
+    return float(np.clip(x[4], -_MOST_SKEW, _MOST_SKEW)) if x.size > 3 else 0.0
+
+
+def _matched(x: FloatArray, sums: _Sums) -> tuple[float, float]:
+    """By how much the scales must be widened, and the degrees of freedom, so that intervals hold what they say: those
+    whose quantiles, in logarithms, come nearest to the quantiles found. A single run that went wholly wrong decides the
+    likelihood, and the quantiles hardly see it.
+    """
+    away, variance = _steps(x, sums)
+    size = np.abs(away) / np.sqrt(variance)
+    order = np.argsort(size)
+    share = np.cumsum(sums.weight[order]) / sums.weight.sum()
+    found = np.log(np.maximum(size[order][np.searchsorted(share, LEVELS)], 1e-12))
+    tried = np.geomspace(LEAST_FREEDOM, NORMAL_FREEDOM, 60)
+    apart = found - np.log(stdtrit(tried[:, None], 0.5 + 0.5 * np.array(LEVELS)))  # (tried, levels)
+    best = int(np.argmin(apart.var(axis=1)))
+    return float(np.exp(apart[best].mean())), float(tried[best])
 
 
 def _least(loss: Callable[[FloatArray], float], start: FloatArray) -> OptimizeResult:
@@ -156,12 +189,12 @@ def _least(loss: Callable[[FloatArray], float], start: FloatArray) -> OptimizeRe
 
 
 def _coordinates(share: float, correlation: float, freedom: float) -> FloatArray:
-    return np.log([share, correlation - 1.0, freedom - LEAST_FREEDOM])
+    return np.log([share, correlation, freedom - LEAST_FREEDOM])
 
 
 def _parameters(x: FloatArray) -> tuple[float, float, float]:
-    share, more, freedom = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
-    return share, 1.0 + min(more, 1e6), min(LEAST_FREEDOM + freedom, NORMAL_FREEDOM)
+    share, correlation, freedom = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
+    return share, float(np.clip(correlation, *_CORRELATIONS)), min(LEAST_FREEDOM + freedom, NORMAL_FREEDOM)
 
 
 def _sums(

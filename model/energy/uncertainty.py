@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.energy.route_errors import NORMAL_FREEDOM, fit_route_errors
+from joulemap.model.energy.route_errors import LEVELS, NORMAL_FREEDOM, fit_route_errors
 from joulemap.model.errors import InputError, ModelError
 
 FloatArray = NDArray[np.float64]
 
-LEVELS = (0.5, 0.8, 0.9)
-"""Shares of segments that the intervals are made for."""
 USUAL_SPREAD = 0.1
 """Assumed standard deviation over the energy where a network gives none."""
 LEAST_SHARE = 0.2

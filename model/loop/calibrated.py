@@ -61,7 +61,7 @@ class Correction:
     evidence : sequence of mapping
         The report's effects, JSON-able.
     spread : Spread, optional
-        Error of the calibrated model on left-out runs. Its factor is that on `assumed_std`. None of a charge.
+        Error of the calibrated model on left-out runs. Its factor is that on `assumed_std`.
     """
 
     terms: tuple[Term, ...]

@@ -20,7 +20,7 @@ _PASSES = 10  # of reweighting; the coefficients no longer move in their third d
 _LEAST_SHARE = 0.2  # of the mean energy: the least that a segment's variance grows with
 SHIPPED_RUN_SHARE = 0.186
 """Standard deviation of the level of a run over the rolling resistance: that of the shipped network on other sites.
-Source: `spread.run_share` of model/weights/config.json."""
+Source: the runs of its training that were left out (2026-11-21)."""
 _ARM_M = 2.0
 """Turning energy per radian over the weight [m], as a prior standard deviation: far more than a
 friction coefficient of 1 at half the length of most robots, so that it decides only where runs hardly turn."""

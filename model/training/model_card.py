@@ -86,9 +86,10 @@ and on slopes braking and drivetrain losses make the relation non-linear.
 
 The intervals held {covered} of the same segments
 (their widths were found on them: factor {spread.factor:.2f}, quantiles {_quantiles(spread)}).
-Each whole run has a relative error of its own, of {100 * spread.run_share:.0f} % (standard deviation),
-from properties of robot and ground that the network does not know. Errors of neighbouring segments are correlated over
-{spread.correlation_m:.1f} m.
+Each whole run has a relative error of its own, of {100 * spread.run_share:.0f} % (scale of Student's t with
+{_freedom(spread.run_freedom)} degrees of freedom), from properties of robot and ground that the network does not know.
+Half of the routes take {100 * spread.bias:+.0f} % or less against the prediction; errors above that are
+{spread.skew:.1f} times those below it. Errors of neighbouring segments are correlated over {spread.correlation_m:.1f} m.
 
 ## Learned ranges
 Outside of them the answer comes with a warning, and the network clamps the robot's values to the range.
@@ -159,6 +160,10 @@ The middle 98 % of the metres:
 |---|---|
 {driven}
 """
+
+
+def _freedom(freedom: float | None) -> str:
+    return "more than 100" if freedom is None else f"{freedom:.0f}"
 
 
 def _quantiles(spread: Spread) -> str:

@@ -133,7 +133,7 @@ def calibrate_on_runs(
         cross_validate=cross_validate,
         progress=_part(progress, _READ, _CALIBRATED),
     )
-    correction = correction_of(found, measured.std)
+    correction = correction_of(found, measured.std, groups)
     version = _write(begun, model, predictor, correction)
     after = CalibratedPredictor(predictor, correction, name=model_name(target), version=version)
     ground = measured.main.heightmap
@@ -278,7 +278,7 @@ def refuse_calibrated(model: str | Path, predictor: Predictor) -> None:
         )
 
 
-def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
+def correction_of(found: Calibration, std_j: FloatArray, groups: Sequence[str] | None = None) -> Correction:
     """Return what a calibration adds to its base model.
 
     Parameters
@@ -287,6 +287,8 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
         What was found.
     std_j : ndarray, (n,)
         Standard deviation of the base model for each of the calibration's rows [J].
+    groups : sequence of str, optional
+        Of each run, such as its campaign: what was left out together.
 
     Returns
     -------
@@ -295,11 +297,12 @@ def correction_of(found: Calibration, std_j: FloatArray) -> Correction:
     """
     fitted, rows, moving = found.fitted, found.residuals.features, found.residuals.moving
     conditions = {k: float(np.nanmean(v)) for k, v in rows.columns.items() if np.isfinite(v).any()}
-    spread = None
-    if not found.residuals.charge:
-        spread = fit_spread(
-            found.residuals.measured[moving], found.held_out["after_planner"][moving], std_j[moving], rows.run[moving]
-        )
+    measured_j, said_j = (
+        rows.unit_j * energy[moving] for energy in (found.residuals.measured, found.held_out["after_planner"])
+    )
+    run = rows.run[moving]
+    group = None if groups is None or not found.residuals.whole_runs else np.asarray(groups)[run]
+    spread = fit_spread(measured_j, said_j, std_j[moving], run, group=group)
     return Correction(
         fitted.terms,
         fitted.planner_terms,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,16 @@ class Held:
     group: NDArray[np.int64]
 
 
+def columns_of(held: Held, rows: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+    """What a spread is fitted to."""
+    return held.measured[rows], held.predicted[rows], held.std[rows], held.run[rows]
+
+
+def taken(held: Held, rows: NDArray[np.bool_]) -> Held:
+    """Some of the segments."""
+    return Held(*(getattr(held, field.name)[rows] for field in fields(Held)))
+
+
 @dataclass(frozen=True, eq=False)
 class Judged:
     """Routes, one entry each: measured energy, and its distribution."""
@@ -39,12 +49,6 @@ class Judged:
     name: str
     measured: FloatArray
     odds: EnergyOdds
-
-    def joined(self, other: Judged) -> Judged:
-        parts = [self.odds, other.odds]
-        mean, scale = (np.concatenate([getattr(p, key) for p in parts]) for key in ("mean_j", "scale_j"))
-        freedom = np.concatenate([np.full(p.mean_j.size, 1e6) if p.freedom is None else p.freedom for p in parts])
-        return Judged(self.name, np.concatenate([self.measured, other.measured]), EnergyOdds(mean, scale, freedom))
 
 
 def judged(name: str, spread: Spread, test: Held, *, shortest: int, longest: int, cuts: int = CUTS) -> Judged:
@@ -72,24 +76,26 @@ def _routes(
             at += length
 
 
-def scores(routes: Judged) -> dict[str, Any]:
+def scores(parts: Sequence[Judged]) -> dict[str, Any]:
     """Coverage of intervals, Brier scores, and the reliability curve."""
-    covered = {}
-    for level in LEVELS:
-        low, high = (routes.odds.quantile(0.5 + side * level / 2) for side in (-1, 1))
-        covered[f"{100 * level:.0f}"] = float(np.mean((routes.measured >= low) & (routes.measured <= high)))
-    lasts, ours, plain, careful = [], [], [], []
-    for charge in CHARGES:
-        there = charge * routes.odds.mean_j
-        lasts.append(routes.measured <= there)
-        ours.append(routes.odds.lasts(there))
-        plain.append(there >= routes.odds.mean_j)
-        careful.append(there >= (1.0 + MARGIN) * routes.odds.mean_j)
+    inside: dict[str, list[NDArray[np.bool_]]] = {f"{100 * level:.0f}": [] for level in LEVELS}
+    lasts, ours, plain, careful, below = [], [], [], [], []
+    for routes in parts:
+        for level in LEVELS:
+            low, high = (routes.odds.quantile(0.5 + side * level / 2) for side in (-1, 1))
+            inside[f"{100 * level:.0f}"].append((routes.measured >= low) & (routes.measured <= high))
+        below.append(routes.measured <= routes.odds.quantile(0.5))
+        for charge in CHARGES:
+            there = charge * routes.odds.mean_j
+            lasts.append(routes.measured <= there)
+            ours.append(routes.odds.lasts(there))
+            plain.append(there >= routes.odds.mean_j)
+            careful.append(there >= (1.0 + MARGIN) * routes.odds.mean_j)
     happened, said = np.concatenate(lasts).astype(float), np.concatenate(ours)
     return {
-        "routes": int(routes.measured.size),
-        "coverage": covered,
-        "below the mean": float(np.mean(routes.measured <= routes.odds.mean_j)),
+        "routes": sum(int(routes.measured.size) for routes in parts),
+        "coverage": {level: float(np.concatenate(found).mean()) for level, found in inside.items()},
+        "below the median": float(np.concatenate(below).mean()),
         "brier": {
             "odds": float(np.mean((said - happened) ** 2)),
             "mean": float(np.mean((np.concatenate(plain) - happened) ** 2)),
@@ -107,10 +113,3 @@ def _reliability(said: FloatArray, happened: FloatArray) -> list[tuple[float, fl
         for k in range(10)
         if (tenth == k).any()
     ]
-
-
-def pooled(parts: Sequence[Judged], name: str) -> Judged:
-    first = parts[0]
-    for other in parts[1:]:
-        first = first.joined(other)
-    return Judged(name, first.measured, first.odds)

@@ -1,0 +1,184 @@
+"""Odds over HTTP, in Python and on the command line: energies, classes, the battery along the way, the way home."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from typer.testing import CliRunner
+
+import joulemap as jm
+from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
+from joulemap.planner.lattice_build import build_lattice
+from joulemap.service.cli import app
+from joulemap.service.library.costmaps import CostMap
+from tests.service.conftest import GOAL, START, hill
+
+FEW = Spread(run_share=0.08, freedom=12.0, run_freedom=4.0)
+
+
+@pytest.fixture(scope="module")
+def known() -> CostMap:
+    """A map of calibrated `physics`, which knows its errors."""
+    model = CalibratedPredictor(PhysicsPredictor(), Correction((), (), spread=FEW), name="calibrated", version="1")
+    return CostMap(build_lattice(hill(), jm.Robot(), model))
+
+
+def ask(client: TestClient, costmap_id: str, question: str, **body: Any) -> dict[str, Any]:
+    answer = client.post(f"/v1/costmaps/{costmap_id}/{question}", json=body)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_a_model_without_runs_gives_a_class_and_no_odds(client: TestClient, costmap_id: str) -> None:
+    path = ask(client, costmap_id, "paths", start=START, goal=GOAL)
+    assert [path[f"energy_p{share}_j"] for share in ("05", "50", "95")] == [None] * 3
+    full = ask(client, costmap_id, "feasibility", start=START, goal=GOAL)
+    assert (full["verdict"], full["probability"]) == ("yes", None)
+    assert "without odds because the model has seen no runs" in full["verdict_text"]
+    share = path["energy_j"] / 3600.0 / 280.0
+    for factor, verdict in ((2.0, "yes"), (1.4, "likely"), (1.05, "marginal"), (0.5, "no")):
+        asked = ask(client, costmap_id, "feasibility", start=START, goal=GOAL, battery={"charge": factor * share})
+        assert asked["verdict"] == verdict
+
+
+def test_calibrated_physics_gives_a_distribution(known: CostMap) -> None:
+    route = known.plan(START, GOAL)
+    verdict = known.feasibility(route, charge=1.0).verdict
+    low, middle, high = verdict.energy_p05_j, verdict.energy_p50_j, verdict.energy_p95_j
+    assert low is not None
+    assert middle is not None
+    assert high is not None
+    assert low < middle < high
+    assert middle == pytest.approx(route.energy_j)
+    for energy, probability in ((high, 0.95), (middle, 0.5), (low, 0.05)):
+        asked = known.feasibility(route, charge=energy / 3600.0 / 280.0).verdict
+        assert asked.probability == pytest.approx(probability, abs=0.002)
+        assert asked.charge_for_yes == pytest.approx(high / 3600.0 / 280.0, rel=1e-6)
+    yes, no = (known.feasibility(route, charge=factor * middle / 3600.0 / 280.0) for factor in (1.4, 0.6))
+    assert (yes.class_, no.class_) == ("yes", "no")
+    assert "makes it a yes" in no.text
+    assert no.verdict.yes_until_m is not None
+    assert 0.0 < no.verdict.yes_until_m < route.length_m
+
+
+def test_the_charge_that_is_named_makes_it_a_yes(client: TestClient, costmap_id: str) -> None:
+    battery = {"capacity_wh": 2.0, "reserve": 0.1}
+    marginal = ask(client, costmap_id, "feasibility", start=START, goal=GOAL, battery={**battery, "charge": 0.3})
+    assert marginal["verdict"] != "yes"
+    named = marginal["charge_for_yes"]
+    for charge, is_yes in ((named + 1e-6, True), (named - 1e-3, False)):
+        asked = ask(client, costmap_id, "feasibility", start=START, goal=GOAL, battery={**battery, "charge": charge})
+        assert (asked["verdict"] == "yes") is is_yes
+
+
+def test_the_battery_along_the_way(client: TestClient, costmap_id: str) -> None:
+    body = {"start": START, "goal": GOAL, "round_trip": True, "profile": True}
+    found = ask(client, costmap_id, "feasibility", **body, battery={"resistance_ohm": 0.05, "reserve": 0.1})
+    charges = [piece["charge"] for piece in found["profile"]]
+    assert charges == sorted(charges, reverse=True)
+    assert charges[-1] == pytest.approx(found["charge_at_end"])
+    assert found["profile"][-1]["distance_m"] == pytest.approx(found["length_m"])
+    assert min(piece["voltage_v"] for piece in found["profile"]) == pytest.approx(found["least_voltage_v"])
+    assert ask(client, costmap_id, "feasibility", start=START, goal=GOAL)["profile"] is None
+
+
+@pytest.mark.parametrize(
+    ("battery", "words"),
+    [
+        ({"temperature_c": -10.0}, "capacity_curve"),
+        ({"cutoff_v": 60.0}, "highest voltage"),
+        ({"open_circuit_v": [[0.0, 12.0], [1.0, 11.0]]}, "falls to 11 V"),
+        ({"health": 0.0}, "health"),
+        ({"resistance": 0.1}, "did you mean resistance_ohm"),
+        ({"capacity_wh": 0}, "capacity_wh"),
+    ],
+)
+def test_odd_batteries_are_refused(client: TestClient, costmap_id: str, battery: dict, words: str) -> None:
+    body = {"start": START, "goal": GOAL, "battery": battery}
+    answer = client.post(f"/v1/costmaps/{costmap_id}/feasibility", json=body)
+    assert answer.status_code == 422
+    assert words in answer.text
+
+
+def test_the_point_of_no_return_is_where_the_way_home_takes_what_is_left(client: TestClient, costmap_id: str) -> None:
+    """At the place that is named, the path so far and the way home take what there is; a metre on they take more."""
+    path = ask(client, costmap_id, "paths", start=START, goal=GOAL)
+    way = [point[:2] for point in path["path"]]
+    available = 1.1 * path["energy_j"]
+    battery = {"charge": available / 3600.0 / 280.0}
+    body = {"position": START, "home": START, "path": way, "battery": battery, "confidence": None}
+    found = ask(client, costmap_id, "return", **body)
+    assert found["still_home"]
+    place = found["point_of_no_return"]
+    assert 0.0 < place["distance_m"] < path["length_m"]
+    driven = np.interp(
+        [place["distance_m"], place["distance_m"] + 2.0],
+        [piece["distance_m"] for piece in path["profile"]],
+        [piece["cumulative_j"] for piece in path["profile"]],
+    )
+    ends = [[place["x"], place["y"]], None]
+    k = next(k for k, piece in enumerate(path["profile"]) if piece["distance_m"] >= place["distance_m"] + 2.0)
+    ends[1] = [path["profile"][k]["x"], path["profile"][k]["y"]]
+    homes = [ask(client, costmap_id, "paths", start=end, goal=START)["energy_j"] for end in ends]
+    assert driven[0] + homes[0] <= available
+    assert 1.03 * (driven[1] + homes[1]) > available  # ways over grid moves take up to some percent more
+
+
+def test_on_the_way_the_point_of_no_return_stays_where_it_is(client: TestClient, costmap_id: str) -> None:
+    path = ask(client, costmap_id, "paths", start=START, goal=GOAL)
+    pieces, available = path["profile"], 1.2 * path["energy_j"]
+    places = []
+    for k in (0, 4, 8):
+        rest = [[piece["x"], piece["y"]] for piece in pieces[k:]]
+        charge = (available - pieces[k]["cumulative_j"]) / 3600.0 / 280.0
+        body = {"position": rest[0], "home": START, "path": rest, "battery": {"charge": charge}, "confidence": None}
+        found = ask(client, costmap_id, "return", **body)
+        places.append(found["point_of_no_return"]["distance_m"] + pieces[k]["distance_m"])
+    assert places == pytest.approx([places[0]] * 3, abs=1.1)
+
+
+def test_a_charging_place_on_the_path_is_the_best(client: TestClient, costmap_id: str) -> None:
+    path = ask(client, costmap_id, "paths", start=START, goal=GOAL)
+    middle = path["profile"][len(path["profile"]) // 2]
+    way = [point[:2] for point in path["path"]]
+    aside = [START[0] + 5.0, START[1] + 6.0]
+    body = {"position": START, "home": START, "path": way, "charging": [aside, [middle["x"], middle["y"]]]}
+    found = ask(client, costmap_id, "return", **body)
+    assert found["best_charging"] == 1
+    assert found["charging"][1]["cheapest_j"] < 0.05 * path["energy_j"]
+    empty = ask(client, costmap_id, "return", **body, battery={"charge": 0.0, "reserve": 0.2})
+    assert (empty["still_home"], empty["verdict"], empty["best_charging"]) == (False, "no", None)
+    assert empty["point_of_no_return"] is None
+
+
+def test_python_and_the_command_line_say_the_same(known: CostMap, tmp_path: Path) -> None:
+    folder = known.save(tmp_path / "known.zarr")
+    route = known.plan(START, GOAL)
+    track = tmp_path / "path.csv"
+    track.write_text("x,y\n" + "".join(f"{x},{y}\n" for x, y in route.points[:, :2]))
+    charge = 1.3 * route.energy_j / 3600.0 / 280.0
+    here = known.homeward(START, START, battery=jm.Battery(280.0, charge=charge), path=route.points[:, :2].tolist())
+    home = ",".join(map(str, START))
+    command = ["return", str(folder), "--path", str(track), "--home", home, "--charge", str(charge), "--json", "-"]
+    said = CliRunner().invoke(app, command)
+    assert said.exit_code == 0, said.output
+    document = json.loads(said.stdout)
+    assert here.home.last is not None
+    assert document["point_of_no_return"]["distance_m"] == pytest.approx(here.home.last.distance_m)
+    pack = tmp_path / "pack.toml"
+    pack.write_text("resistance_ohm = 2.0\ncutoff_v = 27.0\n")
+    asked = ["feasibility", str(folder), "--path", str(track), "--battery", str(pack), "--json", "-"]
+    judged = CliRunner().invoke(app, asked)
+    assert judged.exit_code == 0, judged.output
+    strong = known.feasibility(route, battery=jm.Battery(280.0, resistance_ohm=2.0, cutoff_v=27.0)).verdict
+    assert json.loads(judged.stdout)["least_voltage_v"] == pytest.approx(strong.least_voltage_v)
+    pack.write_text("charge = 0.5\n")
+    refused = CliRunner().invoke(app, asked)
+    assert refused.exit_code == 3
