@@ -53,7 +53,7 @@ export async function ask(path, options) {
 export const send = (path, body, options) => ask(path, { method: "POST", body, ...options });
 export const blob = async (path, options) => (await request(path, options)).blob();
 
-/** Follows a job until it is over; `report` is told each state. Connects again when the connection breaks. */
+/** Follows a job until it is over; `report` is called with each state. Connects again when the connection breaks. */
 export async function follow(path, report, signal) {
   for (;;) {
     try {

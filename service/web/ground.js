@@ -21,7 +21,7 @@ export function dropZone(words, properties, work) {
 
 let known = {}, chosen = () => {}, waiting = null;
 
-/** `choose` is told of a heightmap, or of a cost map that is done. */
+/** `choose` is called with a heightmap, or with a cost map that is done. */
 export function use(start, choose) { known = start; chosen = choose; }
 
 export function hide() { by("welcome").hidden = true; }

@@ -10,7 +10,7 @@ import { now, on, set } from "./state.js";
 
 let opened = () => {}, models = [], working = null;
 
-/** `open` is told of a cost map that is done. */
+/** `open` is called with a cost map that is done. */
 export function use(names, open) { models = names; opened = open; }
 
 async function allModels() {
