@@ -8,6 +8,7 @@ import * as loop from "./loop.js";
 import { map, showCostmap, showHeightmap } from "./map.js";
 import * as mapPanel from "./map_panel.js";
 import "./profile.js";
+import * as homeward from "./homeward.js";
 import { hint, useFields } from "./question.js";
 import * as reach from "./reach.js";
 import * as robots from "./robot.js";
@@ -91,6 +92,7 @@ async function begin() {
   about = await ask("page/start.json");
   useFields(about.path_fields);
   reach.use(about.paths.includes("/v1/costmaps/{costmap_id}/reach"));
+  homeward.use(about.paths.includes("/v1/costmaps/{costmap_id}/return"));
   savePanel.use(about.path_formats);
   robots.use(about.robot);
   routePanel.start(about.planners);

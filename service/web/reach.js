@@ -1,7 +1,7 @@
 // Reach: how far the battery takes the robot from the start, as shaded contours.
 
 import { Latest, send, superseded } from "./api.js";
-import { by, errorNote, fill, make, metres, percent } from "./dom.js";
+import { by, errorNote, fill, make, number, percent } from "./dom.js";
 import { leaf, map } from "./map.js";
 import { settled, slider } from "./controls.js";
 import { now, on } from "./state.js";
@@ -25,6 +25,8 @@ export function panel() {
     make("div", { id: "reach-said", "aria-live": "polite" }));
 }
 
+const area = m2 => (m2 < 1e4 ? `${number(m2, 0)} m²` : m2 < 1e6 ? `${number(m2 / 1e4, 1)} hectares` : `${number(m2 / 1e6, 1)} km²`);
+
 async function ask() {
   latest.stop();
   const said = by("reach-said");
@@ -37,7 +39,15 @@ async function ask() {
   const body = { start: now.start, battery: { charge, reserve }, charges: charge > reserve ? levels : null, confidence: wish.confidence, round_trip: wish.back, avoid: now.avoid };
   fill(said, make("p", { class: "note" }, "Searching…"));
   try {
-    const found = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/reach?format=geojson&coordinates=map`, body, { signal }));
+    let odds = true;
+    const found = await latest.run(async signal => {
+      const here = `v1/costmaps/${now.costmap.id}/reach?format=geojson&coordinates=map`;
+      try { return await send(here, body, { signal }); } catch (error) {
+        if (error.status !== 422 || !/confidence/.test(error.message)) throw error;
+        odds = false;
+        return send(here, { ...body, confidence: null }, { signal });
+      }
+    });
     contours.clearLayers();
     const order = found.features.filter(one => one.geometry).sort((a, b) => b.properties.charge - a.properties.charge);
     order.forEach(({ geometry, properties }, k) => {
@@ -49,8 +59,8 @@ async function ask() {
     fill(said, order.length ? order.map(({ properties }) => {
       const box = make("i", { class: "box" });
       box.style.background = properties.shade;
-      return make("p", { class: "note" }, box, `starting at ${percent(properties.charge)}${properties.round_trip ? ", there and back" : ""}: ${metres(Math.sqrt(properties.area_m2))} × ${metres(Math.sqrt(properties.area_m2))} of ground`);
-    }) : make("p", { class: "note" }, "Nothing can be reached with this charge and reserve."));
+      return make("p", { class: "note" }, box, `starting at ${percent(properties.charge)}${properties.round_trip ? ", there and back" : ""}: ${area(properties.area_m2)}`);
+    }).concat(odds ? [] : make("p", { class: "note warn" }, "This model gives no odds: the expected energy decides.")) : make("p", { class: "note" }, "Nothing can be reached with this charge and reserve."));
   } catch (error) {
     if (superseded(error)) return;
     contours.clearLayers();

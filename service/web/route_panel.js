@@ -3,6 +3,7 @@
 import * as avoid from "./avoid.js";
 import { settled, slider } from "./controls.js";
 import { by, errorNote, fill, joules, make, metres, minutes, number, percent } from "./dom.js";
+import * as homeward from "./homeward.js";
 import { askAgain, expect, expected, hint } from "./question.js";
 import * as reach from "./reach.js";
 import { now, on, set } from "./state.js";
@@ -37,6 +38,7 @@ function form() {
     slider("Charge at the start", now.battery.charge, { min: 0.05, max: 1, step: 0.01, words: value => percent(value) }, charge => { now.battery.charge = charge; slow(); }),
     slider("Reserve to keep", now.battery.reserve, { min: 0, max: 0.9, step: 0.01, words: value => percent(value) }, reserve => { now.battery.reserve = reserve; slow(); }),
     make("label", { class: "check" }, make("input", { type: "checkbox", checked: now.roundTrip, onchange: event => set({ roundTrip: event.target.checked }) }), "And back again"),
+    homeward.panel(),
     avoid.panel(), reach.panel(),
     make("details", {}, make("summary", {}, "Search"), make("label", { class: "field" }, "Alternatives to show", others, make("span", { class: "unit" })), make("label", { class: "field wide" }, "Planner", choice)));
   places();

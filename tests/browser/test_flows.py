@@ -120,6 +120,8 @@ def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -
         if tab.page.query_selector("#reach"):
             tab.page.click("#reach summary")
             tab.page.wait_for_selector("#reach-said p.note i")
+            tab.page.check("text=Until where can it turn back")
+            tab.page.wait_for_selector("#homeward p")
             shot(tab, "reach")
         tab.page.click("text=Add a stop")
         tab.page.mouse.click(*tab.place(west + 25.0, north - 8.0))
