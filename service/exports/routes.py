@@ -48,11 +48,22 @@ ROUTE_FORMATS: dict[str, RouteFormat] = {
         RouteFormat("gpx", ".gpx", "application/gpx+xml", "GPX 1.1: GPS devices, phones", "gpx"),
         RouteFormat("kml", ".kml", "application/vnd.google-earth.kml+xml", "KML 2.2: Google Earth", "kml"),
         RouteFormat("csv", ".csv", "text/csv", "CSV: the route metre by metre", "csv_table", degrees=False),
-        RouteFormat("qgc-plan", ".plan", "application/json", "mission for QGroundControl", "qgroundcontrol"),
+        RouteFormat(
+            "qgc-plan",
+            ".plan",
+            "application/vnd.qgroundcontrol.plan+json",
+            "mission for QGroundControl",
+            "qgroundcontrol",
+        ),
         RouteFormat("waypoints", ".waypoints", "text/plain", "mission for ArduPilot (QGC WPL 110)", "ardupilot"),
         RouteFormat("mcap", ".mcap", "application/octet-stream", "ROS 2 nav_msgs/Path in MCAP", "mcap", degrees=False),
         RouteFormat(
-            "ros-path", ".path.json", "application/json", "ROS nav_msgs/Path as JSON", "ros_path", degrees=False
+            "ros-path",
+            ".path.json",
+            "application/vnd.ros.path+json",
+            "ROS nav_msgs/Path as JSON",
+            "ros_path",
+            degrees=False,
         ),
     )
 }

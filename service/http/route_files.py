@@ -24,11 +24,13 @@ Coordinates = Annotated[
     Literal["wgs84", "map"] | None,
     Query(description="of geojson: wgs84 (default), longitude and latitude; map, x and y in the map's CRS [m]"),
 ]
+_OBJECT, _BYTES = {"type": "object"}, {"type": "string", "format": "binary"}
 FILES: dict[str, Any] = {
-    known.media_type: {"schema": {"type": "string", "format": "binary", "description": known.words}}
+    known.media_type: {
+        "schema": {**(_OBJECT if known.media_type.endswith("json") else _BYTES), "description": known.words}
+    }
     for known in ROUTE_FORMATS.values()
-    if known.media_type != "application/json"
-} | {"application/geo+json": {"schema": {"type": "object", "description": "FeatureCollection of all lines"}}}
+}
 """The media types of these answers, for the document."""
 
 
@@ -108,7 +110,7 @@ def route_file_wanted(format: str | None, accept: str | None, coordinates: str |
     """
     offered = {known.media_type: name for name, known in ROUTE_FORMATS.items()}
     asked = [part.split(";")[0].strip() for part in (accept or "").split(",")]
-    own = ("application/json", "text/plain", "application/octet-stream", "text/csv")  # too general to mean one of these
+    own = ("text/plain", "application/octet-stream")  # too general to mean one of these
     name = format or next((offered[kind] for kind in asked if kind in offered and kind not in own), JSON)
     if name == JSON and coordinates is not None:
         raise InputError("`coordinates` is for format=geojson: leave it out", coordinates=coordinates)

@@ -81,6 +81,7 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_runs", "GET", f"/v1/runs/{runs}")
     ask("get_calibration", "GET", f"/v1/calibrations/{calibration}")
     ask("get_segments", "GET", f"/v1/calibrations/{calibration}/segments")
+    ask("get_next_drive", "GET", f"/v1/calibrations/{calibration}/next-drive")
     here = f"/v1/costmaps/{costmap}"
     ask("get_costmap", "GET", here)
     ask("get_provenance", "GET", f"{here}/provenance")
