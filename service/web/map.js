@@ -52,7 +52,7 @@ function look(box) {
 }
 
 function fit() {
-  map.invalidateSize({ animate: false, pan: false });
+  map.invalidateSize({ animate: false, pan: !whole });
   if (whole) map.fitBounds(bounds(whole), { padding: [18, 18], animate: false });
 }
 const moved = () => { whole = null; };

@@ -29,7 +29,7 @@ function form() {
   const places = () => fill(by("places"),
     placeField("start", "Start"), placeField("goal", "Goal"),
     now.stops.length ? make("p", { class: "note" }, `${now.stops.length} stop${now.stops.length > 1 ? "s" : ""}: the service finds the best order and returns to the start. `, make("button", { type: "button", class: "plain", onclick: () => set({ stops: [] }) }, "Remove the stops")) : null,
-    make("div", { class: "row" }, pick("start", "Set start"), pick("goal", "Set goal"), pick("stop", "Add a stop"),
+    make("div", { class: "row tight" }, pick("start", "Set start"), pick("goal", "Set goal"), pick("stop", "Add stop"),
       make("button", { type: "button", onclick: () => set({ start: now.goal, goal: now.start }), disabled: !now.start || !now.goal }, "Swap")));
   fill(by("step-route"),
     make("div", { id: "places" }),

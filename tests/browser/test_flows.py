@@ -123,7 +123,7 @@ def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -
             tab.page.check("text=Until where can it turn back")
             tab.page.wait_for_selector("#homeward p")
             shot(tab, "reach")
-        tab.page.click("text=Add a stop")
+        tab.page.click("text=Add stop")
         tab.page.mouse.click(*tab.place(west + 25.0, north - 8.0))
         tab.page.wait_for_function("() => joulemap.now.answer?.tour === true")
         shot(tab, "stops")
