@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from joulemap.model.errors import HeightmapError, InputError, RunsError
 from joulemap.model.runs.reader import Run
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.model.terrain.surface_fit import fit_surface
 
 FloatArray = NDArray[np.float64]
 
@@ -107,6 +106,8 @@ def driven_surface(
     parts = [_positions(run) for run in runs]
     x, y, z = np.concatenate(parts, axis=1)
     try:
+        from joulemap.model.terrain.surface_fit import fit_surface  # loads SciPy, and few commands need it
+
         heightmap = fit_surface(
             x,
             y,

@@ -65,6 +65,8 @@ class Scaling:
         Height of the stored value 0 [m].
     nodata : float or None
         Stored value of unknown cells, in addition to what the file declares.
+    cell_m : float or None
+        Side of a cell that the user wants, for formats of points, which have none.
 
     Raises
     ------
@@ -75,6 +77,7 @@ class Scaling:
     scale_m: float | None = None
     offset_m: float = 0.0
     nodata: float | None = None
+    cell_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.scale_m is not None and self.scale_m not in ranges.SCALE_M:

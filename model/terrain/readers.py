@@ -82,7 +82,7 @@ def read_heightmap(
     TooLargeError
         If it declares more than `max_cells` cells; no memory is allocated for them.
     """
-    scaling = Scaling(scale_m, offset_m, nodata)
+    scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
     file = _opened(source, filename)
     if reproject is not None:
         warped, scaling = reproject_file(
@@ -142,7 +142,7 @@ def open_ground(
     TooLargeError
         If the file is read as a whole and declares more than `MAX_CELLS` cells.
     """
-    scaling = Scaling(scale_m, offset_m, nodata)
+    scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
     file = _opened(path, filename)
     assert isinstance(file.place, Path)
     if reproject is not None:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import BinaryIO
 
 import numpy as np
 
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.formats.contract import Log, Stream, mentioned
+from joulemap.model.runs.formats.finite import FiniteStream
 from joulemap.model.runs.formats.messages import log_of, reading
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.terrain.formats.contract import SourceFile
 
 _MAGIC = b"ULog\x01\x12\x35"
-_MOST_ENDS = 100
 _KINDS = (
     "battery_status",
     "vehicle_gps_position",
@@ -78,7 +77,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         )
     named = {text.split(".")[0].lstrip("+-").split("[")[0] for text in mapping.values()}
     with reading("ULog", source.name, lambda: "in its messages"), source.open() as stream:
-        log = ULog(_NotForEver(stream), [*_KINDS, *sorted(named - set(_KINDS))])
+        log = ULog(FiniteStream(stream), [*_KINDS, *sorted(named - set(_KINDS))])
         if log.file_corruption:
             raise RunsError(
                 f"run {source.name}: the ULog is truncated or corrupt: it was read up to "
@@ -104,45 +103,6 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             run=source.name,
         )
     return log_of(streams, _WANTED, prefer=(("lat", "lon"), ("x", "y")))
-
-
-class _NotForEver:
-    """A file that ends a search which reaches its end again and again: pyulog looks for marks that may not be there.
-
-    Parameters
-    ----------
-    stream : BinaryIO
-        The file.
-    """
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream = stream
-        self._ended = 0
-        self.tell, self.seek, self.close = stream.tell, stream.seek, stream.close
-
-    def read(self, size: int = -1) -> bytes:
-        """Return the next bytes.
-
-        Parameters
-        ----------
-        size : int, optional
-            How many; all without it.
-
-        Returns
-        -------
-        bytes
-            Fewer at the end of the file.
-
-        Raises
-        ------
-        EOFError
-            If the end was reached too often.
-        """
-        data = self._stream.read(size)
-        self._ended += len(data) < size
-        if self._ended > _MOST_ENDS:
-            raise EOFError("its end was reached again and again")
-        return data
 
 
 _GPS = ("vehicle_gps_position", "sensor_gps")

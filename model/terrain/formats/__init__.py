@@ -10,6 +10,8 @@ FORMATS = [
     HeightmapFormat("NumPy array", (".npy",), ".npy"),
     HeightmapFormat("NumPy archive", (".npz",), ".npz"),
     HeightmapFormat("greyscale PNG", (".png",), ".png"),
+    HeightmapFormat("LAS point cloud", (".las", ".laz"), ".las"),
+    HeightmapFormat("XYZ points", (".xyz",), ".xyz"),
 ]
 """All formats that are read, in the order in which they are tried. A module name with a dot in front lies here."""
 

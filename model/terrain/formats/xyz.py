@@ -1,0 +1,149 @@
+"""XYZ texts: x, y and height in each line. Points on a regular grid are its cells; others are averaged by cell."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import HeightmapError
+from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling, check_cells
+from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.terrain.point_grid import PointGrid
+
+_NUMBER = rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_LINE = re.compile(rb"\s*" + rb"[ \t,;]+".join([_NUMBER] * 3) + rb"[ \t,;]*(?:[ \t,;]" + _NUMBER + rb"[ \t,;]*)*[\r\n]")
+_HEADER = re.compile(rb"\s*\"?x\"?[ \t,;]+\"?y\"?[ \t,;]+\"?(?:z|height|elevation|h)\b[^\r\n]*[\r\n]+", re.IGNORECASE)
+_PART_BYTES = 1 << 22
+_MARKS = bytes.maketrans(b",;\t", b"   ")
+
+
+def recognise(head: bytes, name: str) -> bool:
+    """Decide by three numbers in a line of a file that is called so, or by the header x, y, z.
+
+    Parameters
+    ----------
+    head : bytes
+        First bytes of the file.
+    name : str
+        Of the file.
+
+    Returns
+    -------
+    bool
+        True for an XYZ text.
+    """
+    if name.lower().endswith((".xyz", ".txt", ".csv")) and _HEADER.match(head):
+        return True
+    return name.lower().endswith(".xyz") and _LINE.match(head) is not None
+
+
+def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | None = None) -> Decoded:
+    """Read the points, and lay a grid over them.
+
+    Parameters
+    ----------
+    source : SourceFile
+        The text.
+    scaling : Scaling
+        How heights become metres; `cell_m` is the side of a cell of points that lie on no grid.
+    max_cells : int
+        Largest number of cells, and of points.
+    band : int, optional
+        Not used.
+
+    Returns
+    -------
+    Decoded
+        Heights and place; holes where there is no point.
+
+    Raises
+    ------
+    HeightmapError
+        If a line is no point.
+    TooLargeError
+        If there are more than `max_cells` points, or cells.
+    """
+    points = _points(source, max_cells)
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    side = _regular(x, y)
+    if side is not None and (scaling.cell_m is None or abs(scaling.cell_m - side) <= SAME_LENGTH * side):
+        west, north = float(x.min()) - side / 2, float(y.max()) + side / 2
+        rows, cols = round((north - float(y.min())) / side + 0.5), round((float(x.max()) - west) / side + 0.5)
+        check_cells(rows, cols, max_cells, what=source.name)
+        heights = np.full((rows, cols), np.nan)
+        heights[np.floor((north - y) / side).astype(int), np.floor((x - west) / side).astype(int)] = z
+        known = ~np.isnan(heights)
+        return Decoded(scaling.to_metres(heights, known=known), west_m=west, north_m=north, resolution_m=side)
+    bounds = (float(x.min()), float(y.min()), float(x.max()), float(y.max()))
+    grid = PointGrid(bounds, len(points), cell_m=scaling.cell_m, max_cells=max_cells, what=source.name)
+    grid.add(x, y, z)
+    heights = grid.heights()
+    return Decoded(
+        scaling.to_metres(heights, known=~np.isnan(heights)),
+        west_m=grid.west_m,
+        north_m=grid.north_m,
+        resolution_m=grid.cell_m,
+    )
+
+
+def _points(source: SourceFile, most: int) -> NDArray[np.float64]:
+    parts, found, lines = list[NDArray[np.float64]](), 0, 0
+    with source.open() as stream:
+        text = stream.read(_PART_BYTES)
+        header = _HEADER.match(text)
+        rest, text = b"", text[header.end() if header else 0 :]
+        columns: int | None = None
+        while text or rest:
+            whole = rest + text
+            more = stream.read(_PART_BYTES)
+            end = max(whole.rfind(b"\n"), whole.rfind(b"\r")) + 1 if more else len(whole)
+            part, rest, text = whole[:end].translate(_MARKS), whole[end:], more
+            if len(rest) > _PART_BYTES:
+                raise HeightmapError(f"{source.name} is corrupt: a line of more than {_PART_BYTES:,} bytes")
+            rows = [line for line in part.splitlines() if line.strip()]
+            if rows:
+                columns = len(rows[0].split()) if columns is None else columns
+                parts.append(_parsed(rows, columns, lines, source.name))
+                found += len(rows)
+                lines += part.count(b"\n")
+            check_cells(max(2, found), 2, max(most, 4) * 2, what=f"{source.name} (its points)")
+    if found < 4:
+        raise HeightmapError(f"{source.name} holds {found} points: there is no ground in it", points=found)
+    points = np.concatenate(parts)[:, :3]
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _parsed(rows: list[bytes], columns: int, before: int, name: str) -> NDArray[np.float64]:
+    if columns < 3:
+        raise HeightmapError(f"{name}: its lines hold {columns} numbers, and not x, y and a height")
+    try:
+        return np.array([line.split() for line in rows], dtype=np.float64)[:, :]
+    except ValueError:
+        for k, line in enumerate(rows):
+            try:
+                ok = len([float(word) for word in line.split()]) == columns
+            except ValueError:
+                ok = False
+            if not ok:
+                words = line[:60].decode("ascii", "replace")
+                raise HeightmapError(
+                    f"{name}, line {before + k + 1}: {words!r} is no point of {columns} numbers"
+                ) from None
+        raise
+
+
+def _regular(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
+    """The side of the cells whose centres the points are; None where they are on no square grid."""
+    sides = []
+    for values in (x, y):
+        steps = np.diff(np.unique(values))
+        steps = steps[steps > 1e-6]
+        if not steps.size:
+            return None
+        side = float(steps.min())
+        if np.abs(steps / side - np.round(steps / side)).max() > 1e-3:
+            return None
+        sides.append(side)
+    return sides[0] if abs(sides[0] - sides[1]) <= SAME_LENGTH * sides[0] else None
