@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.writers import write_bands_geotiff
 from joulemap.planner.fields import EnergyField
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_xarray import GRID, Variable, coordinates_of
@@ -135,6 +134,8 @@ class EnergyMap:
             bands.append(self.corridor(within).astype(np.float32))
             words.append(f"corridor of all routes within {100 * within:g} % of the best")
         tags = {"JOULEMAP": json.dumps(self.provenance)}
+        from joulemap.model.terrain.writers import write_bands_geotiff  # loads GDAL
+
         written = write_bands_geotiff(None, np.stack(bands), self.frame, descriptions=words, tags=tags)
         assert written is not None
         return written

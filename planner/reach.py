@@ -32,7 +32,7 @@ from joulemap.planner.states import Search
 Need = Callable[[Sequence[Route]], float]
 """Returns the energy [J] that a battery must have above its reserve for routes driven one after another."""
 
-FEWEST, MOST, TOGETHER = 16, 64, 8_000
+FEWEST, MOST, TOGETHER = 10, 64, 4_000
 """Anchors in a ring: as many as their routes together are so many cells long, within these limits."""
 _STEP = 0.5 * math.log(2.0)
 """Step of the rings' energies, as a natural logarithm."""

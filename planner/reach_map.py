@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import GridFrame
-from joulemap.model.terrain.writers import write_bands_geotiff
 from joulemap.planner.lattice_xarray import coordinates_of
 
 if TYPE_CHECKING:
@@ -63,7 +62,9 @@ class ReachMap:
     def __str__(self) -> str:
         how = "there and back" if self.round_trip else "one way"
         sure = "" if self.confidence is None else f", with a probability of {self.confidence:.0%}"
-        areas = "; ".join(f"{100 * charge:g} % charge: {self.area_m2(k):,.0f} m2" for k, charge in enumerate(self.charges))
+        areas = "; ".join(
+            f"{100 * charge:g} % charge: {self.area_m2(k):,.0f} m2" for k, charge in enumerate(self.charges)
+        )
         return f"reach {how}{sure}: {areas}"
 
     def reached(self, k: int = 0) -> NDArray[np.bool_]:
@@ -163,9 +164,7 @@ class ReachMap:
         import xarray
 
         words = "energy above the reserve that is left " + ("after coming back" if self.round_trip else "on arrival")
-        data: dict[str, Any] = {
-            "margin_j": (("charge", "y", "x"), self.margin_j, {"units": "J", "long_name": words})
-        }
+        data: dict[str, Any] = {"margin_j": (("charge", "y", "x"), self.margin_j, {"units": "J", "long_name": words})}
         coordinates: dict[str, Any] = coordinates_of(self.frame, 4, components=False)
         del coordinates["heading"]
         coordinates["charge"] = ("charge", np.array(self.charges), {"units": "1", "long_name": "state of charge"})
@@ -184,6 +183,8 @@ class ReachMap:
             f"energy above the reserve that is left, begun with a charge of {charge:g} [J]" for charge in self.charges
         ]
         tags = {"JOULEMAP": json.dumps(self.provenance)}
+        from joulemap.model.terrain.writers import write_bands_geotiff  # loads GDAL
+
         written = write_bands_geotiff(None, self.margin_j, self.frame, descriptions=words, tags=tags)
         assert written is not None
         return written

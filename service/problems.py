@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 import errno
-import logging
 import math
-import re
 from collections.abc import Mapping, Sequence
-from http import HTTPStatus
 from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from fastapi import FastAPI, Request
-from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse, Response
-from sqlalchemy.exc import OperationalError
-from sqlalchemy.exc import TimeoutError as SQLAlchemyTimeout
-from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect
 
 from joulemap.model.errors import (
     BusyError,
@@ -36,13 +26,11 @@ from joulemap.model.errors import (
 
 MEDIA_TYPE = "application/problem+json"
 INTERNAL_EXIT_CODE = 1
-_LOG = logging.getLogger("joulemap.service")
-_CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it
 _MAX_TEXT = 500
-_MAX_ERRORS = 20
+MAX_ERRORS = 20
+"""Most items of a list, and most invalid fields, that a problem names."""
 _RETRY_S = 5.0  # a database that restarts
 _MAX_ITEMS = 200
-_BODY, _THE_BODY = "body", "the body "
 
 
 class Row(NamedTuple):
@@ -141,8 +129,8 @@ def jsonable(value: Any, *, depth: int = 6) -> Any:
         kept = {str(key)[:_MAX_TEXT]: jsonable(item, depth=depth - 1) for key, item in first}
         return kept | ({"...": f"{len(value)} in all"} if len(value) > _MAX_ITEMS else {})
     if depth > 0 and isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, (bytes, bytearray)):
-        items = [jsonable(item, depth=depth - 1) for item in list(value)[:_MAX_ERRORS]]
-        return [*items, f"... {len(value)} in all"] if len(value) > _MAX_ERRORS else items
+        items = [jsonable(item, depth=depth - 1) for item in list(value)[:MAX_ERRORS]]
+        return [*items, f"... {len(value)} in all"] if len(value) > MAX_ERRORS else items
     return repr(value)[:_MAX_TEXT]
 
 
@@ -198,7 +186,7 @@ def problem_of(error: BaseException, request_id: str | None = None) -> dict[str,
     dict
         JSON-able.
     """
-    error = _outside(error) or error
+    error = from_outside(error) or error
     row = row_of(type(error)) if isinstance(error, JoulemapError) else None
     if row is None or not isinstance(error, JoulemapError):
         detail = "something went wrong inside the service; its log has the details under this request id"
@@ -206,8 +194,22 @@ def problem_of(error: BaseException, request_id: str | None = None) -> dict[str,
     return problem(row.status, error.code, row.title, error.message, request_id, error.context)
 
 
-def _outside(error: BaseException) -> JoulemapError | None:
-    """What is neither the caller's fault nor ours: a full disk, a database that does not answer."""
+def from_outside(error: BaseException) -> JoulemapError | None:
+    """Return what is neither the caller's fault nor ours: a full disk, a database that does not answer.
+
+    Parameters
+    ----------
+    error : BaseException
+        Any.
+
+    Returns
+    -------
+    JoulemapError or None
+        The same in words; None for another error.
+    """
+    from sqlalchemy.exc import OperationalError  # loads slowly, and commands that answer have no database
+    from sqlalchemy.exc import TimeoutError as SQLAlchemyTimeout
+
     if isinstance(error, SQLAlchemyTimeout):
         return BusyError("the database has more questions than it can answer", retry_after_s=_RETRY_S)
     if isinstance(error, OperationalError):
@@ -219,111 +221,3 @@ def _outside(error: BaseException) -> JoulemapError | None:
     if isinstance(error, OSError) and error.errno == errno.EHOSTUNREACH:
         return BusyError(str(error.strerror), retry_after_s=_RETRY_S)
     return None
-
-
-def response(body: Mapping[str, Any], headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """Return a problem as an HTTP response.
-
-    Parameters
-    ----------
-    body : mapping
-        As `problem` returns it.
-    headers : mapping, optional
-        Further headers.
-
-    Returns
-    -------
-    JSONResponse
-        With ``Retry-After`` where the context has ``retry_after_s``.
-    """
-    extra = dict(headers or {})
-    retry = body["context"].get("retry_after_s")
-    if retry is not None:
-        extra["Retry-After"] = str(max(1, math.ceil(retry)))
-    if body["request_id"]:
-        extra["X-Request-ID"] = body["request_id"]
-    return JSONResponse(dict(body), status_code=body["status"], headers=extra, media_type=MEDIA_TYPE)
-
-
-def request_id(request: Request) -> str | None:
-    """Return the id that `joulemap.service.http.limits` gave the request.
-
-    Parameters
-    ----------
-    request : Request
-        The request at hand.
-
-    Returns
-    -------
-    str or None
-        None where the middleware is not installed.
-    """
-    return request.scope.get("state", {}).get("request_id")
-
-
-def install(app: FastAPI) -> None:
-    """Answer every error of an app with a problem body.
-
-    Parameters
-    ----------
-    app : FastAPI
-        Gets the handlers.
-    """
-
-    @app.exception_handler(JoulemapError)
-    async def _tree(request: Request, error: JoulemapError) -> JSONResponse:
-        body = problem_of(error, request_id(request))
-        if body["status"] >= 500 and not isinstance(error, BusyError):
-            _LOG.error("request %s failed", request_id(request), exc_info=error)
-        return response(body)
-
-    @app.exception_handler(RequestValidationError)
-    async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
-        found = [_field_error(e) for e in error.errors()[:_MAX_ERRORS]]
-        named = ("" if e["message"].startswith(_THE_BODY) else f"{e['field']}: " for e in found[:5])
-        detail = "; ".join(f"{name}{e['message']}" for name, e in zip(named, found[:5], strict=True))
-        return response(
-            problem(422, "invalid_request", "The request is not valid", detail, request_id(request), {"errors": found})
-        )
-
-    @app.exception_handler(HTTPException)
-    async def _http(request: Request, error: HTTPException) -> JSONResponse:
-        title = HTTPStatus(error.status_code).phrase
-        code = re.sub(r"[^a-z]+", "_", title.lower())
-        detail = f"{request.method} {request.url.path[:200]}: {error.detail}"
-        return response(problem(error.status_code, code, title, detail, request_id(request)), error.headers)
-
-    @app.exception_handler(ClientDisconnect)
-    async def _gone(request: Request, error: ClientDisconnect) -> Response:
-        return Response(status_code=_CLOSED)
-
-    @app.exception_handler(OperationalError)
-    @app.exception_handler(SQLAlchemyTimeout)
-    @app.exception_handler(OSError)
-    async def _from_outside(request: Request, error: Exception) -> JSONResponse:
-        _LOG.error("request %s failed: %s", request_id(request), error, exc_info=error if not _outside(error) else None)
-        return response(problem_of(error, request_id(request)))
-
-    @app.exception_handler(Exception)
-    async def _bug(request: Request, error: Exception) -> JSONResponse:
-        _LOG.error("request %s failed", request_id(request), exc_info=error)
-        return response(problem_of(error, request_id(request)))
-
-
-def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
-    """One of pydantic's findings: which field, what is wrong with it, and the value that was sent."""
-    place = [str(part) for part in error["loc"]] or ["body"]
-    if error["type"] == "json_invalid":  # the second part of the place is the character
-        reason = str(error.get("ctx", {}).get("error", error["msg"]))
-        return {"field": _BODY, "message": f"{_THE_BODY}is no valid JSON: {reason} at character {place[-1]}"}
-    if place == [_BODY] and error["type"] in ("model_attributes_type", "model_type", "dict_type"):
-        return {"field": _BODY, "message": f"{_THE_BODY}must be a JSON object with Content-Type: application/json"}
-    field = ".".join(place[1:] or place)  # the first says where: body, query, path, header, or a form field
-    message = str(error["msg"]).removeprefix("Value error, ")
-    found = {"field": jsonable(field), "message": jsonable(message)}
-    if error["type"] != "missing" and "input" in error:
-        found["value"] = jsonable(error["input"], depth=2)
-        ours = error["type"] in ("value_error", "unknown_field")  # these words name the value where it matters
-        if not ours and isinstance(error["input"], (int, float, str)) and not isinstance(error["input"], bool):
-            found["message"] = f"{found['message']}, got {str(jsonable(error['input']))[:60]}"
-    return found

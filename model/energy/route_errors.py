@@ -18,11 +18,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, minimize
-from scipy.special import gammaln, stdtrit
 
 FloatArray = NDArray[np.float64]
 
@@ -135,6 +134,8 @@ def fit_route_errors(
     freedom are those at which the intervals of `LEVELS` hold what they say.
     """
     sums = _sums(error_j, energy_j, std_j, run, group)
+    from scipy.special import gammaln  # loads slowly, and only fits need it
+
     groups = int(np.unique(group).size)
 
     def _loss(x: FloatArray) -> float:
@@ -173,6 +174,8 @@ def _matched(x: FloatArray, sums: _Sums) -> tuple[float, float]:
     whose quantiles, in logarithms, come nearest to the quantiles found. A single run that went wholly wrong decides the
     likelihood, and the quantiles hardly see it.
     """
+    from scipy.special import stdtrit
+
     away, variance = _steps(x, sums)
     size = np.abs(away) / np.sqrt(variance)
     order = np.argsort(size)
@@ -184,7 +187,9 @@ def _matched(x: FloatArray, sums: _Sums) -> tuple[float, float]:
     return float(np.exp(apart[best].mean())), float(tried[best])
 
 
-def _least(loss: Callable[[FloatArray], float], start: FloatArray) -> OptimizeResult:
+def _least(loss: Callable[[FloatArray], float], start: FloatArray) -> Any:
+    from scipy.optimize import minimize
+
     return minimize(loss, start, method="Nelder-Mead", options={"maxiter": 800, "xatol": 1e-3, "fatol": 1e-6})
 
 

@@ -33,7 +33,7 @@ def check(
 
     Example: `joulemap check --repair --data-dir /var/lib/joulemap`
     """
-    from joulemap.service.schemas.answers import calibration_out, costmap_out, heightmap_out, runs_out
+    from joulemap.service.schemas.kept import calibration_out, costmap_out, heightmap_out, runs_out
     from joulemap.service.storage.check import LEFT_BY_KILLED, Check, Finding
     from joulemap.service.storage.tables import CalibrationRow, CostmapRow, HeightmapRow, RunsRow
 

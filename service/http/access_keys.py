@@ -15,7 +15,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from joulemap.model.errors import BusyError, ForbiddenError, JoulemapError, UnauthorizedError
 from joulemap.service.http.access_origin import HEALTH_PATHS
 from joulemap.service.http.access_rate import Buckets
-from joulemap.service.problems import problem_of, response
+from joulemap.service.http.problem_answers import response
+from joulemap.service.problems import problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.keys import all_keys, fits, prefix_of
 from joulemap.service.storage.owners import NOBODY, Caller

@@ -9,7 +9,8 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from joulemap.model.errors import ForbiddenError
-from joulemap.service.problems import problem_of, response
+from joulemap.service.http.problem_answers import response
+from joulemap.service.problems import problem_of
 
 HEALTH_PATHS = ("/healthz", "/readyz")
 """Probes call these by any address; they tell nothing about what is kept."""

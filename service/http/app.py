@@ -13,8 +13,7 @@ import anyio
 from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
-from joulemap.service import problems
-from joulemap.service.http import documents
+from joulemap.service.http import documents, problem_answers
 from joulemap.service.http.access_keys import KeyCheck, Keys, warn_if_open
 from joulemap.service.http.access_origin import TrustedPages
 from joulemap.service.http.limits import RequestLimits
@@ -81,9 +80,20 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.service = service
     app.include_router(meta.router)
     app.include_router(page.router)
-    for module in (heightmaps, costmaps, contents, questions, reach, homeward, runs, calibrations, job_progress, layers):
+    for module in (
+        heightmaps,
+        costmaps,
+        contents,
+        questions,
+        reach,
+        homeward,
+        runs,
+        calibrations,
+        job_progress,
+        layers,
+    ):
         app.include_router(module.router, prefix="/v1")
-    problems.install(app)
+    problem_answers.install(app)
     documents.install(app)
     # The middleware that is added last sees a request first.
     app.add_middleware(KeyCheck, keys=Keys(service.store, settings))

@@ -1,30 +1,22 @@
-"""Makes answers of the schemas beside this module from rows, routes and verdicts."""
+"""Answers to questions: routes and verdicts as the schemas beside this module."""
 
 from __future__ import annotations
 
-import datetime as dt
-import logging
 import math
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
 
 from joulemap.model.battery import Battery
-from joulemap.model.errors import ConflictError, JoulemapError
 from joulemap.model.robot import Robot
 from joulemap.planner.battery_trace import BatteryTrace
 from joulemap.planner.budget import Verdict
 from joulemap.planner.course import Course
 from joulemap.planner.plan import Plan
 from joulemap.planner.route import Route
-from joulemap.service.problems import jsonable, problem_of
+from joulemap.service.problems import jsonable
 from joulemap.service.route_uncertainty import quantiles_of_route
-from joulemap.service.schemas.base import Problem, RobotOut, UnreadableOut
-from joulemap.service.schemas.loop import CalibrationOut, RunOut, RunsOut
-from joulemap.service.schemas.maps import CostmapOut, HeightmapOut
 from joulemap.service.schemas.planning import (
     BatteryIn,
     FeasibilityOut,
@@ -33,219 +25,8 @@ from joulemap.service.schemas.planning import (
     ShortestOut,
     VerdictOut,
 )
-from joulemap.service.storage.tables import (
-    DONE,
-    CalibrationRow,
-    CostmapRow,
-    HeightmapRow,
-    JobRow,
-    RunsRow,
-    named_test_runs,
-)
 from joulemap.service.words import verdict_words
 from joulemap.service.workflows import Assessment
-
-_LOG = logging.getLogger("joulemap.service")
-Row = TypeVar("Row", HeightmapRow, RunsRow, CostmapRow, CalibrationRow)
-Answer = TypeVar("Answer", bound=BaseModel)
-
-
-def shown(row: Row, answer: Callable[[Row], Answer]) -> Answer:
-    """Return the answer about a row.
-
-    Parameters
-    ----------
-    row : HeightmapRow, RunsRow or JobRow
-        As it is in the database.
-    answer : callable
-        Makes the answer.
-
-    Returns
-    -------
-    BaseModel
-        The answer.
-
-    Raises
-    ------
-    ConflictError
-        If an older version stored values in it that are not valid.
-    """
-    try:
-        return answer(row)
-    except (ValidationError, JoulemapError, KeyError, TypeError, ValueError) as error:
-        _LOG.warning("%s cannot be shown", row.id, exc_info=error)
-        raise ConflictError(f"{row.id} is kept, but cannot be shown: {_reason(error)}. Delete it", id=row.id) from error
-
-
-def listed(rows: Iterable[Row], answer: Callable[[Row], Answer]) -> list[Answer | UnreadableOut]:
-    """Return the answers about the rows of a list; one that cannot be shown has a problem in its place.
-
-    Parameters
-    ----------
-    rows : iterable of HeightmapRow, RunsRow or JobRow
-        As they are in the database.
-    answer : callable
-        Makes the answer about one.
-
-    Returns
-    -------
-    list of BaseModel
-        In the same order.
-    """
-    found: list[Answer | UnreadableOut] = []
-    for row in rows:
-        try:
-            found.append(shown(row, answer))
-        except ConflictError as error:
-            problem = Problem(**problem_of(error))
-            found.append(UnreadableOut(id=row.id, created_at=_utc(row.created_at), problem=problem))
-    return found
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, ValidationError):
-        first = error.errors(include_url=False, include_input=False)[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-    return f"{type(error).__name__}: {str(error)[:200]}"
-
-
-def heightmap_out(row: HeightmapRow) -> HeightmapOut:
-    """Return the answer about a heightmap.
-
-    Parameters
-    ----------
-    row : HeightmapRow
-        As it is in the database.
-
-    Returns
-    -------
-    HeightmapOut
-        With links.
-    """
-    links = {"self": f"/v1/heightmaps/{row.id}"}
-    return HeightmapOut(id=row.id, name=row.name, created_at=_utc(row.created_at), links=links, **row.stats)
-
-
-def costmap_out(row: CostmapRow) -> CostmapOut:
-    """Return the answer about a cost map, done or not.
-
-    Parameters
-    ----------
-    row : CostmapRow
-        As it is in the database.
-
-    Returns
-    -------
-    CostmapOut
-        With links to what can be asked now.
-    """
-    base = f"/v1/costmaps/{row.id}"
-    summary = row.summary or {}
-    links = {"self": base, "heightmap": f"/v1/heightmaps/{row.heightmap_id}"}
-    if row.status == DONE:
-        links |= {
-            "geotiff": f"{base}/data?format=geotiff",
-            "npz": f"{base}/data?format=npz",
-            "zarr": f"{base}/data?format=zarr",
-            "image": f"{base}/image.png",
-            "provenance": f"{base}/provenance",
-            "at": f"{base}/at",
-            "paths": f"{base}/paths",
-            "tours": f"{base}/tours",
-            "feasibility": f"{base}/feasibility",
-        }
-    provenance = summary.get("provenance")
-    return CostmapOut(
-        **_job(row),
-        heightmap_id=row.heightmap_id,
-        robot=RobotOut(**row.robot),
-        model=row.request["model"],
-        headings=row.request["headings"],
-        spacing_m=row.request["spacing_m"],
-        frame=summary.get("frame"),
-        energy_per_m=summary.get("energy_per_m"),
-        blocked=summary.get("blocked"),
-        warnings=(provenance or {}).get("warnings", []),
-        provenance=None if provenance is None else {**provenance, "model": _short_model(provenance["model"])},
-        links=links,
-    )
-
-
-def _short_model(model: Mapping[str, Any]) -> dict[str, Any]:
-    """Which model it is, without how it was trained."""
-    short = {key: model[key] for key in ("name", "kind", "version") if key in model}
-    parent = model.get("config", {}).get("training", {}).get("parent")
-    if parent is not None:
-        short["parent"] = parent
-    if "base" in model:
-        short["base"] = _short_model(model["base"])
-    return short
-
-
-def _job(row: JobRow) -> dict[str, Any]:
-    return {
-        "id": row.id,
-        "status": row.status,
-        "progress": row.progress,
-        "created_at": _utc(row.created_at),
-        "finished_at": _utc(row.finished_at) if row.finished_at else None,
-        "problem": row.problem,
-    }
-
-
-def runs_out(row: RunsRow) -> RunsOut:
-    """Return the answer about runs that were sent together.
-
-    Parameters
-    ----------
-    row : RunsRow
-        As it is in the database.
-
-    Returns
-    -------
-    RunsOut
-        With links.
-    """
-    runs = [RunOut(**run) for run in row.stats]
-    return RunsOut(id=row.id, created_at=_utc(row.created_at), runs=runs, links={"self": f"/v1/runs/{row.id}"})
-
-
-def calibration_out(row: CalibrationRow, *, with_report: bool = True) -> CalibrationOut:
-    """Return the answer about a calibration, done or not.
-
-    Parameters
-    ----------
-    row : CalibrationRow
-        As it is in the database.
-    with_report : bool, optional
-        Whether the report is part of the answer; lists leave it out.
-
-    Returns
-    -------
-    CalibrationOut
-        With links.
-    """
-    base, asked, summary = f"/v1/calibrations/{row.id}", row.request, row.summary or {}
-    links = {"self": base}
-    if row.heightmap_id is not None:
-        links["heightmap"] = f"/v1/heightmaps/{row.heightmap_id}"
-    if row.status == DONE:
-        links["page"] = f"{base}/report.html"
-    baseline, test = asked["base_runs"], named_test_runs(asked)
-    return CalibrationOut(
-        **_job(row),
-        heightmap_id=row.heightmap_id,
-        runs=asked["runs"],
-        baseline_runs=baseline,
-        test_runs=test,
-        base_runs=baseline,
-        aside_runs=test,
-        robot=RobotOut(**asked["robot"]),
-        model=asked["model"],
-        calibrated_model=summary.get("model"),
-        report=summary.get("report") if with_report else None,
-        links=links,
-    )
 
 
 def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
@@ -422,11 +203,6 @@ def _battery_pieces(course: Course, trace: BatteryTrace) -> list[Any]:
         {"distance_m": distance, "time_s": time, "charge": charge, "voltage_v": voltage, "power_w": power}
         for distance, time, charge, voltage, power in zip(*(column.tolist() for column in columns), strict=True)
     ]
-
-
-def _utc(time: dt.datetime) -> dt.datetime:
-    """The time with its time zone: the database keeps UTC without one."""
-    return time.replace(tzinfo=dt.UTC)
 
 
 def _percent(part: float, whole: float) -> float:

@@ -11,6 +11,7 @@ from fastapi.testclient import TestClient
 
 from joulemap.model import errors
 from joulemap.service import problems
+from joulemap.service.http import problem_answers
 from joulemap.service.http.limits import RequestLimits
 
 
@@ -68,7 +69,7 @@ def test_any_context_becomes_json() -> None:
 @pytest.fixture
 def faulty() -> TestClient:
     app = FastAPI()
-    problems.install(app)
+    problem_answers.install(app)
     app.add_middleware(RequestLimits, upload_bytes=10, other_bytes=10, upload_paths=())
 
     @app.get("/bug")

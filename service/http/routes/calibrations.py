@@ -20,8 +20,8 @@ from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, ro
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
-from joulemap.service.schemas.answers import calibration_out, listed, shown
 from joulemap.service.schemas.base import UnreadableOut, robot_values
+from joulemap.service.schemas.kept import calibration_out, listed, shown
 from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest, SegmentsOut
 from joulemap.service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
 from joulemap.service.work.calibrations import PAGE, SEGMENTS

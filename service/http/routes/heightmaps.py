@@ -10,8 +10,8 @@ from pydantic import BaseModel
 from joulemap.service.http.documents import problems, upload_body
 from joulemap.service.http.state import Limit, Offset, ServiceDep
 from joulemap.service.http.uploads import media_type, take_form, take_raw
-from joulemap.service.schemas.answers import heightmap_out, listed, shown
 from joulemap.service.schemas.base import UnreadableOut
+from joulemap.service.schemas.kept import heightmap_out, listed, shown
 from joulemap.service.schemas.maps import HeightmapOut, UploadOptions
 
 router = APIRouter(prefix="/heightmaps", tags=["heightmaps"])

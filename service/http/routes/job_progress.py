@@ -13,7 +13,7 @@ from sse_starlette import EventSourceResponse, ServerSentEvent
 from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
 from joulemap.service.http.state import Service, ServiceDep
-from joulemap.service.schemas.answers import calibration_out, costmap_out
+from joulemap.service.schemas.kept import calibration_out, costmap_out
 from joulemap.service.schemas.loop import CalibrationOut
 from joulemap.service.schemas.maps import CostmapOut
 

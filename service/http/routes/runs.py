@@ -14,8 +14,8 @@ from joulemap.model.runs.odometry import Odometry
 from joulemap.service.http.documents import problems, runs_body
 from joulemap.service.http.state import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.uploads import media_type, take_raw_run, take_runs
-from joulemap.service.schemas.answers import listed, runs_out, shown
 from joulemap.service.schemas.base import UnreadableOut, within
+from joulemap.service.schemas.kept import listed, runs_out, shown
 from joulemap.service.schemas.loop import RunsOut
 
 router = APIRouter(prefix="/runs", tags=["runs and calibrations"])

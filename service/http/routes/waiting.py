@@ -11,7 +11,7 @@ from fastapi import Header
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
-from joulemap.service import problems
+from joulemap.service.http import problem_answers
 from joulemap.service.http.state import Service
 from joulemap.service.storage.tables import DONE, FAILED
 
@@ -61,6 +61,6 @@ async def job_answer(
     row = await anyio.to_thread.run_sync(load, job_id)
     if row.status == FAILED and row.problem is not None:
         body = {**row.problem, "context": {**row.problem["context"], "job_id": job_id}}
-        return problems.response(body, headers)
+        return problem_answers.response(body, headers)
     found = answer(row).model_dump(mode="json")
     return JSONResponse(found, status_code=201 if row.status == DONE else 202, headers=headers)
