@@ -450,8 +450,9 @@ def feasibility(
 
 def _say_verdict(output: Output, found: dict[str, Any], *, round_trip: bool) -> None:
     colour = {"yes": "green", "likely": "green", "marginal": "yellow", "no": "red"}[found["verdict"]]
-    output.say(f"[bold {colour}]{found['verdict_text']}[/]")
-    rows = {"verdict": found["message"], "way out": route_words(found["out"])}
+    output.say(f"[bold {colour}]{found['message']}[/]")
+    output.say(found["verdict_text"])
+    rows = {"way out": route_words(found["out"])}
     if found["back"] is not None:
         rows["way back"] = route_words(found["back"])
     if (place := found["reserve_at"]) is not None:

@@ -483,7 +483,7 @@ class Feasibility:
         return f"<Feasibility: {verdict_words(self.verdict)}>"
 
     def __str__(self) -> str:
-        return "\n".join([self.text, verdict_words(self.verdict), *(f"Warning: {words}" for words in self.warnings)])
+        return "\n".join([verdict_words(self.verdict), self.text, *(f"Warning: {words}" for words in self.warnings)])
 
     def _repr_html_(self) -> str:
         routes = {"way out": self.route_out, "way back": self.route_back}

@@ -102,6 +102,8 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1}, query={"format": "geojson"})
     ask("find_tour", "POST", f"{here}/tours", body={"stops": [START, GOAL, [START[0] + 10.0, START[1] - 8.0]]})
     ask("ask_feasibility", "POST", f"{here}/feasibility", body={**task, "round_trip": True})
+    way = {"position": START, "home": START, "path": [START, GOAL], "charging": [GOAL], "battery": {"charge": 0.01}}
+    ask("find_point_of_no_return", "POST", f"{here}/return", body=way)
     large = client.post("/v1/costmaps", json={**asked, "spacing_m": 0.1, "headings": 360}).json()["id"]
     ask("cancel_costmap", "POST", f"/v1/costmaps/{large}/cancel")
     for name in ("follow_costmap", "delete_costmap"):
