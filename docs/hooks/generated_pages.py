@@ -27,7 +27,6 @@ VALIDATION = {
 """Tables of the calibration's validation, as far as they were written; they are added to the navigation."""
 
 ELSEWHERE = {
-    "images/demo.png": "service/web/demo.png",
     "records/model-card.md": "model/weights/MODEL_CARD.md",
     "records/reproduction.md": "model/REPRODUCTION.md",
     **VALIDATION,

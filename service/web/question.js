@@ -66,6 +66,7 @@ function drawGuide(kind, place) {
 }
 
 function place() {
+  if (now.start && next === "start") next = "goal";
   pins.clearLayers();
   if (now.start) pin("start", now.start, "Start", start => set({ start }));
   now.stops.forEach((stop, k) => pin("stop", stop, `${k + 1}`, moved => set({ stops: now.stops.map((one, i) => (i === k ? moved : one)) })));

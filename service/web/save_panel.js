@@ -35,7 +35,7 @@ export function show() {
   const text = make("input", { type: "text", readonly: "", "aria-label": "Link to this view", value: new URL(link.address(), window.location.href).href });
   fill(here,
     make("h2", {}, "The routes"), route ? null : make("p", { class: "note" }, "Set a start and a goal first."),
-    make("div", { class: "row" }, file("GeoJSON", "route.geojson", () => routeAs("geojson", "application/geo+json"), route),
+    make("div", { class: "row" }, file("GeoJSON", "route.geojson", () => routeAs(now.costmap.frame.crs ? "geojson" : "geojson&coordinates=map", "application/geo+json"), route),
       formats.filter(name => !["json", "geojson"].includes(name)).map(name => file(NAMES[name]?.[0] ?? name.toUpperCase(), `route.${NAMES[name]?.[1] ?? name}`, () => routeAs(name, "*/*"), route)),
       now.answer?.tour ? file("Tour as JSON", "tour.json", async () => new Blob([JSON.stringify(now.answer, null, 1)], { type: "application/json" })) : null),
     make("h2", {}, "The map"),
