@@ -7,15 +7,16 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError, ProjError
 
 from joulemap.model.errors import InputError, PointError
 from joulemap.model.frames import GridFrame
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
 
 PlaceLike = Sequence[float] | Mapping[str, float]
 """World x, y [m] in the CRS of the map, or {"lat": ..., "lon": ...} [degrees]."""
@@ -264,6 +265,9 @@ def _transformer(crs: str, towards_wgs84: bool) -> Transformer:
 
 @lru_cache(maxsize=64)
 def _transformer_of(crs: str, towards_wgs84: bool, _thread: int) -> Transformer:
+    from pyproj import CRS, Transformer  # commands that need no degrees do not wait for it
+    from pyproj.exceptions import CRSError, ProjError
+
     try:
         own, earth = CRS.from_user_input(crs).to_2d(), CRS.from_epsg(4326)
         ends = (own, earth) if towards_wgs84 else (earth, own)

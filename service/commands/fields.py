@@ -42,9 +42,14 @@ def field(
     import numpy as np
 
     from joulemap.service.library.costmaps import open_costmap
+    from joulemap.service.places import Places
 
     output = Output(json_file)
-    found = open_costmap(costmap).field(start=start, goal=goal, neighbours=neighbours, snap=snap)
+    ground = open_costmap(costmap)
+    places = Places(ground.lattice.frame)
+    ends = {name: None if place is None else places(place, name) for name, place in (("start", start), ("goal", goal))}
+    output.warn(places.notes)
+    found = ground.field(**ends, neighbours=neighbours, snap=snap)
     share = None if within is None else within / 100.0
     write_file(out, found.geotiff(within=share))
     reached = np.isfinite(found.energy_j)

@@ -55,7 +55,20 @@ def geojson_document(track: Track, *, coordinates: str = WGS84) -> dict[str, Any
 
 
 def write(track: Track, *, coordinates: str = WGS84) -> bytes:
-    """Return the file, as `geojson_document`."""
+    """Return a track as a GeoJSON file.
+
+    Parameters
+    ----------
+    track : Track
+        Its lines become features.
+    coordinates : str, optional
+        As for `geojson_document`.
+
+    Returns
+    -------
+    bytes
+        UTF-8.
+    """
     return (json.dumps(geojson_document(track, coordinates=coordinates), allow_nan=False) + "\n").encode()
 
 
