@@ -117,6 +117,12 @@ class CostLattice:
         return self.robot.price_per_m(self.traction_per_m).astype(np.float32)
 
     @cached_property
+    def mean_per_m(self) -> tuple[float, float | None]:
+        """Mean price [J/m], and mean standard deviation of a 1 m segment [J], where they are known."""
+        std = None if self.std_j is None else float(np.nanmean(self.std_j))
+        return float(np.nanmean(self.energy_per_m)), std
+
+    @cached_property
     def max_tangents(self) -> tuple[float, float]:
         """The robot's limits as tangents: along the motion, and across it."""
         return float(np.tan(np.deg2rad(self.robot.max_grade_deg))), float(

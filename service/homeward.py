@@ -1,4 +1,4 @@
-"""A robot on its way: does it still come home, until where, and where could it charge?"""
+"""A robot on its way: whether it still comes home, until where, and where it could charge."""
 
 from __future__ import annotations
 

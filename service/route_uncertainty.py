@@ -69,10 +69,10 @@ def odds_of_energies(lattice: CostLattice, energy_j: ArrayLike) -> EnergyOdds | 
         the lattice's model does not know its uncertainty.
     """
     given = lattice.provenance.get("model", {}).get("spread")
-    if given is None or lattice.std_j is None:
+    per_metre, std = lattice.mean_per_m
+    if given is None or std is None:
         return None
     spread, energy = Spread.from_dict(given), np.asarray(energy_j, dtype=np.float64)
-    per_metre, std = (float(np.nanmean(values)) for values in (lattice.energy_per_m, lattice.std_j))
     length_m = np.maximum(energy, 0.0) / max(per_metre, 1e-9)
     of_run = (spread.run_share * energy) ** 2
     rest = std**2 * spread.correlation_m * length_m
