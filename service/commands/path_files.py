@@ -23,6 +23,19 @@ from joulemap.service.exports.track import BESIDE
 _GAP_M = 0.02  # lines of a tour touch but for what a writer rounds off, at both ends
 _EARTH = ("OGC:CRS84", "urn:ogc:def:crs:OGC:1.3:CRS84", "urn:ogc:def:crs:OGC::CRS84", "EPSG:4326")
 
+_UNREADABLE = (
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    RecursionError,
+    OverflowError,
+    xml.ParseError,
+    csv.Error,
+)
+"""What a file raises that is not what it claims to be."""
+
 _Lines = list[list[Any]]
 
 
@@ -67,7 +80,7 @@ def read_path(file: Path, frame: GridFrame) -> tuple[list[list[float]], list[str
     try:
         found = _lines_of(file.read_text(encoding="utf-8-sig"))
         arrays = [np.array([[float(v) for v in point[:2]] for point in line]) for line in found.lines]
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, xml.ParseError, csv.Error) as error:
+    except _UNREADABLE as error:
         raise PointError(f"{file} holds no path that can be read: {str(error)[:200]}", path=str(file)) from error
     if not arrays or any(line.ndim != 2 or line.shape[1] != 2 or len(line) < 1 for line in arrays):
         raise PointError(f"{file} holds no path: a list of x,y points is needed", path=str(file))
@@ -104,7 +117,7 @@ def read_areas(file: Path | None, frame: GridFrame) -> tuple[list[list[list[floa
         document = json.loads(file.read_text(encoding="utf-8-sig"))
         found = _referenced(document, list(_outlines(document)))
         rings = [np.array([[float(v) for v in corner[:2]] for corner in ring]) for ring in found.lines]
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+    except _UNREADABLE as error:
         raise PointError(f"{file} holds no areas that can be read: {str(error)[:200]}", path=str(file)) from error
     if not rings or any(ring.ndim != 2 or ring.shape[1] != 2 for ring in rings):
         raise PointError(f"{file} holds no areas: GeoJSON with polygons is needed", path=str(file))

@@ -22,6 +22,7 @@ from joulemap.model.runs.reader import parse_run
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
+from tests.fuzz import paths
 from tests.fuzz.files import LOG, Rng, parquet
 from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png
 
@@ -211,6 +212,7 @@ READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng],
     "parquet": (parquet_logs, False, _run),
     "wheel_csv": (wheel_logs, True, _travel),
     "robot": (robots, True, _robot),
+    "path": (paths.paths, True, paths.read),
 }
 """By reader: the valid files, whether they are text, and what reads a changed one."""
 
