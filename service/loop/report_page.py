@@ -45,19 +45,23 @@ from joulemap.service.loop.summary import (
 from joulemap.service.pictures import route_picture
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1d2424; background: #fbfaf7; max-width: 62rem; margin: 2rem auto;
-  padding: 0 1rem }
-h1 { font-size: 1.6rem } h2 { font-size: 1.15rem; margin-top: 2.2rem } li { margin: .3rem 0 }
+:root { color-scheme: light dark; --back: #f6f7f8; --card: #fff; --ink: #1d2329; --quiet: #56606a; --line: #d6dbe0;
+  --warn: #8a5200; --accent: #0067a3 }
+@media (prefers-color-scheme: dark) { :root { --back: #14181c; --card: #1d2329; --ink: #e8ecef; --quiet: #a5afb8;
+  --line: #3a434c; --warn: #f0b860; --accent: #6cb8ee } }
+body { font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Noto Sans", sans-serif; color: var(--ink);
+  background: var(--back); max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
+h1 { font-size: 1.5rem } h2 { font-size: 1.1rem; margin-top: 2.2rem } li { margin: .3rem 0 } a { color: var(--accent) }
 table { border-collapse: collapse; width: 100%; min-width: 36rem } div.table { overflow-x: auto }
-th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid #ddd8cc; vertical-align: top;
+th, td { text-align: left; padding: .3rem .6rem; border-bottom: 1px solid var(--line); vertical-align: top;
   font-variant-numeric: tabular-nums }
-th { font-weight: 600 } td.number { white-space: nowrap }
-svg, img { width: 100%; height: auto; margin-top: .6rem } div.full { max-width: 46rem }
+th { font-weight: 600 } td.number { white-space: nowrap } div.full { max-width: 46rem }
+svg, img { width: 100%; height: auto; margin-top: .6rem; background: #fff; border-radius: 8px }
 div.figures { display: grid; gap: 1rem; grid-template-columns: repeat(auto-fit, minmax(min(24rem, 100%), 1fr)) }
 div.small { grid-template-columns: repeat(auto-fill, minmax(min(14rem, 100%), 1fr)) }
-p.note { color: #5a6464 } p.warning { color: #b9532f }
-code.command { display: block; white-space: pre-wrap; overflow-wrap: anywhere; background: #efece3; border-radius: 6px;
-  padding: .5rem .7rem; font-size: .9rem }
+p.note { color: var(--quiet) } p.warning { color: var(--warn) }
+code.command { display: block; white-space: pre-wrap; overflow-wrap: anywhere; background: var(--card);
+  border: 1px solid var(--line); border-radius: 7px; padding: .5rem .7rem; font-size: .9rem }
 """
 _AGAINST = (
     '<p class="note">Mean residual in bins with equal numbers of segments, with two standard errors: red before, green '

@@ -121,7 +121,7 @@ async function open(made) {
     L.polyline(route.before.path.map(leaf), { color: "#6d6d6d", weight: 4, dashArray: "2 7" }).bindTooltip("before", { sticky: true }).addTo(drawn);
     L.polyline(route.after.path.map(leaf), { color: "#0072B2", weight: 4 }).bindTooltip("after", { sticky: true }).addTo(drawn);
   }
-  if (drive?.placed) L.polyline(drive.points.map(leaf), { color: "#5b2a86", weight: 3, dashArray: "1 6" }).bindTooltip(`next drive: ${drive.kind}`, { sticky: true }).addTo(drawn);
+  if (drive?.placed) L.polyline(drive.points.map(leaf), { color: "#5b2a86", weight: 3, dashArray: "1 6" }).bindTooltip(make("span", {}, `next drive: ${drive.kind}`), { sticky: true }).addTo(drawn);
   await measured.show(by("measured"), made, drawn);
 }
 

@@ -74,7 +74,7 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
 
 async function openGround({ heightmap, costmap, sample }) {
   try {
-    if (costmap?.status === "done") { await openCostmap(costmap); return; }
+    if (costmap?.status === "done") { await openCostmap(costmap, { changes: sample ? { start: about.sample.start, goal: about.sample.goal } : {} }); return; }
     const here = heightmap ?? await ask(`v1/heightmaps/${costmap.heightmap_id}`);
     set({ costmap: null, layers: null, heightmap: here, start: null, goal: null, stops: [], answer: null, before: null });
     choose(by("tab-map"));

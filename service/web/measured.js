@@ -21,7 +21,7 @@ export async function show(here, calibration, layer) {
     for (const run of found.runs) run.x.forEach((x, k) => {
       const predicted = (state.after ? run.after : run.before)[k], residual = run.measured[k] - predicted;
       L.circleMarker(leaf([x, run.y[k]]), { renderer: dots, radius: 4, weight: 0.5, color: "#333", fillColor: shade(residual / usual), fillOpacity: 0.9 })
-        .bindTooltip(`${run.name}: measured ${number(run.measured[k], 0)}, predicted ${number(predicted, 0)} ${found.unit}`).addTo(marks);
+        .bindTooltip(make("span", {}, `${run.name}: measured ${number(run.measured[k], 0)}, predicted ${number(predicted, 0)} ${found.unit}`)).addTo(marks);
     });
   }
   function along() {

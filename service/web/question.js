@@ -1,7 +1,7 @@
 // The question: markers of start, goal and stops; a question to the service at each change; its routes on the map.
 
 import { Latest, send, superseded } from "./api.js";
-import { by, joules, metres } from "./dom.js";
+import { by, joules, make, metres } from "./dom.js";
 import { inside, leaf, map, world } from "./map.js";
 import { now, on, set } from "./state.js";
 
@@ -113,7 +113,7 @@ export async function askAgain() {
 function line(path, colour, weight, words, options = {}) {
   const points = path.map(leaf);
   L.polyline(points, { color: "#fff", weight: weight + 3, opacity: 0.9, interactive: false, ...options.halo }).addTo(routes);
-  L.polyline(points, { color: colour, weight, lineJoin: "round", dashArray: options.dash, smoothFactor: 0.6 }).bindTooltip(words, { sticky: true }).addTo(routes);
+  L.polyline(points, { color: colour, weight, lineJoin: "round", dashArray: options.dash, smoothFactor: 0.6 }).bindTooltip(make("span", {}, words), { sticky: true }).addTo(routes);
 }
 
 function show(answer, rough = false) {

@@ -28,6 +28,7 @@ from joulemap.service.work.calibrations import PAGE, SEGMENTS
 
 router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
 PLACE = "/v1/calibrations"
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"  # it loads nothing
 
 
 class CalibrationList(BaseModel):
@@ -74,7 +75,7 @@ def get_report(calibration_id: str, service: ServiceDep) -> HTMLResponse:
     """The report with its figures, in one file that loads nothing else."""
     row = service.done_calibration(calibration_id)
     folder = service.store.here(service.store.calibration_folder(row.id))
-    return HTMLResponse((folder / PAGE).read_bytes())
+    return HTMLResponse((folder / PAGE).read_bytes(), headers={"Content-Security-Policy": _POLICY})
 
 
 @router.get("/{calibration_id}/segments", response_model=SegmentsOut, responses=problems(404, 409))
