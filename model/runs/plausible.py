@@ -41,7 +41,7 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
     found = []
     step = float(np.median(np.diff(run.t)))
     if step > LONGEST_STEP_S:
-        found.append(f"its rows are {step:,.0f} s apart: is `t` in ms?")
+        found.append(f"from one of its rows to the next it is {step:,.0f} s: is `t` in ms?")
     if run.voltage_v is not None:
         volts, (low, high) = float(np.median(run.voltage_v)), (ROBOT["nominal_voltage_v"].low, 2000.0)
         if volts > high:

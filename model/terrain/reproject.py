@@ -236,7 +236,7 @@ def reproject_file(
     Raises
     ------
     HeightmapError
-        If the file names no CRS and is not told one, or if the map is too large for one CRS.
+        If the file names no CRS and none is given, or if the map is too large for one CRS.
     TooLargeError
         If the new grid has more than `max_cells` cells.
     """
@@ -370,7 +370,7 @@ def _places(
 
 
 def _usable(crs: str | None) -> CRS:
-    """A map without a CRS is resampled in its own plane; which CRS GDAL is told then makes no difference."""
+    """A map without a CRS is resampled in its own plane; which CRS GDAL then gets makes no difference."""
     return known_crs(crs) if crs is not None else CRS.from_epsg(32630)
 
 

@@ -183,7 +183,7 @@ def _about(
     wrong = implausible(run, segments)
     if wrong and not accept_implausible:
         raise RunsError(
-            f"run {name} is not plausible: {'; '.join(wrong)} Nothing is kept. A mapping says the unit, such as "
+            f"run {name} is implausible: {'; '.join(wrong)} Nothing is kept. A mapping says the unit, such as "
             "current=current:mA; `accept_implausible` keeps it as it is",
             run=name,
             implausible=wrong,

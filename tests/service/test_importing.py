@@ -87,7 +87,7 @@ def test_import_writes_all_logs_or_none(tmp_path):
     both = ["import", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "--map", ",".join(MAP)]
     refused = CliRunner().invoke(app, [*both, "--out", str(tmp_path / "none")])
     assert refused.exit_code == 3, refused.output
-    assert "b.csv is not plausible: its voltage is 0.024 V" in refused.output
+    assert "b.csv is implausible: its voltage is 0.024 V" in refused.output
     assert list((tmp_path / "none").iterdir()) == []
     runs = jm.read_runs(tmp_path / "out" / "a.csv")
     np.testing.assert_allclose(runs.runs[0].voltage_v, 24.0)

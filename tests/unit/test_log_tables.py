@@ -201,7 +201,7 @@ def test_ready_mappings(tmp_path):
     [
         ({"current": 1000 * CURRENT}, "current is 2,... A at 24.5 V: is `current` in mA"),
         ({"voltage": np.full(ROWS, 24_500.0)}, "voltage is 24,500 V: is `voltage` in mV"),
-        ({"t": 1000 * T}, "rows are 100 s apart: is `t` in ms"),
+        ({"t": 1000 * T}, "to the next it is 100 s: is `t` in ms"),
         (
             {"x": -4.49 + 4e-7 * np.arange(ROWS), "y": np.full(ROWS, 36.7)},
             "are `x` and `y` a longitude and a latitude",
