@@ -311,7 +311,7 @@ def test_hostile_files_of_each_kind_are_answered(tmp_path: Path) -> None:
     assert sent.failures == []
 
 
-@pytest.mark.parametrize("reader", ["geotiff", "npz", "csv", "parquet"])
+@pytest.mark.parametrize("reader", ["geotiff", "npz", "csv", "parquet", "path"])
 def test_generated_inputs_are_read_or_refused(reader: str) -> None:
     assert fuzz_reader(reader, 150, seed=11).failures == []
 
