@@ -23,22 +23,14 @@ from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
 from joulemap.model.errors import HeightmapError
-from joulemap.model.ranges import RESOLUTION_M
-from joulemap.model.terrain.coordinate_systems import crs_name, known_crs, scale_errors, utm_zone
+from joulemap.model.terrain.coordinate_systems import known_crs
 from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
 from joulemap.model.terrain.formats.contract import HeightmapFormat, SourceFile
 from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, opened, read_band
+from joulemap.model.terrain.target_grid import EDGE_POINTS, choose_crs, moved, new_grid, short_name
 
-AUTO = "auto"
-"""Reproject to the UTM zone of the map, or keep its CRS where that is in true metres."""
-
-MOST_SCALE_ERROR = 0.002
-"""UTM stretches lengths by 0.9996 to 1.001; a CRS that stretches more at the middle of a map is not kept."""
-
-_MOST_SPREAD = 0.01  # of the scale over a map, in the CRS it is reprojected to
 _TOLERANCE_CELLS = 0.01  # of the places between which GDAL interpolates its transformation
 _COARSER = 2.0  # from this ratio of cells on, heights are averaged and not interpolated
-_EDGE_POINTS = 41  # of each edge, by which the new bounds are found
 _WARP_MB = 64
 _SCAN_CELLS = 4_000_000
 _FEET = {
@@ -147,10 +139,10 @@ class Warped:
 
     def _refuse_undeclared(self, dataset: DatasetReader, scaling: Scaling, window: Window) -> None:
         """Interpolation would hide values such as -9999; so the stored values under a window are looked at first."""
-        along = np.linspace(0.0, 1.0, _EDGE_POINTS)
+        along = np.linspace(0.0, 1.0, EDGE_POINTS)
         col = window.col_off + window.width * np.concatenate([along, along, 0 * along, 0 * along + 1])
         row = window.row_off + window.height * np.concatenate([0 * along, 0 * along + 1, along, along])
-        x, y = _moved(self.crs, self.source_crs, self.transform, col, row)
+        x, y = moved(self.crs, self.source_crs, self.transform, col, row)
         there = ~self.source_transform
         source_col, source_row = there.a * x + there.b * y + there.c, there.d * x + there.e * y + there.f
         spans = []
@@ -255,9 +247,9 @@ def reproject_file(
         number, factor = geotiff.checked_band(dataset, band, feet=_FEET)
         geotiff.check_blocks(dataset, number)
         own = dataset.crs.to_wkt() if dataset.crs else None
-        if own is not None and crs is not None and not _same(own, crs):
+        if own is not None and crs is not None and known_crs(own) != known_crs(crs):
             raise HeightmapError(
-                f"`crs` {crs[:80]} was given, but the file says {_short(own)}: leave it out", crs=crs[:80]
+                f"`crs` {crs[:80]} was given, but the file says {short_name(own)}: leave it out", crs=crs[:80]
             )
         source_crs, transform = own or crs, dataset.transform
         nodata = _nodata(dataset, number, scaling)
@@ -266,10 +258,10 @@ def reproject_file(
                 f"{file.name} does not say where its cells lie, so that it cannot be reprojected: leave `reproject` out"
             )
         undeclared = dataset.nodatavals[number - 1] is None and scaling.nodata is None
-    target, why = _target(source_crs, transform, rows, cols, to)
-    grid, shape, size = _grid(source_crs, target, transform, rows, cols, resolution_m)
+    target, why = choose_crs(source_crs, transform, rows, cols, to)
+    grid, shape, size = new_grid(source_crs, target, transform, rows, cols, resolution_m)
     check_cells(*shape, max_cells, what=f"{file.name}, reprojected to cells of {grid.a:g} m,")
-    note = f"reprojected from {_short(source_crs)} to {_short(target)}{why}, with cells of {grid.a:g} m"
+    note = f"reprojected from {short_name(source_crs)} to {short_name(target)}{why}, with cells of {grid.a:g} m"
     if factor != 1.0:
         note += f"; its heights are in feet and were multiplied by {factor:.10g}"
     resampling = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear
@@ -279,115 +271,9 @@ def reproject_file(
     return warped, Scaling(scaling.scale_m, scaling.offset_m, None)
 
 
-def _target(crs: str | None, transform: Affine, rows: int, cols: int, to: str) -> tuple[str | None, str]:
-    """The new CRS, and why it is that one."""
-    if to != AUTO:
-        target = crs_name(to)
-        return target, ""
-    if crs is None:
-        return None, ""
-    lon, lat = _places(crs, transform, [cols / 2], [rows / 2])
-    if not (math.isfinite(lon[0]) and math.isfinite(lat[0])):
-        raise HeightmapError(f"the middle of the map lies nowhere on Earth: is {_short(crs)} its CRS?", crs=_short(crs))
-    try:
-        kept = crs_name(crs)
-        if float(np.abs(scale_errors(kept, lon, lat)).max()) <= MOST_SCALE_ERROR:
-            return kept, " (kept: it is in true metres)"
-    except HeightmapError:
-        pass
-    zone = utm_zone(float(lon[0]), float(lat[0]))
-    if zone is not None:
-        return zone, f" (UTM zone {int(zone[-2:])}{'N' if zone[5:8] == '326' else 'S'})"
-    pole = 90 if lat[0] > 0 else -90
-    wkt = CRS.from_string(
-        f"+proj=stere +lat_0={pole} +lat_ts={lat[0]:.4f} +lon_0={lon[0]:.4f} +datum=WGS84 +units=m +no_defs"
-    ).to_wkt()
-    return wkt, " (polar stereographic, true to scale at this latitude)"
-
-
-def _grid(
-    crs: str | None, target: str | None, transform: Affine, rows: int, cols: int, resolution_m: float | None
-) -> tuple[Affine, tuple[int, int], float]:
-    """The new grid, its rows and columns, and the side of a cell of the file in the new CRS."""
-    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
-    zero, one = np.zeros(_EDGE_POINTS), np.ones(_EDGE_POINTS)
-    edge_col = cols * np.concatenate([along, along, zero, one])
-    edge_row = rows * np.concatenate([zero, one, along, along])
-    middle_col, middle_row = cols / 2 + np.array([-0.5, 0.5, 0.0, 0.0]), rows / 2 + np.array([0.0, 0.0, -0.5, 0.5])
-    x, y = _moved(crs, target, transform, np.append(edge_col, middle_col), np.append(edge_row, middle_row))
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise HeightmapError(
-            f"parts of the map cannot be expressed in {_short(target)}: choose the CRS of its place", crs=_short(target)
-        )
-    (x0, x1, x2, x3), (y0, y1, y2, y3) = x[-4:], y[-4:]
-    size = math.sqrt(abs((x1 - x0) * (y3 - y2) - (x3 - x2) * (y1 - y0)))
-    if not size > 0:
-        raise HeightmapError("a cell of the file has no area: its transform is corrupt", transform=list(transform)[:6])
-    _check_spread(target, x[:-4], y[:-4])
-    side = _round(size) if resolution_m is None else resolution_m
-    if side not in RESOLUTION_M:
-        raise HeightmapError(f"`resolution_m` must be {RESOLUTION_M} metres, got {side:g}", resolution_m=side)
-    west, north = math.floor(x[:-4].min() / side + 1e-6) * side, math.ceil(y[:-4].max() / side - 1e-6) * side
-    width = math.ceil((x[:-4].max() - west) / side - 1e-6)
-    height = math.ceil((north - y[:-4].min()) / side - 1e-6)
-    return Affine(side, 0.0, west, 0.0, -side, north), (height, width), size
-
-
-def _check_spread(target: str | None, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    """Refuse a map of which parts are stretched otherwise than others."""
-    if target is None:
-        return
-    from pyproj import Transformer
-
-    lon, lat = Transformer.from_crs(target, "EPSG:4326", always_xy=True).transform(x, y)
-    errors = scale_errors(target, lon, lat)
-    if errors.size and float(errors.max() - errors.min()) > _MOST_SPREAD:
-        raise HeightmapError(
-            f"the map is too large for one CRS: {_short(target)} stretches lengths by {100 * errors.min():.1f} to "
-            f"{100 * errors.max():.1f} % on it, the limit is {100 * _MOST_SPREAD:g} %: cut it into parts",
-            crs=_short(target),
-        )
-
-
-def _moved(
-    crs: str | None, target: str | None, transform: Affine, col: NDArray[np.float64], row: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    x = transform.a * col + transform.b * row + transform.c
-    y = transform.d * col + transform.e * row + transform.f
-    if crs is None or target is None:
-        return x, y
-    from pyproj import Transformer
-
-    moved = Transformer.from_crs(known_crs(crs).to_wkt(), known_crs(target).to_wkt(), always_xy=True).transform(x, y)
-    return np.asarray(moved[0]), np.asarray(moved[1])
-
-
-def _places(
-    crs: str, transform: Affine, col: list[float], row: list[float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Longitudes and latitudes [deg] of places on the file's grid."""
-    return _moved(crs, "EPSG:4326", transform, np.array(col), np.array(row))
-
-
 def _usable(crs: str | None) -> CRS:
     """A map without a CRS is resampled in its own plane; which CRS GDAL then gets makes no difference."""
     return known_crs(crs) if crs is not None else CRS.from_epsg(32630)
-
-
-def _same(one: str, other: str) -> bool:
-    return known_crs(one) == known_crs(other)
-
-
-def _short(crs: str | None) -> str:
-    if crs is None:
-        return "no CRS"
-    code = known_crs(crs).to_epsg()
-    return f"EPSG:{code}" if code else crs[:60]
-
-
-def _round(size: float) -> float:
-    """Three significant digits."""
-    return float(f"{size:.3g}")
 
 
 def _nodata(dataset: DatasetReader, band: int, scaling: Scaling) -> float | None:

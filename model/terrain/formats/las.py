@@ -84,7 +84,8 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
                     f"the point cloud is truncated: {count:,} points declared, room for "
                     f"{source.size_bytes // header.point_format.size:,}"
                 )
-            bounds = (*map(float, header.mins[:2]), *map(float, header.maxs[:2]))
+            (west, south), (east, north) = map(float, header.mins[:2]), map(float, header.maxs[:2])
+            bounds = (west, south, east, north)
             how: dict[str, Any] = {"cell_m": scaling.cell_m, "max_cells": max_cells, "what": source.name}
             every = PointGrid(bounds, count, **how)
             ground = PointGrid(bounds, count, **how | {"cell_m": every.cell_m})
