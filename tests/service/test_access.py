@@ -308,10 +308,16 @@ def operations(client: TestClient) -> list[tuple[str, str]]:
     return [(method, path) for path, methods in paths.items() for method in methods]
 
 
+QUERIES = {
+    "/at": {"x": START[0], "y": START[1]},
+    "/roses": {"west": START[0], "south": START[1], "east": START[0] + 5.0, "north": START[1] + 5.0},
+}
 BODIES = {
     "/paths": {"start": START, "goal": GOAL},
     "/tours": {"stops": [START, GOAL]},
     "/feasibility": {"start": START, "goal": GOAL},
+    "/reach": {"start": START},
+    "/return": {"position": START, "home": GOAL},
 }
 
 
@@ -328,7 +334,7 @@ def test_what_others_own_is_not_there(shared: tuple[TestClient, dict[str, str], 
         for known in (ids, dict.fromkeys(ids, "cm-000000000000")):
             url = re.sub(r"{(\w+_id)}", lambda found, known=known: known[found[1]], path)
             body = next((body for end, body in BODIES.items() if path.endswith(end)), None)
-            query = {"x": START[0], "y": START[1]} if path.endswith("/at") else None
+            query = next((query for end, query in QUERIES.items() if path.endswith(end)), None)
             answer = client.request(method, url, params=query, json=body, headers=bearer(keys["bert"]))
             text = re.sub(r"(hm|cm|runs|cal)-[0-9a-f]{12}", "ID", answer.text)
             answers.append((answer.status_code, re.sub(r'"request_id":\s*"\w+"', "", text)))
