@@ -87,6 +87,7 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_provenance", "GET", f"{here}/provenance")
     ask("get_at", "GET", f"{here}/at", query={"x": START[0], "y": START[1]})
     ask("get_image", "GET", f"{here}/image.png", query={"view": "mean"})
+    ask("get_data", "GET", f"{here}/data", query={"format": "nav2-graph"})
     ask("get_data", "GET", f"{here}/data", query={"format": "geotiff"})
     ends = {"start_x": START[0], "start_y": START[1], "goal_x": GOAL[0], "goal_y": GOAL[1]}
     ask("get_ground", "GET", f"/v1/heightmaps/{heightmap}/ground.png")
@@ -99,11 +100,17 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_field", "GET", f"{here}/field", query={**ends, "within": 5.0})
     task = {"start": START, "goal": GOAL, "battery": {"charge": 0.8, "reserve": 0.2}}
     ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1})
-    ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1}, query={"format": "geojson"})
-    ask("find_tour", "POST", f"{here}/tours", body={"stops": [START, GOAL, [START[0] + 10.0, START[1] - 8.0]]})
+    stops = {"stops": [START, GOAL, [START[0] + 10.0, START[1] - 8.0]]}
+    ask("find_tour", "POST", f"{here}/tours", body=stops)
+    for kind in ("qgc-plan", "ros-path", "geojson"):
+        ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1}, query={"format": kind})
+        ask("find_tour", "POST", f"{here}/tours", body=stops, query={"format": kind})
     ask("ask_feasibility", "POST", f"{here}/feasibility", body={**task, "round_trip": True})
     way = {"position": START, "home": START, "path": [START, GOAL], "charging": [GOAL], "battery": {"charge": 0.01}}
     ask("find_point_of_no_return", "POST", f"{here}/return", body=way)
+    reached = {"start": START, "charges": [0.001, 0.002]}
+    ask("find_reach", "POST", f"{here}/reach", body=reached, query={"format": "geojson"})
+    ask("find_reach", "POST", f"{here}/reach", body=reached)
     large = client.post("/v1/costmaps", json={**asked, "spacing_m": 0.1, "headings": 360}).json()["id"]
     ask("cancel_costmap", "POST", f"/v1/costmaps/{large}/cancel")
     for name in ("follow_costmap", "delete_costmap"):
