@@ -57,7 +57,7 @@ def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str
     if crs is None:
         return None, ""
     lon, lat = _places(crs, transform, [cols / 2], [rows / 2])
-    if not (math.isfinite(lon[0]) and math.isfinite(lat[0])):
+    if not (math.isfinite(lon[0]) and abs(lat[0]) <= 90.0):
         raise HeightmapError(
             f"the middle of the map lies nowhere on Earth: is {short_name(crs)} its CRS?", crs=short_name(crs)
         )
@@ -162,14 +162,27 @@ def moved(
     -------
     tuple of ndarray of float, (n,)
         x and y.
+
+    Raises
+    ------
+    HeightmapError
+        If PROJ knows no way from one to the other.
     """
     x = transform.a * col + transform.b * row + transform.c
     y = transform.d * col + transform.e * row + transform.f
     if crs is None or target is None:
         return x, y
     from pyproj import Transformer
+    from pyproj.exceptions import ProjError
 
-    found = Transformer.from_crs(known_crs(crs).to_wkt(), known_crs(target).to_wkt(), always_xy=True).transform(x, y)
+    try:
+        way = Transformer.from_crs(known_crs(crs).to_wkt(), known_crs(target).to_wkt(), always_xy=True)
+        found = way.transform(x, y)
+    except ProjError as error:
+        raise HeightmapError(
+            f"a map in {short_name(crs)} cannot be reprojected to {short_name(target)}: {str(error)[:200]}",
+            crs=short_name(crs),
+        ) from error
     return np.asarray(found[0]), np.asarray(found[1])
 
 
