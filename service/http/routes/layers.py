@@ -42,12 +42,17 @@ _MAPS: list[Any] = ["cost maps"]
 _PICTURE: dict[int | str, dict[str, Any]] = {
     200: {"description": "A picture", "content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 }
-_GEOJSON = "application/geo+json"
 _KEPT = {"Cache-Control": "private, max-age=3600"}  # a cost map and a heightmap never change
 _SURFACE_PIXELS = 220
 _OVERVIEWS: dict[str, CostLattice] = {}  # of the large cost map that was asked about last
 _LOCK = threading.Lock()
 Answer = Callable[[CostLattice], Response]
+
+
+class GeoJson(JSONResponse):
+    """GeoJSON."""
+
+    media_type = "application/geo+json"
 
 
 @router.get(
@@ -131,11 +136,13 @@ async def get_layer(
 @router.get(
     "/costmaps/{costmap_id}/contours",
     tags=_MAPS,
-    response_class=JSONResponse,
+    response_class=Response,
     responses={
         200: {
             "content": {
-                _GEOJSON: {"schema": {"type": "object", "description": "FeatureCollection of MultiLineStrings"}}
+                "application/geo+json": {
+                    "schema": {"type": "object", "description": "FeatureCollection of MultiLineStrings"}
+                }
             },
             "description": "Contour lines",
         },
@@ -154,7 +161,7 @@ async def get_contours(costmap_id: str, service: KernelsDep, request: Request) -
             }
             for level, lines in contours(lattice.elevation_m, lattice.frame)
         ]
-        return JSONResponse({"type": "FeatureCollection", "features": features}, media_type=_GEOJSON, headers=_KEPT)
+        return GeoJson({"type": "FeatureCollection", "features": features}, headers=_KEPT)
 
     return await _of_lattice(costmap_id, service, request, _trace)
 
