@@ -90,7 +90,7 @@ def electric(
     if power is None:
         raise RunsError(
             f"run {name}: there is neither a column 'current', nor any 'current_*', nor 'power'"
-            f"{columns_there(numbers)}",
+            f"{columns_there(numbers)}; a mapping says which it is, like current=batt_current_mA:mA",
             run=name,
             column="current",
         )

@@ -21,6 +21,7 @@ BoolArray = NDArray[np.bool_]
 _LONGEST_JUMP_S = 5.0
 _LEAST_GPS_LIMIT_M = 0.05
 _LONGEST_HOLD_S = 1.5
+_LEAST_E7 = 1e6  # a tenth of a degree in 1e-7 degrees
 _GREATEST_DEG = {"lat": 90.0, "lon": 360.0}  # a longitude may count from 0 to 360 or from -180 to 180
 
 
@@ -49,8 +50,14 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
     if "x" in numbers and "y" in numbers:
         return numbers.pop("x"), numbers.pop("y")
     if "lat" not in numbers or "lon" not in numbers:
+        wheels = {"speed_left", "speed_right"} <= numbers.keys()
+        hint = (
+            "`odometry` with the track in metres integrates its wheel speeds"
+            if wheels
+            else ("a mapping says which they are, like lat=latitude,lon=longitude")
+        )
         raise RunsError(
-            f"run {name}: there is neither 'x' and 'y' nor 'lat' and 'lon'{columns_there(numbers)}",
+            f"run {name}: there is neither 'x' and 'y' nor 'lat' and 'lon'{columns_there(numbers)}; {hint}",
             run=name,
             column="x",
         )
@@ -137,6 +144,8 @@ def _not_on_earth(lat: FloatArray, lon: FloatArray, name: str) -> RunsError:
     column, values = ("lat", lat) if (np.abs(lat) > _GREATEST_DEG["lat"]).any() else ("lon", lon)
     most = _GREATEST_DEG[column]
     hint = "; with 'lat' and 'lon' exchanged all positions would lie on Earth" if _on_earth(lon, lat).all() else ""
+    if not hint and np.abs(values).max() > _LEAST_E7 and _on_earth(1e-7 * lat, 1e-7 * lon).all():
+        hint = "; in 1e-7 degrees they would lie on Earth: a mapping says so, lat=lat:degE7,lon=lon:degE7"
     return RunsError(
         f"run {name}, column {column!r}: its values are {_range(values)}, but degrees of {column} lie within "
         f"{-most:g}..{most:g}{hint}",

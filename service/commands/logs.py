@@ -103,7 +103,10 @@ def _say(output: Output, one: dict[str, Any]) -> None:
         "rows": f"{one['rows']:,} in {duration_words(one['seconds'])}",
         "driven": f"{one['metres']:.1f} m in {one['segments']} segments, median {one['per_m']:.4g} {unit}",
     }
-    rows |= {("kind" if column == "as" else column): f"from {source}" for column, source in one["reading"].items()}
+    reading = dict(one["reading"])
+    if (kind := reading.pop("as", None)) is not None:
+        rows["read as"] = kind
+    rows |= {column: f"from {source}" for column, source in reading.items()}
     if one["repairs"]:
         rows["repairs"] = ", ".join(f"{count} {rule}" for rule, count in one["repairs"].items())
     output.table(rows)
