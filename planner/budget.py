@@ -261,10 +261,11 @@ class _Judged(NamedTuple):
 def _judge(pieces: FloatArray, battery: Battery, known: EnergyOdds | None, available_j: float) -> _Judged:
     mean = _summed(pieces)
     left = available_j - np.append(0.0, mean)
+    lowest = float(left[-1])
     if (pieces < 0.0).any():
         room = (1.0 - battery.reserve) * battery.full_j
         left = left - np.maximum.accumulate(np.maximum(left - room, 0.0))
-    lowest = float(left.min())
+        lowest = float(left.min())
     odds = known if known is not None else EnergyOdds(mean, UNSEEN_SHARE * np.abs(mean))
     lasts = float(odds.lasts(mean + left[1:]).min(initial=float(available_j >= 0.0)))
     deficit = odds.quantile(SURE) - mean - left[1:]

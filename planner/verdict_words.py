@@ -30,7 +30,7 @@ def verdict_in_words(verdict: Verdict, course: Course) -> str:
         Such as "Likely: 78 % to return with the reserve; expected 23.7 kJ (90 % between 19.0 and 28.4) of 31.0 kJ; the
         climb at 210 m takes 51 %; a charge of 71 % makes it a yes."
     """
-    parts = [f"{verdict.verdict.capitalize()}: {_chance(verdict, course)}", _energy(verdict)]
+    parts = [_odds(verdict, course), _energy(verdict)]
     if verdict.overload_at is not None:
         parts.append(
             f"the {verdict.overload_w:.0f} W at {verdict.overload_at.distance_m:.0f} m are more than the "
@@ -43,12 +43,13 @@ def verdict_in_words(verdict: Verdict, course: Course) -> str:
     return "; ".join(part for part in parts if part) + "."
 
 
-def _chance(verdict: Verdict, course: Course) -> str:
+def _odds(verdict: Verdict, course: Course) -> str:
+    word = verdict.verdict.capitalize()
+    if verdict.probability is None:
+        return f"{word}, without odds because the model has seen no runs"
     task = "return" if course.ways > 1 else "arrive"
     task += " with the reserve" if verdict.reserve > 0.0 else ""
-    if verdict.probability is None:
-        return f"to {task}, without odds because the model has seen no runs"
-    return f"{probability_words(verdict.probability)} to {task}"
+    return f"{word}: {probability_words(verdict.probability)} to {task}"
 
 
 def _energy(verdict: Verdict) -> str:

@@ -67,7 +67,12 @@ class Homeward:
         else:
             odds = "" if home.probability is None else f", {probability_words(home.probability)} likely"
             still = "It still comes home from here" if home.reachable else "It no longer comes home from here"
-            words = f"{still}{odds} ({energy_words(home.energy_j)} of {energy_words(self.available_j)})"
+            there = (
+                f"of {energy_words(self.available_j)}"
+                if self.available_j >= 0.0
+                else "and the charge is below the reserve"
+            )
+            words = f"{still}{odds} ({energy_words(home.energy_j)} {there})"
         if home.last is not None:
             words += f"; the point of no return is {home.last.distance_m:.0f} m ahead"
         elif home.whole_path and self.length_m > 0.0:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
-from joulemap.model.energy.uncertainty import fit_spread
+from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibrated import (
@@ -293,16 +293,18 @@ def correction_of(found: Calibration, std_j: FloatArray, groups: Sequence[str] |
     Returns
     -------
     Correction
-        With the spread of the calibrated model on left-out runs.
+        With the spread of the calibrated model on left-out runs, where there are enough segments.
     """
     fitted, rows, moving = found.fitted, found.residuals.features, found.residuals.moving
     conditions = {k: float(np.nanmean(v)) for k, v in rows.columns.items() if np.isfinite(v).any()}
     measured_j, said_j = (
-        rows.unit_j * energy[moving] for energy in (found.residuals.measured, found.held_out["after_planner"])
+        rows.unit_j * energy for energy in (found.residuals.measured, found.held_out["after_planner"])
     )
-    run = rows.run[moving]
-    group = None if groups is None or not found.residuals.whole_runs else np.asarray(groups)[run]
-    spread = fit_spread(measured_j, said_j, std_j[moving], run, group=group)
+    judged = moving & np.isfinite(measured_j) & np.isfinite(said_j) & (std_j > 0.0)
+    run, spread = rows.run[judged], None
+    if judged.sum() >= FEWEST:
+        group = None if groups is None or not found.residuals.whole_runs else np.asarray(groups)[run]
+        spread = fit_spread(measured_j[judged], said_j[judged], std_j[judged], run, group=group)
     return Correction(
         fitted.terms,
         fitted.planner_terms,
