@@ -162,7 +162,9 @@ def _zone_of(table: Table) -> str | None:
     lat, lon = table.numbers.get("lat"), table.numbers.get("lon")
     if lat is None or lon is None or not (np.isfinite(lat) & np.isfinite(lon)).any():
         return None
-    return utm_zone(float(np.nanmedian(lon)), float(np.nanmedian(lat)))
+    middle = float(np.nanmedian(lat))
+    polar = "EPSG:32661" if middle > 0 else "EPSG:32761"  # universal polar stereographic
+    return utm_zone(float(np.nanmedian(lon)), middle) or polar
 
 
 def _about(

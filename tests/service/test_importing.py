@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 import joulemap as jm
 from joulemap.model.errors import RunsError
 from joulemap.service.cli import app
+from tests.reference import log_files as files
 from tests.service.conftest import WEST
 
 ROWS = 300
@@ -129,3 +130,18 @@ def test_a_map_in_degrees_is_reprojected_on_request(client):
     assert kept.status_code == 201, kept.text
     assert kept.json()["crs"] == "EPSG:32630"
     assert kept.json()["notes"][0].startswith("reprojected from EPSG:4326 to EPSG:32630 (UTM zone 30N)")
+
+
+def test_a_recording_is_kept_as_a_table(client, tmp_path):
+    content = files.write_mcap(tmp_path / "drive.mcap", files.drive(40.0)).read_bytes()
+    query = {"map": ["x=/odom.pose.pose.position.x", "y=/odom.pose.pose.position.y"]}
+    answer = client.post("/v1/runs", files={"file": ("drive.mcap", content)}, params=query)
+    assert answer.status_code == 201, answer.text
+    (run,) = answer.json()["runs"]
+    assert (run["format"], run["name"]) == ("MCAP recording", "drive.mcap")
+    assert run["reading"]["current"] == "/battery_state.current [A]"
+    (kept,) = client.app.state.service.store.run_files(answer.json()["id"])
+    assert kept.read_text().startswith("t,x,y,z,voltage,current")
+    cut = client.post("/v1/runs", files={"file": ("drive.mcap", content[:20_000])}, params=query)
+    assert cut.status_code == 422
+    assert "truncated or corrupt" in cut.json()["detail"]
