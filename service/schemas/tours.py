@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -74,9 +74,10 @@ def tour_out(trip: RoundTrip, verdict: Verdict | None, warnings: list[str]) -> T
     """
     legs = [RouteOut(**route_values(leg)) for leg in trip.legs]
     sums = ("energy_j", "energy_wh", "length_m", "duration_s", "climb_m", "descent_m")
+    of_all: dict[str, Any] = {name: sum(getattr(leg, name) for leg in legs) for name in sums}
+    of_all |= quantiles_of_route(*trip.legs)
     return TourOut(
-        **{name: sum(getattr(leg, name) for leg in legs) for name in sums},
-        **quantiles_of_route(*trip.legs),
+        **of_all,
         path=[*legs[0].path, *(point for leg in legs[1:] for point in leg.path[1:])],
         order=list(trip.order),
         legs=legs,
