@@ -291,3 +291,36 @@ def write_csvs(folder: Path, d: Drive) -> list[Path]:
 
 FEET = {"t": "minutes:min", "x": "east_ft", "y": "north_ft", "power": "draw_kW"}
 """What the third of these needs said."""
+
+
+def main() -> None:
+    """Print the energy of the drive in each format beside that of the drive itself."""
+    import tempfile
+
+    from joulemap.model.runs.cutting import cut_segments
+    from joulemap.model.runs.reader import read_run
+
+    d = drive()
+    true = float(np.trapezoid(d.power, d.t))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        written = [
+            write_bag(folder / "drive.bag", d),
+            write_db3(folder / "drive.db3", d),
+            write_mcap(folder / "drive.mcap", d),
+            write_dataflash(folder / "drive.bin", d),
+            write_tlog(folder / "drive.tlog", d),
+            write_ulog(folder / "drive.ulg", d),
+            write_fit(folder / "drive.fit", d),
+            *write_csvs(folder, d),
+        ]
+        print(f"{'file':12} segments  metres   energy [J]  beside the drive")
+        for path in written:
+            found = cut_segments(read_run(path, crs=CRS, mapping=FEET if path.suffix == ".tsv" else None))
+            energy = float(found.energy_j.sum())
+            row = f"{path.name:12} {len(found):8} {found.driven_m.sum():8.2f} {energy:11.1f}"
+            print(f"{row}  {100 * (energy / true - 1):+.3f} %")
+
+
+if __name__ == "__main__":
+    main()
