@@ -59,7 +59,7 @@ async function ask() {
     fill(said, order.length ? order.map(({ properties }) => {
       const box = make("i", { class: "box" });
       box.style.background = properties.shade;
-      return make("p", { class: "note" }, box, `starting at ${percent(properties.charge)}${properties.round_trip ? ", there and back" : ""}: ${area(properties.area_m2)}`);
+      return make("p", { class: "note" }, box, `starting at ${percent(properties.charge, 1)}${properties.round_trip ? ", there and back" : ""}: ${area(properties.area_m2)}`);
     }).concat(odds ? [] : make("p", { class: "note warn" }, "This model gives no odds: the expected energy decides.")) : make("p", { class: "note" }, "Nothing can be reached with this charge and reserve."));
   } catch (error) {
     if (superseded(error)) return;
