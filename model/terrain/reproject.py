@@ -131,7 +131,7 @@ class Warped:
                 if self.undeclared:
                     self._refuse_undeclared(dataset, scaling, window)
                 values = vrt.read(self.band, window=window)
-                known = vrt.read_masks(self.band, window=window) != 0
+                known = ~np.isnan(values)  # a mask would be warped once more
                 heights[row : row + high] = scaling.to_metres(
                     values, band_scale=scale * self.factor, band_offset=offset * self.factor, known=known
                 )
