@@ -235,6 +235,19 @@ def test_the_list_has_no_reports(service: TestClient, calibration: dict[str, Any
     assert service.get(f"/v1/calibrations/{calibration['id']}").json() == calibration
 
 
+def test_the_next_drive_is_a_mission(service: TestClient, calibration: dict[str, Any]) -> None:
+    place, drive = f"/v1/calibrations/{calibration['id']}/next-drive", calibration["report"]["next_drive"]
+    assert service.get(place).json() == drive
+    table = service.get(place, params={"format": "csv"})
+    assert table.headers["content-type"].startswith("text/csv")
+    corners = [[float(v) for v in line.split(",")[:2]] for line in table.text.splitlines()[1:]]
+    assert corners == drive["points"]
+    assert drive["crs"] == "EPSG:32630"
+    plan = service.get(place, params={"format": "qgc-plan"}).json()
+    assert plan["mission"]["cruiseSpeed"] == drive["speeds_mps"][0]
+    assert len(plan["mission"]["items"]) == 1 + len(drive["points"])
+
+
 def test_a_running_calibration_is_stopped_by_deleting_it(service: TestClient, ground_id: str, runs_id: str) -> None:
     asked = {"heightmap_id": ground_id, "runs": [runs_id], "model": "physics", "robot": ROBOT}
     place = service.post("/v1/calibrations", json=asked).headers["location"]

@@ -6,6 +6,7 @@ import json
 import zipfile
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gpxpy
@@ -273,6 +274,43 @@ def test_doctor_names_an_extra_that_is_missing(tmp_path: Path, monkeypatch: pyte
     code, words, _ = command("doctor", "--data-dir", tmp_path)
     assert code == 0  # optional
     assert "pip install 'joulemap[tours]'" in words
+
+
+def test_the_next_drive_by_command_and_in_python(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive: dict[str, Any] = {
+        "effect": "turning",
+        "label": "turning",
+        "confounded_with": [],
+        "confounded_labels": [],
+        "kind": "slalom",
+        "placed": True,
+        "crs": "EPSG:32630",
+        "points": [START, GOAL],
+        "speeds_mps": [0.4],
+        "length_m": 33.0,
+        "total_length_m": 100.0,
+        "expected_interval_share": 0.5,
+    }
+    monkeypatch.setattr("joulemap.service.commands.calibration._Asked.read", lambda _asked: None)
+    monkeypatch.setattr(
+        "joulemap.service.loop.next_drive.suggest_next_drive",
+        lambda *_given, **_options: SimpleNamespace(as_dict=lambda: dict(drive)),
+    )
+    (tmp_path / "run.csv").write_text("t\n")
+    (tmp_path / "dem.tif").write_bytes(b"")
+    asked = ("suggest-drive", "--heightmap", tmp_path / "dem.tif", "--runs", tmp_path / "run.csv")
+    out = ("--out", tmp_path / "next.gpx", "--out", tmp_path / "next.plan")
+    code, _, errors = command(*asked, *out)
+    assert code == 0, errors
+    (line,) = gpxpy.parse((tmp_path / "next.gpx").read_text()).tracks
+    assert [(p.latitude, p.longitude) for p in line.segments[0].points][1] == pytest.approx(latlon(GOAL), abs=1e-9)
+    result = jm.CalibrationResult(tmp_path, {"next_drive": drive})
+    assert result.save_next_drive(tmp_path / "again.gpx").read_bytes() == (tmp_path / "next.gpx").read_bytes()
+    drive["placed"] = False
+    code, _, errors = command(*asked, *out)
+    assert (code, "are no places" in errors) == (3, True)
 
 
 def test_a_blocked_place_in_degrees_is_blocked(costmap: jm.CostMap) -> None:
