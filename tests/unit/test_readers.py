@@ -68,7 +68,9 @@ def test_mercator_metres_are_refused_with_their_stretch_and_the_utm_zone(crs: st
         read_heightmap(npy(HEIGHTS), crs=crs, **place)
     with pytest.raises(HeightmapError, match=words):
         read_heightmap(npz(heights=HEIGHTS, crs=crs, resolution_m=1.0, west_m=-500_000.0, north_m=4_064_000.0))
-    with pytest.raises(HeightmapError, match=r"1/cos\(latitude\): give `reproject` as auto, or reproject it to its UTM zone"):
+    with pytest.raises(
+        HeightmapError, match=r"1/cos\(latitude\): give `reproject` as auto, or reproject it to its UTM"
+    ):
         read_heightmap(npy(HEIGHTS), crs=crs, resolution_m=1.0)
 
 

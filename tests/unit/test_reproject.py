@@ -113,6 +113,8 @@ def test_heights_and_sizes_are_true(name):
     there = Transformer.from_crs("EPSG:4326", frame.crs, always_xy=True)
     (x0, y0), (x1, y1) = there.transform(*ends[0]), there.transform(*ends[1])
     assert math.hypot(x1 - x0, y1 - y0) == pytest.approx(true, rel=0.001)
+    x, y = np.array([there.transform(*place) for place in edge]).T
+    assert abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2 == pytest.approx(area, rel=0.001)
     assert found.notes[0].startswith("reprojected from")
 
 

@@ -85,10 +85,10 @@ def _decoded(source: SourceFile, scaling: Scaling, max_cells: int, band: int | N
     kinds: set[str] = set()
     with source.open() as stream:
         reader = SeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
+        for schema, channel, record in reader.iter_messages(log_time_order=False):
             kinds.add(schema.name if schema is not None else "")
             if schema is not None and schema.name == _KIND and channel.message_encoding == "cdr":
-                found = schema.data.decode("utf-8"), message.data
+                found = schema.data.decode("utf-8"), record.data
     if found is None:
         there = ", ".join(sorted(kinds))[:200] or "none"
         raise HeightmapError(f"{source.name} holds no message {_KIND}; its types are {there}")
