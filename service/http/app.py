@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -61,6 +62,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def _lifespan(_app: FastAPI) -> AsyncIterator[None]:
         await anyio.to_thread.run_sync(service.start)
+        threading.Thread(target=app.openapi, name="openapi", daemon=True).start()  # seconds, which the page would wait
         await anyio.to_thread.run_sync(warn_if_open, service.store, settings.host)
         try:
             async with on_the_loop(service.metrics, [service.plans, service.prices]), service.retention.running():

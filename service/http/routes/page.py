@@ -145,7 +145,10 @@ def plotly_version() -> str | None:
 
 def _page(name: str) -> HTMLResponse:
     text = _WEB.joinpath(name).read_text(encoding="utf-8")
-    text = text.replace("{leaflet}", leaflet.VERSION).replace("{plotly}", plotly_version() or "")
+    modules = sorted(file for file in _own_files() if file.endswith(".js") and file not in ("main.js", "view3d.js"))
+    early = "\n".join(f'<link rel="modulepreload" href="page/{file}">' for file in modules)  # all at once, not in turn
+    for name_in_braces, value in (("modules", early), ("leaflet", leaflet.VERSION), ("plotly", plotly_version() or "")):
+        text = text.replace(f"{{{name_in_braces}}}", value)
     return HTMLResponse(text, headers=headers_of(_PAGES[name]))
 
 
