@@ -216,7 +216,7 @@ def test_a_battery_that_does_not_last_is_an_answer(folder: Path) -> None:
         (("feasibility", "{}/dem.zarr", "--path", "{}/robot.toml"), 3, "no path"),
         (("feasibility", "{}/dem.zarr", "--path", "{}/nothing.csv"), 5, "nothing.csv"),
         (("feasibility", "{}/dem.zarr", "--start", "3.5,14.5"), 3, "start"),
-        (("evaluate", "--model", "physics", "--heightmap", "{}/dem.tif", "--runs", "{}/*.log"), 5, "names no CSV"),
+        (("evaluate", "--model", "physics", "--heightmap", "{}/dem.tif", "--runs", "{}/*.log"), 5, "names no log"),
         (("train", "--out", "{}/m", "--heightmap", "{}/dem.tif"), 2, "go together"),
         (("train", "--out", "{}/m", "--charge", "--epochs", "3"), 2, "--epochs, --charge: only with"),
     ],

@@ -134,7 +134,7 @@ def test_areas_to_avoid_hold_for_paths_tours_and_verdicts_over_http(client, cost
     assert tour["legs"][0]["energy_j"] == pytest.approx(path["energy_j"], rel=1e-6)
     refused = client.post(f"{place}/paths", json=asked | {"start": [west + 20.0, north - 10.0]})
     assert refused.status_code == 422
-    assert refused.json()["reason"] == "avoid"
+    assert refused.json()["context"]["reason"] == "avoid"
     short = client.post(f"{place}/paths", json=asked | {"avoid": [area[:2]]})
     assert short.status_code == 422
 
