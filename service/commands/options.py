@@ -76,7 +76,9 @@ def known_model(name: str | None) -> str | None:
 
 _HEIGHTMAP = typer.Option("--heightmap", metavar="FILE", callback=there, help="Heightmap that the runs were driven on.")
 _RUNS = typer.Option(
-    "--runs", metavar="FILE...", help="Measured runs (CSV, Parquet): files, folders or patterns like 'logs/*.csv'."
+    "--runs",
+    metavar="FILE...",
+    help="Measured runs (CSV, Parquet, MCAP, bags, flight logs): files, folders or patterns like 'logs/*.csv'.",
 )
 HeightmapFile = Annotated[Path, _HEIGHTMAP]
 MaybeHeightmap = Annotated[Path | None, _HEIGHTMAP]
