@@ -276,9 +276,7 @@ def test_doctor_names_an_extra_that_is_missing(tmp_path: Path, monkeypatch: pyte
     assert "pip install 'joulemap[tours]'" in words
 
 
-def test_the_next_drive_by_command_and_in_python(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_next_drive_by_command_and_in_python(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drive: dict[str, Any] = {
         "effect": "turning",
         "label": "turning",
