@@ -3,11 +3,11 @@
 import { fill, make } from "./dom.js";
 
 const USUAL = ["mass_kg", "battery_wh", "speed_mps", "wheel_radius_m", "max_grade_deg", "max_cross_slope_deg"];
-/** Sizes and batteries are of the makers' data sheets; what these do not say is as in the default robot. */
+/** Places to begin: no robot of any maker, so that its owner looks into its data sheet. */
 const PRESETS = {
-  "Rover of the paper (35 kg)": {},
-  "Clearpath Husky A200 (50 kg)": { name: "husky-a200", mass_kg: 50, width_m: 0.67, length_m: 0.99, wheel_radius_m: 0.165, nominal_voltage_v: 24, battery_wh: 480 },
-  "Clearpath Jackal (17 kg)": { name: "jackal", mass_kg: 17, width_m: 0.43, length_m: 0.508, wheel_radius_m: 0.098, battery_wh: 270 },
+  "The default rover (35 kg)": {},
+  "A small rover (15 kg)": { name: "small-rover", mass_kg: 15, width_m: 0.4, length_m: 0.5, wheel_radius_m: 0.1, battery_wh: 150 },
+  "A large rover (400 kg)": { name: "large-rover", mass_kg: 400, width_m: 1.4, length_m: 1.5, wheel_radius_m: 0.3, battery_wh: 3000 },
 };
 let fields = {}, values = {};
 
