@@ -24,8 +24,8 @@ def heightmap(
         typer.Option(
             "--from-runs",
             metavar="FILE...",
-            help="Measured runs (CSV, Parquet, MCAP, bags, flight logs) with positions and heights `z`: files, folders or "
-            "patterns.",
+            help="Measured runs (CSV, Parquet, MCAP, bags, flight logs) with positions and heights `z`: files, folders "
+            "or patterns.",
         ),
     ],
     out: Annotated[
