@@ -174,4 +174,4 @@ class SegmentsOut(ResponseModel):
     """What was measured and predicted on each segment of 1 m."""
 
     unit: str = Field(description="J, or A s where no voltage was recorded", examples=["J"])
-    runs: list[RunSegmentsOut]
+    runs: list[RunSegmentsOut] = Field(description="one for each run")
