@@ -47,6 +47,7 @@ def model_card(version: str, parameters: int, training: Mapping[str, Any], domai
     ranges = {**domain.robot, "resolution [m/pixel]": domain.resolution_m, "slope [deg]": (0.0, domain.max_slope_deg)}
     learned = "\n".join(f"| {name} | {low:.3g} .. {high:.3g} |" for name, (low, high) in ranges.items())
     covered = ", ".join(f"{share:.0%} (of {level} %)" for level, share in training["coverage"].items())
+    metres = spread.correlation_m
     return f"""# Model card: the network that joulemap ships
 
 Compact network (`model/energy/architectures/compact`), {parameters:,} parameters.
@@ -89,7 +90,7 @@ The intervals held {covered} of the same segments
 Each whole run has a relative error of its own, of {100 * spread.run_share:.0f} % (scale of Student's t with
 {_freedom(spread.run_freedom)} degrees of freedom), from properties of robot and ground that the network does not know.
 Half of the routes take {100 * spread.bias:+.0f} % or less against the prediction; errors above that are
-{spread.skew:.1f} times those below it. Errors of neighbouring segments are correlated over {spread.correlation_m:.1f} m.
+{spread.skew:.1f} times those below it. Errors of neighbouring segments are correlated over {metres:.1f} m.
 
 ## Learned ranges
 Outside of them the answer comes with a warning, and the network clamps the robot's values to the range.
