@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, WrapValidator, field_validator, model_validator
 
-from joulemap.model.ranges import BATTERY, CURVE_POINTS, SEARCH_S
+from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, SEARCH_S
 from joulemap.planner.plan import PLANNERS
 from joulemap.service.schemas.base import (
     Areas,
@@ -26,7 +26,12 @@ _P05, _P50, _P95 = (
     Field(description=f"energy that {percent} % of drives do not exceed [J]; {_UNKNOWN}", examples=[energy])
     for percent, energy in ((5, 10432.1), (50, 12345.6), (95, 14259.1))
 )
-CurvePoint = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+def _curve_of(name: str) -> Any:
+    """The type of a battery's curve: points of two numbers, each with its bounds."""
+    at, value = BATTERY_CURVES[name]
+    return list[tuple[Annotated[float, within(at)], Annotated[float, within(value)]]]
 
 
 class BatteryIn(Request):
@@ -57,7 +62,7 @@ class BatteryIn(Request):
     temperature_c: Annotated[float, within(BATTERY["temperature_c"])] | None = Field(
         default=None, description="temperature of the battery [degC]; below 15 degC it needs `capacity_curve`"
     )
-    capacity_curve: list[CurvePoint] | None = Field(
+    capacity_curve: _curve_of("capacity_curve") | None = Field(  # type: ignore[valid-type]
         default=None,
         min_length=2,
         max_length=CURVE_POINTS,
@@ -67,7 +72,7 @@ class BatteryIn(Request):
     nominal_voltage_v: Annotated[float, within(BATTERY["nominal_voltage_v"])] | None = Field(
         default=None, description="nominal voltage [V]; default: that of the robot"
     )
-    open_circuit_v: list[CurvePoint] | None = Field(
+    open_circuit_v: _curve_of("open_circuit_v") | None = Field(  # type: ignore[valid-type]
         default=None,
         min_length=2,
         max_length=CURVE_POINTS,
