@@ -37,7 +37,7 @@ def serving(folder: Path, **values: object) -> Iterator[str]:
         thread.join(30.0)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # its event loop is in the way of other tests of the process
 def browser() -> Iterator[object]:
     """Chromium without a window."""
     if chromium_path() is None:
