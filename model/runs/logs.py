@@ -266,7 +266,8 @@ def _instants(words: list[str], column: str, name: str) -> FloatArray:
     try:
         return seconds_of(words)
     except ValueError as error:
-        row = int(error.args[0])
+        first = int(error.args[0])
+        row = next((k for k in range(len(words)) if words[k] and not _is_number(words[k])), first)
         raise RunsError(
             f"run {name}, column {column!r}, row {row + 2}: {words[row][:80]!r} is not a number, and no time such as "
             "2024-05-01T12:00:00.25",
@@ -274,6 +275,14 @@ def _instants(words: list[str], column: str, name: str) -> FloatArray:
             column=column,
             row=row + 2,
         ) from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _common_stamps(log: Log, chosen: Mapping[str, Source], home: Mapping[str, Stream], name: str) -> FloatArray:

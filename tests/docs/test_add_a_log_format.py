@@ -1,4 +1,4 @@
-"""docs/how-to/add-a-log-format.md: its example is run and registered, and a file is read with it."""
+"""docs/how-to/add-a-log-format.md: its example is run and registered, and a log is read with it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.errors import RunsError
 from joulemap.model.runs import formats
 from joulemap.model.runs.reader import parse_run
-from joulemap.model.runs.table import TableLimits
 from tests.docs.code_blocks import Machine, blocks_of
 
 PAGE = "docs/how-to/add-a-log-format.md"
@@ -29,16 +28,14 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machine]:
     sys.modules.pop("json_lines", None)
 
 
-def test_the_file_of_the_page_is_read(page: Machine) -> None:
-    run = page.names["runs"].runs[0]
-    np.testing.assert_allclose(run.drawn(), 24.1 * 2.0)
-    np.testing.assert_allclose(run.x, 0.05 * np.arange(199))  # the last position comes after the last voltage
-    assert run.reading["voltage"] == "battery.v [V]"
+def test_the_log_of_the_page_is_read(page: Machine) -> None:
+    """Places every 0.1 s in steps of 0.05 m; 24.1 V and 2 A all the time."""
+    (run,) = page.names["runs"].runs
+    np.testing.assert_allclose(np.diff(run.x), 0.5 * np.diff(run.t), atol=1e-9)
+    np.testing.assert_allclose(run.drawn(), 48.2)
 
 
-def test_what_is_broken_or_too_large_is_refused(page: Machine) -> None:
-    whole = (page.folder / "drive.jsonl").read_bytes()
-    with pytest.raises(RunsError, match="truncated or corrupt after 13 lines"):
-        parse_run(whole[:800], name="drive.jsonl")
-    with pytest.raises(TooLargeError, match="more than 20 messages"):
-        parse_run(whole, name="drive.jsonl", limits=TableLimits(rows=20))
+def test_what_is_broken_is_refused_with_its_place(page: Machine) -> None:
+    lines = (page.folder / "drive.jsonl").read_bytes().splitlines(keepends=True)
+    with pytest.raises(RunsError, match="after 20 lines"):
+        parse_run(b"".join(lines[:20]) + b'{"topic": "place", "t": ', name="broken.jsonl")

@@ -115,7 +115,13 @@ def _in_definition(page: str, number: int) -> bool:
 
 def test_pages_on_adding_one_more_have_tests_of_their_own() -> None:
     added = sorted((ROOT / "docs/how-to").glob("add-a*.md"))
-    assert [page.stem for page in added] == ["add-a-heightmap-format", "add-a-model", "add-a-planner", "add-an-effect"]
+    assert [page.stem for page in added] == [
+        "add-a-heightmap-format",
+        "add-a-log-format",
+        "add-a-model",
+        "add-a-planner",
+        "add-an-effect",
+    ]
     for page in added:
         name = page.relative_to(ROOT).as_posix()
         assert own_test(name).is_file(), f"{name} has no test {own_test(name).name}"

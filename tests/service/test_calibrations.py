@@ -225,7 +225,7 @@ def test_wheel_speeds_stand_in_for_positions(service: TestClient, ground_id: str
         check_problem(refused, 422, refused.json()["code"], words)
     alone = service.post("/v1/runs", files=files, params={"terrain_from_name": "true"})
     check_problem(alone, 422, "invalid_input", "goes with odometry_track_m")
-    check_problem(service.post("/v1/runs", files=files), 422, "invalid_runs", "'t'")
+    check_problem(service.post("/v1/runs", files=files), 422, "invalid_runs", "`odometry` with the track")
 
 
 def test_the_list_has_no_reports(service: TestClient, calibration: dict[str, Any]) -> None:

@@ -172,6 +172,8 @@ def run_cases(
         query = case.query or {}
         if all(isinstance(query.get(key), float | int) for key in "xy"):
             query.update(x=START[0], y=START[1])
+        if mode.is_positive and operation.path.endswith("/at"):
+            case.query = {"x": START[0], "y": START[1]}
         if isinstance(case.body, dict):
             if mode.is_positive and operation.path.endswith("/calibrations"):
                 case.body.update(heightmap_id=known["heightmap_id"])  # the runs that are known have positions
