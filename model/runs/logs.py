@@ -267,7 +267,8 @@ def _instants(words: list[str], column: str, name: str) -> FloatArray:
         return seconds_of(words)
     except ValueError as error:
         first = int(error.args[0])
-        row = next((k for k in range(len(words)) if words[k] and not _is_number(words[k])), first)
+        others = (k for k in range(len(words)) if words[k] and not _is_number(words[k]))
+        row = next(others, first) if _is_number(words[first]) else first  # a column of numbers with one word in it
         raise RunsError(
             f"run {name}, column {column!r}, row {row + 2}: {words[row][:80]!r} is not a number, and no time such as "
             "2024-05-01T12:00:00.25",

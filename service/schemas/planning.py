@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, WrapValidator, field_validator, model_validator
 
-from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, SEARCH_S
+from joulemap.model.ranges import BATTERY, BATTERY_CURVES, CURVE_POINTS, SEARCH_S, Range
 from joulemap.planner.plan import PLANNERS
 from joulemap.service.schemas.base import (
     Areas,
@@ -29,9 +29,10 @@ _P05, _P50, _P95 = (
 
 
 def _curve_of(name: str) -> Any:
-    """The type of a battery's curve: points of two numbers, each with its bounds."""
+    """The type of a battery's curve: points of two numbers, within the bounds of either."""
     at, value = BATTERY_CURVES[name]
-    return list[tuple[Annotated[float, within(at)], Annotated[float, within(value)]]]
+    number = Annotated[float, within(Range(min(at.low, value.low), max(at.high, value.high)))]
+    return list[Annotated[list[number], Field(min_length=2, max_length=2)]]
 
 
 class BatteryIn(Request):

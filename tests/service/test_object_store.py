@@ -45,15 +45,22 @@ class Wire:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def _accept(self) -> None:
-        with suppress(OSError):
+        with suppress(OSError):  # until it is closed
             while True:
                 near, _ = self._socket.accept()
-                if self.cut:
-                    near.close()
-                    continue
-                far = socket.create_connection(("127.0.0.1", self._port))
-                for one, other in ((near, far), (far, near)):
-                    threading.Thread(target=self._pass, args=(one, other), daemon=True).start()
+                self._join(near)
+
+    def _join(self, near: socket.socket) -> None:
+        """Pass on what comes and goes; one connection that fails leaves the way open for the next."""
+        try:
+            if self.cut:
+                raise ConnectionError("the way is cut")
+            far = socket.create_connection(("127.0.0.1", self._port))
+        except OSError:
+            near.close()
+            return
+        for one, other in ((near, far), (far, near)):
+            threading.Thread(target=self._pass, args=(one, other), daemon=True).start()
 
     def _pass(self, one: socket.socket, other: socket.socket) -> None:
         with suppress(OSError), one, other:
@@ -197,8 +204,10 @@ def cluster_worker(address: str, folder: Path) -> Iterator[None]:
 
 
 def test_an_object_store_that_is_away_is_told_and_waited_for(tmp_path: Path, wire: Wire, hill_tif: bytes) -> None:
-    settings = settings_for(tmp_path, store="s3://maps/away", workers=1)  # a worker that knows the way to the store
-    with TestClient(create_app(settings)) as client:
+    with (  # the worker that tests share may not know the way to the store
+        cluster(1, JOULEMAP_DATA_DIR=str(tmp_path / "worker")) as (address, _),
+        service(tmp_path, tmp_path / "away.db", "away", address) as client,
+    ):
         heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
         wait_until(lambda: client.get("/readyz").status_code == 200)
         wire.cut = True
