@@ -34,7 +34,7 @@ def test_next_to_nothing_is_named_where_nothing_is_hidden():
     assert len(named) <= 1, named  # at 5 % each, two or more of twelve come by chance in 12 % of all draws of seeds
 
 
-@pytest.mark.parametrize("kind", ["each_radian", "furrows"])
+@pytest.mark.parametrize("kind", ["each_radian", pytest.param("furrows", marks=pytest.mark.slow)])
 def test_a_large_effect_is_named_first(kind):
     row = try_blind(f"{kind}:0:{SEED + 1}")
     assert row["first"], row["named"]

@@ -130,7 +130,7 @@ def status(http: Any, place: str) -> str:
     return http.get(place).json()["status"]
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_job_that_is_cut_off_is_taken_up_again(tmp_path: Path, hill_tif: bytes, how: signal.Signals) -> None:
     """A real process that ends, one way or the other, while its workers make a cost map."""
     with serving(tmp_path, **disturbed(tile_cells=16, pause_s=1.0)) as (process, http):
