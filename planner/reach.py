@@ -33,7 +33,8 @@ Need = Callable[[Sequence[Route]], float]
 """Returns the energy [J] that a battery must have above its reserve for routes driven one after another."""
 
 FEWEST, MOST, TOGETHER = 10, 64, 4_000
-"""Anchors in a ring: as many as their routes together are so many cells long, within these limits."""
+"""Anchors in a ring: as many as their routes together are so many cells long, within these limits. Chosen by trying on
+one hillside; `python -m tests.bench --reach` judges them on five maps."""
 _STEP = 0.5 * math.log(2.0)
 """Step of the rings' energies, as a natural logarithm."""
 _FIRST = 4
