@@ -76,14 +76,16 @@ async def make(
     from distributed import as_completed
 
     work: Any = vaulted if isinstance(order, VaultedOrder) else tiles
+    sent: list[Any] = []
 
     def _submit(function: Any, *arguments: Any, name: str | tuple[str, int]) -> Any:
-        return client.submit(function, order, *arguments, key=name, priority=priority)
+        sent.append(client.submit(function, order, *arguments, key=name, priority=priority))
+        return sent[-1]
 
-    count, missing = await _submit(work.lay_out, name=f"{key}-layout")
-    yield (count - len(missing)) / (count + 1)
-    building = [_submit(work.build, number, name=(f"{key}-tile", number)) for number in missing]
     try:
+        count, missing = await _submit(work.lay_out, name=f"{key}-layout")
+        yield (count - len(missing)) / (count + 1)
+        building = [_submit(work.build, number, name=(f"{key}-tile", number)) for number in missing]
         left = len(missing)
         async for tile in as_completed(building, loop=client.loop):
             await tile
@@ -91,6 +93,6 @@ async def make(
             left -= 1
             yield (count - left) / (count + 1)
         yield await _submit(work.finish, name=f"{key}-finish")
-    finally:
-        for tile in building:
-            tile.release()
+    finally:  # by name: an error keeps its task, and the next try would be given the same error without being made
+        for task in sent:
+            task.release()

@@ -27,6 +27,7 @@ from joulemap.service.storage.tables import (
     JobRow,
     kind_of,
 )
+from joulemap.service.storage.vault import FETCHED
 
 
 class KeptJobs(Kept):
@@ -190,7 +191,8 @@ class KeptJobs(Kept):
         made = self._place(job_id)
         folder = made.parent
         for place in (folder / job_id, *folder.glob(f"{job_id}.*")):
-            if place != but:
+            asked_for = but is not None and place.name.endswith(FETCHED)  # by who saw first that the job is done
+            if place != but and not asked_for:
                 shutil.rmtree(place, ignore_errors=True)
         self._forget(made.with_name(f"{made.name}.tiles"))
         if made != but:

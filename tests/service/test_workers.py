@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import socket
@@ -13,15 +14,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from distributed import Client
 from fastapi.testclient import TestClient
 from sqlalchemy import create_engine
 from sqlalchemy.exc import OperationalError
 
+from joulemap.model.errors import JoulemapError
+from joulemap.model.robot import Robot
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
+from joulemap.service.jobs.cluster import connected
+from joulemap.service.jobs.costmaps import make
 from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.store import Store
-from tests.service.clusters import ROOT, cluster, free_port
+from joulemap.service.work.tiles import MapOrder
+from tests.service.clusters import ROOT, cluster, free_port, shared_scheduler
 from tests.service.conftest import settings_for
 from tests.service.preload import disturbed
 from tests.service.test_restart import ask, serving, status, wait_until
@@ -67,6 +74,30 @@ def test_a_scheduler_that_comes_late_is_waited_for(tmp_path: Path) -> None:
         with cluster(1, port=port):
             wait_until(lambda: status(client, place) == "done")
             assert client.app.state.service.jobs.trouble is None  # type: ignore[attr-defined]
+
+
+def test_what_failed_is_made_again_though_somebody_still_holds_the_error(tmp_path: Path) -> None:
+    """Dask would answer with the error of the first try as long as its future is known by name."""
+    ground = tmp_path / "ground.tif"
+    order = MapOrder(tmp_path / "map.zarr", ground, {}, Robot().as_dict(), "physics", 1.0, 8)
+
+    async def _make(client: Client) -> dict[str, Any]:
+        async for found in make(client, order, key="cm-again"):
+            if isinstance(found, dict):
+                return found
+        raise AssertionError("the cost map has no end")
+
+    async def _twice() -> dict[str, Any]:
+        async with connected(shared_scheduler(), workers=0) as client:
+            with pytest.raises(JoulemapError) as held:
+                await _make(client)
+            write_geotiff(ground, rolling(20))
+            await asyncio.sleep(0.1)  # what is let go is let go by the loop
+            made = await _make(client)
+            del held
+            return made
+
+    assert asyncio.run(_twice())["frame"]["rows"] == 20
 
 
 @pytest.mark.slow
