@@ -32,7 +32,7 @@ def bent(traction, gradient, blocked, terms, turn_j_per_rad, points, movable, ev
         Rise per metre.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes.
-    terms : ndarray of float64, (5,)
+    terms : ndarray of float64, (6,)
         Terms of the price.
     turn_j_per_rad : float
         Energy of turning on the spot [J/rad].

@@ -23,12 +23,13 @@ def price_terms(lattice: CostLattice) -> NDArray[np.float64]:
 
     Returns
     -------
-    ndarray of float, (5,)
+    ndarray of float, (6,)
         Side of a cell [m], idle energy per metre [J/m], regeneration share, tangents of the greatest grade and of the
-        greatest cross slope.
+        greatest cross slope, greatest traction [J/m].
     """
     robot = lattice.robot
-    return np.array([lattice.frame.resolution_m, robot.hotel_per_m, robot.regeneration, *lattice.max_tangents])
+    limits = *lattice.max_tangents, lattice.max_traction_per_m
+    return np.array([lattice.frame.resolution_m, robot.hotel_per_m, robot.regeneration, *limits])
 
 
 def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, NDArray, NDArray]:
@@ -43,7 +44,7 @@ def price_arrays(lattice: CostLattice) -> tuple[NDArray, NDArray, NDArray, NDArr
     -------
     tuple of ndarray
         `traction_per_m` (rows, cols, headings) [J/m], `gradient` (rows, cols, 2), `blocked` (rows, cols), and
-        `price_terms` (5,).
+        `price_terms` (6,).
     """
     return lattice.traction_per_m, lattice.gradient, lattice.blocked, price_terms(lattice)
 

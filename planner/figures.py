@@ -77,7 +77,7 @@ def joined_figures(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 @njit(cache=True, nogil=True)
 def _tally(traction, gradient, blocked, terms, east, north, grade, cross_slope, counts):
     """(least, most, sum) of the prices of free pairs; counts : filled by code, as `CostLattice.blocked_at`."""
-    _, hotel, regeneration, max_grade, max_cross = terms
+    hotel, regeneration, max_grade, max_cross = terms[1], terms[2], terms[3], terms[4]
     least, most, total = math.inf, -math.inf, 0.0
     for i in range(traction.shape[0]):
         for j in range(traction.shape[1]):

@@ -155,13 +155,14 @@ def _weighted(weights, traction, i, j):
 
 
 @njit(cache=True, forceinline=True)
-def _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, i, j):
-    """Traction of one cell at the leg's heading, NaN when it is blocked or too steep for it."""
+def _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, i, j):
+    """Traction of one cell at the leg's heading, NaN when it is blocked, too steep or takes too much power for it."""
     rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
     steep = abs(rise_east * east + rise_north * north) > max_grade
     tilted = abs(rise_east * north - rise_north * east) > max_cross
     # one exit: with several the compiler does not turn the sum into vector operations, which is ten times slower
-    return math.nan if blocked[i, j] != 0 or steep or tilted else _weighted(weights, traction, i, j)
+    demand = _weighted(weights, traction, i, j)
+    return math.nan if blocked[i, j] != 0 or steep or tilted or demand > max_traction else demand
 
 
 @njit(cache=True)
@@ -176,8 +177,9 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
         Rise per metre towards east and north.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes for every heading.
-    terms : ndarray of float64, (5,)
-        Side of a cell [m], idle energy per metre [J/m], regeneration, tangents of the greatest grade and cross slope.
+    terms : ndarray of float64, (6,)
+        Side of a cell [m], idle energy per metre [J/m], regeneration, tangents of the greatest grade and cross slope,
+        greatest traction [J/m].
     row0, col0 : float
         Start.
     row1, col1 : float
@@ -217,6 +219,7 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
     The leg is cut where it crosses lines of cell centres (Amanatides & Woo 1987).
     """
     spacing, hotel, regeneration, max_grade, max_cross = terms[0], terms[1], terms[2], terms[3], terms[4]
+    max_traction = terms[5]
     rows, cols, _ = traction.shape
     slack = 0.5 + 1e-6
     if not (
@@ -269,13 +272,19 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
         use = (top and left) * 1 + (top and right) * 2 + (bottom and left) * 4 + (bottom and right) * 8
         need = use & ~known
         if need & 1:
-            c00 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a, b)
+            c00 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a, b)
         if need & 2:
-            c01 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a, b + 1)
+            c01 = _corner(
+                traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a, b + 1
+            )
         if need & 4:
-            c10 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a + 1, b)
+            c10 = _corner(
+                traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a + 1, b
+            )
         if need & 8:
-            c11 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, a + 1, b + 1)
+            c11 = _corner(
+                traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a + 1, b + 1
+            )
         known |= use
         a00, a01, a10, a11 = c00, c01, c10, c11
         if use != 15:
@@ -312,7 +321,7 @@ def leg_energies(traction, gradient, blocked, terms, legs):
         Rise per metre.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes.
-    terms : ndarray of float64, (5,)
+    terms : ndarray of float64, (6,)
         Terms of the price.
     legs : ndarray of float64, (n, 4)
         row0, col0, row1, col1 of each.
@@ -381,7 +390,7 @@ def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
         Rise per metre.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes.
-    terms : ndarray of float64, (5,)
+    terms : ndarray of float64, (6,)
         Terms of the price.
     turn_j_per_rad : float
         Energy of turning on the spot [J/rad].

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
@@ -25,6 +26,7 @@ class Blocked(IntEnum):
     GRADE = 4  # steeper along the motion than max_grade_deg (this heading only)
     CROSS_SLOPE = 5  # steeper across the motion than max_cross_slope_deg (this heading only)
     AVOID = 6  # a question asked to keep out, see `avoid`
+    POWER = 7  # more power than a question allows (this heading only), see `CostLattice.max_traction_per_m`
 
     @property
     def label(self) -> str:
@@ -57,6 +59,8 @@ class CostLattice:
         JSON-able record of model, heightmap hash, settings, versions and warnings.
     std_j : ndarray of float32, (rows, cols, headings), or None
         Standard deviation of the energy of the 1 m segment centred at the cell [J]; None where the model gives none.
+    max_traction_per_m : float
+        A heading in a cell that needs more is blocked [J/m]: a limit of power, over the speed. By default none is.
     """
 
     frame: GridFrame
@@ -67,6 +71,7 @@ class CostLattice:
     blocked: NDArray[np.uint8]
     provenance: dict[str, Any] = field(default_factory=dict)
     std_j: NDArray[np.float32] | None = None
+    max_traction_per_m: float = math.inf
 
     def __post_init__(self) -> None:
         shapes = {
@@ -177,8 +182,11 @@ class CostLattice:
         )
 
     def blocked_by_heading(self) -> NDArray[np.uint8]:
-        """Return the `Blocked` codes at every heading bin: uint8, (rows, cols, headings)."""
-        return self.blocked_at(heading_bins(self.headings))
+        """Return the `Blocked` codes at every heading bin, limit of power included: uint8, (rows, cols, headings)."""
+        codes = self.blocked_at(heading_bins(self.headings))
+        if math.isfinite(self.max_traction_per_m):
+            codes[(codes == Blocked.FREE) & (self.traction_per_m > self.max_traction_per_m)] = Blocked.POWER
+        return codes
 
     def mean_energy_per_m(self) -> NDArray[np.float64]:
         """Return the mean price over the headings that may be driven: (rows, cols) [J/m]; NaN where there are none."""

@@ -165,7 +165,17 @@ class MovePrices:
     ) -> NDArray[np.float32]:
         grade, cross = part.max_tangents
         return _energies(
-            _at_moves(traction, part.gradient, part.blocked, matrix, self._east, self._north, grade, cross),
+            _at_moves(
+                traction,
+                part.gradient,
+                part.blocked,
+                matrix,
+                self._east,
+                self._north,
+                grade,
+                cross,
+                np.float32(part.max_traction_per_m),
+            ),
             self.offsets,
             self.lengths_m(part.frame.resolution_m),
             hotel_per_m,
@@ -176,7 +186,7 @@ class MovePrices:
 
 
 @njit(cache=True, nogil=True)
-def _at_moves(traction, gradient, blocked, matrix, east, north, max_grade, max_cross):
+def _at_moves(traction, gradient, blocked, matrix, east, north, max_grade, max_cross, max_traction):
     """(N, rows, cols) float32 [J/m]: the traction at the headings of the moves; NaN where that may not be driven."""
     rows, cols, bins = traction.shape
     moves = matrix.shape[0]
@@ -201,7 +211,7 @@ def _at_moves(traction, gradient, blocked, matrix, east, north, max_grade, max_c
             for j in range(cols):
                 along = steep_east[j] * east[n] + steep_north[j] * north[n]
                 across = steep_east[j] * north[n] - steep_north[j] * east[n]
-                if not (abs(along) <= max_grade and abs(across) <= max_cross):
+                if not (abs(along) <= max_grade and abs(across) <= max_cross and row[j] <= max_traction):
                     row[j] = np.nan
     return out
 

@@ -33,7 +33,7 @@ def settled(traction, gradient, blocked, terms, points, probes, hindered):
         Rise per metre.
     blocked : ndarray of uint8, (rows, cols)
         `Blocked` codes.
-    terms : ndarray of float64, (5,)
+    terms : ndarray of float64, (6,)
         Terms of the price.
     points : ndarray of float64, (n, 2)
         (row, col) polyline that may be driven, n >= 2. Turning costs nothing.
