@@ -26,7 +26,7 @@ LAGS = (0.15, 0.12, 0.1, 0.03, 0.0)
 energy, times the root of its length [cells]. What a stage gains is a sum along the path, so its share varies with the
 inverse root of the length. The largest lags seen on three maps were 0.154, 0.117, 0.103 and 0.105, in 19 of 20 tasks at
 most 0.056, 0.062, 0.062 and 0.039."""
-KEEP = (4, 4, 3, 1)
+KEEP = (4, 3, 1, 1)
 """Most paths that stay after each stage."""
 SAME_CELLS = 2
 """Paths that are nowhere further apart than this [cells] belong to one local optimum: later stages lead both there."""

@@ -92,16 +92,16 @@ def corridor_paths(
         return found
     most = float(total) + margin * abs(float(total))
     behind = _back(ahead, table, targets, rest, most)
-    states, via, length = plateaus(ahead, behind, table)
+    states, via, length, middle = plateaus(ahead, behind, table)
     good = (length >= PLATEAU * abs(total)) & (via <= most)
-    states, via, length = states[good], via[good], length[good]
+    states, via, middle = states[good], via[good], middle[good]
     cols = lattice.frame.cols
     taken = np.zeros(lattice.frame.shape, dtype=np.bool_)
     apart = max(2, round(APART * float(np.hypot(*np.diff(found[0].points, axis=0).T).sum())))
     mark_around(taken, first, cols, apart)
     for k in np.argsort(via, kind="stable"):
         state = int(states[k])
-        if taken.ravel()[_middle(behind, table, state, float(length[k]))]:
+        if taken.ravel()[middle[k]]:
             continue
         into = ahead.trace(table, state)[::-1] // layers
         way = np.append(into, behind.trace(table, state)[1:] // layers)
@@ -119,18 +119,11 @@ def _back(
     ahead: Search, table: MoveTable, targets: NDArray[np.int64], rest: NDArray[np.float64], most: float
 ) -> Search:
     """The search back from the goal through all cells of a path that costs at most `most` [J]."""
-    so_far = ahead.energy_j.reshape(-1, ahead.layers).min(axis=1)
+    so_far = ahead.energy_j if ahead.layers == 1 else ahead.energy_j.reshape(-1, ahead.layers).min(axis=1)
     ceiling = (most + 1e-6 * abs(most) - so_far).astype(np.float32)
     behind = new_search(table, ahead.layers, targets, rest, backward=True)
     run_search(behind, table, np.unique(targets), guide_everywhere(table, backward=True), ceiling=ceiling)
     return behind
-
-
-def _middle(behind: Search, table: MoveTable, state: int, length_j: float) -> int:
-    """The cell half-way along the plateau that begins at a state."""
-    way = behind.trace(table, state)
-    at = int(np.argmin(np.abs(behind.energy_j[way] - (behind.energy_j[state] - 0.5 * length_j))))
-    return int(way[at]) // behind.layers
 
 
 @njit(cache=True, nogil=True)
@@ -156,7 +149,7 @@ def mark_around(taken, way, cols, apart):
 
 def plateaus(
     ahead: Search, behind: Search, table: MoveTable
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the stretches of moves that two searches share.
 
     Parameters
@@ -174,6 +167,8 @@ def plateaus(
         Energy of the best path through it [J].
     length : ndarray of float64, (n,)
         Energy of the plateau [J].
+    middle : ndarray of int64, (n,)
+        The cell half-way along it.
     """
     reached = np.flatnonzero(behind.energy_j < np.inf)
     labels = ahead.energy_j, ahead.pred, behind.energy_j, behind.pred
@@ -184,7 +179,7 @@ def plateaus(
 def _measured(reached, ahead, ahead_pred, behind, behind_pred, jump, layers):
     """As `plateaus`; reached : the states that the search back has reached."""
     states = np.empty(reached.size, dtype=np.int64)
-    via, length = np.empty(reached.size), np.empty(reached.size)
+    via, length, middle = np.empty(reached.size), np.empty(reached.size), np.empty(reached.size, dtype=np.int64)
     count = 0
     for state in reached:
         end = _shared_next(state, ahead_pred, behind_pred, jump, layers) if ahead[state] < np.inf else _NONE
@@ -198,8 +193,12 @@ def _measured(reached, ahead, ahead_pred, behind, behind_pred, jump, layers):
         states[count] = state
         via[count] = ahead[state] + behind[state]
         length[count] = ahead[end] - ahead[state]
+        at = state
+        while ahead[at] - ahead[state] < 0.5 * length[count]:
+            at = _shared_next(at, ahead_pred, behind_pred, jump, layers)
+        middle[count] = at // layers
         count += 1
-    return states[:count], via[:count], length[:count]
+    return states[:count], via[:count], length[:count], middle[:count]
 
 
 @njit(cache=True)

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of, wrap_angle
+from joulemap.model.threads import share_out
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import MovePrices
-from joulemap.planner.potential import even_surface, spare_bounds
+from joulemap.planner.potential import even_surface, parts_of, spare_bounds
 
 RISE_SHARES = np.array([0.0, 0.5, 1.0])
 """Shares of the surface's rise that `MoveTable.bound_per_m` is known for."""
@@ -89,7 +90,12 @@ def distance_table(table: MoveTable) -> MoveTable:
     MoveTable
         The table of distances.
     """
-    length = np.where(np.isnan(table.energy), np.float32(np.nan), table.length_m.astype(np.float32))
+    length, lengths = np.empty_like(table.energy), table.length_m.astype(np.float32)
+
+    def _fill(part: slice) -> None:
+        length[part] = np.where(np.isnan(table.energy[part]), np.float32(np.nan), lengths)
+
+    share_out(_fill, parts_of(*table.surface.shape))
     flat = np.zeros(1)
     return replace(table, energy=length, turn_j=np.zeros_like(table.turn_j), rise_share=flat, bound_per_m=flat + 1.0)
 

@@ -18,7 +18,7 @@ from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.avoid import Polygon, checked_polygons, window_of, without
 from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
-from joulemap.planner.edges import Points, path_price
+from joulemap.planner.edges import Points, leg_prices_between, path_price
 from joulemap.planner.fields import field_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import check_neighbours
@@ -191,7 +191,7 @@ class RoutePlanner:
 
     def prepare(self) -> None:
         """Price the moves of refined routes now, so that the first question does not wait for it."""
-        self._table(ANY_ANGLE_NEIGHBOURS, distance=True)
+        self._table(ANY_ANGLE_NEIGHBOURS, distance=False)
 
     def avoiding(self, polygons: Sequence[Sequence[Sequence[float]]]) -> RoutePlanner:
         """Return the planner of the same map with the cells of some polygons blocked.
@@ -495,7 +495,9 @@ class RoutePlanner:
         }
 
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
-        """The shortest path within the limits."""
+        """The shortest path within the limits: the straight line where it is free."""
+        if refine and np.isfinite(leg_prices_between(self._distances, start[None], goal[None])[0]):
+            return np.vstack([start, goal])
         points = grid_search(self._distances, self._table(neighbours, distance=True), start, goal).points
         return refine_corners(self._distances, refine_coarsely(self._distances, points)) if refine else points
 

@@ -9,6 +9,7 @@ method (`settle`); where turning costs or limits are near, vertices are bent the
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -34,7 +35,7 @@ LAST_PROBES = (0.25, 0.0625)
 """Probes of vertices a cell apart [cells]."""
 FINE_STEPS = (0.5, 0.25, 0.125, 0.0625, 0.03125)
 """Shifts of single vertices where they are bent [cells]."""
-LAST_STEPS = (0.5, 0.125, 0.03125)
+LAST_STEPS = (0.25, 0.0625)
 """Shifts of vertices a cell apart, to the sides and along the path [cells]."""
 CORNER_STEPS = (8.0, 4.0, 2.0, 1.0, *FINE_STEPS)
 """Shifts of the corners of a path of long legs, to the sides and along it [cells]: so a zigzag changes its angle."""
@@ -42,9 +43,11 @@ BENT_CELLS = 500.0
 """Longest path whose vertices are shifted a last time, to the sides and along it [cells]: that gains a few hundredths
 of a percent and takes most of the time."""
 _SIDES, _BOTH = (0.0,), (0.0, 0.5 * math.pi)
+Stage = Callable[[CostLattice, Points], Points]
+"""Lattice and (row, col) polyline to a polyline with the same ends."""
 
 
-def refine_path(lattice: CostLattice, points: Points) -> Points:
+def refine_path(lattice: CostLattice, points: Points, *, stages: tuple[Stage, ...] | None = None) -> Points:
     """Return a polyline of any angles with the same ends and at most the same energy.
 
     Parameters
@@ -53,13 +56,15 @@ def refine_path(lattice: CostLattice, points: Points) -> Points:
         Prices and limits.
     points : ndarray of float, (n, 2)
         (row, col) polyline.
+    stages : tuple of callable, optional
+        The first of `STAGES`, where less is enough; all of them by default.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline whose legs may all be driven; `points` where nothing is gained.
     """
-    for stage in STAGES:
+    for stage in STAGES if stages is None else stages:
         points = stage(lattice, points)
     return points
 
