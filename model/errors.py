@@ -157,6 +157,27 @@ class BusyError(JoulemapError):
     code = "busy"
 
 
+def error_of(code: str, message: str, context: dict[str, Any]) -> JoulemapError:
+    """Return an error that another process told of.
+
+    Parameters
+    ----------
+    code, message : str
+        Of the error.
+    context : dict
+        Of the error.
+
+    Returns
+    -------
+    JoulemapError
+        Of the class with this code; InputError where there is none.
+    """
+    kinds = [JoulemapError]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    return next((kind for kind in kinds if kind.code == code), InputError)(message, **context)
+
+
 def nearest_name(name: str, known: Iterable[str]) -> str | None:
     """Return the known name that a wrong one most likely means.
 

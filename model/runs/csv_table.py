@@ -24,7 +24,7 @@ from joulemap.model.runs.table import (
     not_a_number,
     numbers_of,
 )
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 _SEPARATORS = (",", ";", "\t")
 _COMMENT = re.compile(rb"[#%][^\r\n]*[\r\n]*")

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from joulemap.model.errors import RunsError
+from joulemap.model.recordings.split import head_of
 from joulemap.model.runs.formats import FORMATS
-from joulemap.model.runs.formats.contract import HEAD_BYTES, Log, Stream
+from joulemap.model.runs.formats.contract import HEAD_BYTES, Log, LogFormat, Stream
 from joulemap.model.runs.instants import across_midnight, seconds_of
 from joulemap.model.runs.mapping import Source, guessed, profile_of, source_of
 from joulemap.model.runs.table import (
@@ -28,7 +29,7 @@ from joulemap.model.runs.table import (
     usable,
 )
 from joulemap.model.runs.units import conversion, own_unit, quantity_of
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
 """Stamps since 1970 in these units are larger than these numbers between 1973 and the year 5000."""
@@ -53,12 +54,15 @@ class Table:
         By joulemap's column that was not there under its own name and in its own unit: what was taken.
     format : str
         Name of the file's format.
+    notes : tuple of str
+        What is to be known of the file: that it was cut off, for example.
     """
 
     numbers: dict[str, FloatArray]
     texts: dict[str, TextArray]
     reading: dict[str, str] = field(default_factory=dict)
     format: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def read_log(
@@ -98,7 +102,7 @@ def read_log(
     """
     mapping = mapping or {}
     source = _source(content, name)
-    kind = next(each for each in FORMATS if each.code.recognise(source.head, source.name))  # any file may be a text
+    kind = _format_of(source)
     try:
         log = kind.code.decode(source, mapping=mapping, limits=limits, repairs=repairs)
     except ImportError as error:
@@ -108,7 +112,7 @@ def read_log(
     if not log.streams:
         raise RunsError(f"run {name}: the {kind.name} holds nothing of a drive: no power, no position", run=name)
     table = _mapped(log, mapping, name, limits)
-    table.format = kind.name
+    table.format, table.notes = kind.name, log.notes
     rows = max((len(values) for values in (*table.numbers.values(), *table.texts.values())), default=0)
     if rows < LEAST_ROWS:
         raise RunsError(f"run {name}: {rows} rows are too few, at least {LEAST_ROWS} are needed", run=name)
@@ -116,11 +120,37 @@ def read_log(
     return table
 
 
+def format_of(file: Path, name: str) -> LogFormat:
+    """Return the format of a log.
+
+    Parameters
+    ----------
+    file : Path
+        The log, or the folder of a split bag.
+    name : str
+        Of the run, for messages.
+
+    Returns
+    -------
+    LogFormat
+        CSV, where it is no other.
+
+    Raises
+    ------
+    RunsError
+        If it cannot be opened.
+    """
+    return _format_of(_source(file, name))
+
+
+def _format_of(source: SourceFile) -> LogFormat:
+    return next(each for each in FORMATS if each.code.recognise(source.head, source.name))  # any file may be a text
+
+
 def _source(content: str | bytes | Path, name: str) -> SourceFile:
     if isinstance(content, Path):
         try:
-            with content.open("rb") as stream:
-                head = stream.read(HEAD_BYTES)
+            head = head_of(content)
         except OSError as error:
             raise RunsError(f"run {content}: {error}", path=str(content)) from error
         return SourceFile(content, name, head)

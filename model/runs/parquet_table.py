@@ -23,7 +23,7 @@ from joulemap.model.runs.table import (
     not_a_number,
     numbers_of,
 )
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 PARQUET_MAGIC = b"PAR1"
 """How the bytes of every Parquet file begin."""

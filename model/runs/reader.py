@@ -78,6 +78,8 @@ class Run:
         Whether the current is the sum of those of several motors.
     reading : dict of str to str
         By joulemap's column that the log has under another name or in another unit: what was taken, with its unit.
+    notes : tuple of str
+        What is to be known of the file: that it was cut off, for example.
     """
 
     name: str
@@ -94,6 +96,7 @@ class Run:
     currents: Currents | None = None
     of_motors: bool = False
     reading: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.breaks.size != self.t.size:
@@ -223,7 +226,7 @@ def parse_run(
     repairs: dict[str, int] = {}
     table = read_log(content, name, repairs, limits=limits, mapping=mapping)
     run = run_of(table.numbers, table.texts, name=name, crs=crs, repairs=repairs, currents=currents)
-    return replace(run, reading=table.reading)
+    return replace(run, reading=table.reading, notes=table.notes)
 
 
 def run_of(

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import Bounds, crs_name
 from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Decoded, Scaling
 from joulemap.model.terrain.formats import FORMATS, formats_in_words
-from joulemap.model.terrain.formats.contract import HeightmapFormat, SourceFile, WindowReader
+from joulemap.model.terrain.formats.contract import HeightmapFormat, WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.reproject import reproject_file
 from joulemap.model.terrain.windows import Ground, HeightmapFile

@@ -23,9 +23,10 @@ from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import known_crs
 from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
-from joulemap.model.terrain.formats.contract import HeightmapFormat, SourceFile
+from joulemap.model.terrain.formats.contract import HeightmapFormat
 from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, opened, read_band
 from joulemap.model.terrain.target_grid import EDGE_POINTS, choose_crs, moved, new_grid, short_name
 

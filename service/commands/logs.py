@@ -68,7 +68,7 @@ def import_logs(
 
     output = Output(json_file)
     wanted = (read_mapping(mapping) if mapping is not None else {}) | read_mapping(entries)
-    files = find_run_files(logs)
+    files = find_run_files(logs, trial=False)
     stems = [_stem(name) for name in distinct_names(files)]
     if len(set(stems)) < len(stems):
         stems = [_stem(name).replace(".", "_") for name in distinct_names(files)]

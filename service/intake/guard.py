@@ -11,6 +11,7 @@ import logging
 import math
 import resource
 import signal
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -58,7 +59,8 @@ def read(task: str, arguments: str) -> str:
     task : str
         "heightmap" or "run".
     arguments : str
-        JSON object: the arguments of the task's function, and `limits`, the fields of `ReadLimits`.
+        JSON object: the arguments of the task's function, `limits`, the fields of `ReadLimits`, and `scratch`, a
+        folder for temporary files.
 
     Returns
     -------
@@ -68,6 +70,7 @@ def read(task: str, arguments: str) -> str:
     function = prepared(task)
     given = json.loads(arguments)
     limits = ReadLimits(**given.pop("limits"))
+    tempfile.tempdir = given.pop("scratch", None)
     name = str(given.get("name", "the file"))
     try:
         return json.dumps({"result": function(guard=_Guard(limits), **given)}, allow_nan=False)
@@ -96,18 +99,30 @@ class _Guard:
 
     @contextmanager
     def reading(self, path: Path) -> Iterator[None]:
-        with _limited(self._limits.of_file(path.stat().st_size)):
+        with limited(self._limits.of_file(path.stat().st_size)):
             yield
 
     @contextmanager
     def keeping(self, cells: int) -> Iterator[None]:
         """For work on content that was read already: its time is known from its size."""
-        with _limited(ReadLimits(self._limits.seconds + cells / _CELLS_PER_S, self._limits.memory_mb)):
+        with limited(ReadLimits(self._limits.seconds + cells / _CELLS_PER_S, self._limits.memory_mb)):
             yield
 
 
 @contextmanager
-def _limited(limits: ReadLimits) -> Iterator[None]:
+def limited(limits: ReadLimits) -> Iterator[None]:
+    """Limit this process while a block of code runs; the system ends it where it takes more time.
+
+    Parameters
+    ----------
+    limits : ReadLimits
+        Processor time from now on, and memory beyond that of now.
+
+    Yields
+    ------
+    None
+        While they hold.
+    """
     before = {kind: resource.getrlimit(kind) for kind in (resource.RLIMIT_CPU, resource.RLIMIT_DATA)}
     used = time.process_time()
     _lower(resource.RLIMIT_CPU, math.ceil(used + limits.seconds))

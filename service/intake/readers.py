@@ -13,6 +13,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from contextlib import suppress
 from dataclasses import asdict
@@ -20,7 +21,7 @@ from typing import Any
 
 import anyio
 
-from joulemap.model.errors import BusyError, InputError, JoulemapError, TooLargeError
+from joulemap.model.errors import BusyError, TooLargeError, error_of
 from joulemap.service.intake.limits import ReadLimits
 
 _RETRY_S = 5.0
@@ -131,16 +132,17 @@ class Readers:
                 limit=self._queue,
                 retry_after_s=_RETRY_S,
             )
-        asked = json.dumps({"task": task, "arguments": json.dumps({**arguments, "limits": asdict(self._limits)})})
         async with self._limiter:
-            answer = await self._answer(asked.encode())
+            with tempfile.TemporaryDirectory(prefix="joulemap-") as scratch:  # also what a killed process leaves
+                given = json.dumps({**arguments, "limits": asdict(self._limits), "scratch": scratch})
+                answer = await self._answer(json.dumps({"task": task, "arguments": given}).encode())
         if answer == _BEGUN:
             raise self._ended(str(arguments.get("name", "the file")))
         found = json.loads(answer)
         if "os_error" in found:
             raise OSError(*found["os_error"])
         if "error" in found:
-            raise _error_of(**found["error"])
+            raise error_of(**found["error"])
         result: dict[str, Any] = found["result"]
         return result
 
@@ -180,11 +182,3 @@ async def _forked(control: socket.socket, asked: bytes) -> bytes:
         return b""
     finally:
         writer.transport.abort()
-
-
-def _error_of(code: str, message: str, context: dict[str, Any]) -> JoulemapError:
-    """The error that a process told of."""
-    kinds = [JoulemapError]
-    for kind in kinds:
-        kinds += kind.__subclasses__()
-    return next((kind for kind in kinds if kind.code == code), InputError)(message, **context)

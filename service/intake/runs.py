@@ -143,6 +143,7 @@ def read_sent_run(
             )
         found = _about(run, name, limits, how, accept_implausible)
         found |= {"format": table.format, "reading": table.reading, "written": False}
+        found["warnings"] = [*table.notes, *found["warnings"]]
         if out is not None and (always or table.reading or table.format != _PLAIN):
             begun = Path(f"{out}.part")
             try:

@@ -1,62 +1,105 @@
-"""Reads Parquet files on trial in a process of their own: on some that are corrupt, Arrow ends the process.
+"""Reads logs on trial in a process of their own, within limits: some that are corrupt end it, or fill the memory.
 
-A command or a notebook reads them in its own process afterwards, and would end with them.
+A command or a notebook reads them in its own process afterwards, and would end with them. Texts need no trial.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from joulemap.model.errors import JoulemapError, RunsError
-from joulemap.model.runs.parquet_table import PARQUET_MAGIC, read_parquet
-from joulemap.model.runs.table import TableLimits
+from joulemap.model.errors import JoulemapError, RunsError, TooLargeError, error_of
+from joulemap.model.runs.files import distinct_names
+from joulemap.model.runs.logs import format_of, read_log
+from joulemap.service.intake.guard import limited
+from joulemap.service.intake.limits import ReadLimits
+
+LIMITS = ReadLimits(seconds=300.0, memory_mb=4_000.0)
+"""What reading one log may take: as `joulemap import` has it."""
 
 
-def refuse_deadly(files: Sequence[Path]) -> None:
-    """Refuse a Parquet file that ends the process that reads it.
+def refuse_deadly(
+    files: Sequence[Path], *, mapping: Mapping[str, str] | None = None, limits: ReadLimits = LIMITS
+) -> None:
+    """Refuse a log that ends the process that reads it, or takes more time or memory than the limits.
 
     Parameters
     ----------
     files : sequence of Path
-        Of any kind; those that are no Parquet files are not looked at.
+        Of any kind; texts are not looked at.
+    mapping : mapping of str to str, optional
+        Where columns are taken from, as `read_mapping` returns it.
+    limits : ReadLimits, optional
+        Of each file.
 
     Raises
     ------
     RunsError
-        If there is one.
+        If there is one, or one that is broken.
+    TooLargeError
+        If one is larger than the limits.
     """
-    suspects = [str(file.resolve()) for file in files if _is_parquet(file)]
-    if not suspects:
+    kinds = [format_of(file, file.name) for file in files]
+    named = [each for each in zip(files, distinct_names(files), kinds, strict=True) if each[2].extra]
+    if not named:
         return
-    tried = subprocess.run(
-        [sys.executable, "-m", __name__, *suspects], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=False
-    )
-    if tried.returncode < 0:
-        number = tried.stdout.count(b"\n")
-        raise RunsError(
-            f"run {Path(suspects[number]).name}: reading it ends the process "
-            f"({signal.Signals(-tried.returncode).name}): the Parquet file is corrupt",
-            run=Path(suspects[number]).name,
+    asked = {
+        "files": [(str(file.resolve()), name) for file, name, _ in named],
+        "mapping": dict(mapping or {}),
+        "limits": [limits.seconds, limits.memory_mb],
+    }
+    with tempfile.TemporaryDirectory(prefix="joulemap-") as scratch:
+        tried = subprocess.run(
+            [sys.executable, "-m", __name__],
+            input=json.dumps(asked).encode(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=os.environ | {"TMPDIR": scratch},
+            check=False,
         )
+    said = [json.loads(line) for line in tried.stdout.splitlines()]
+    for answer in said:
+        if answer is not None:
+            raise error_of(**answer)
+    if tried.returncode < 0:
+        _, name, kind = named[len(said)]
+        cause = signal.Signals(-tried.returncode)
+        if cause in (signal.SIGALRM, signal.SIGXCPU, signal.SIGKILL):
+            raise TooLargeError(
+                f"run {name}: it could not be read within {limits.seconds:g} s and {limits.memory_mb:g} MB of memory: "
+                "it is corrupt, or much larger inside than outside",
+                run=name,
+            )
+        raise RunsError(f"run {name}: reading it ends the process ({cause.name}): the {kind.name} is corrupt", run=name)
 
 
-def _is_parquet(file: Path) -> bool:
-    with file.open("rb") as content:
-        return content.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
+def _main() -> None:
+    """Print a line for each file that was read or refused: null, or the error."""
+    asked = json.load(sys.stdin)
+    limits = ReadLimits(*asked["limits"])
+    for file, name in asked["files"]:
+        print(json.dumps(_trial(Path(file), name, asked["mapping"], limits), default=str), flush=True)
 
 
-def _main(files: Sequence[str]) -> None:
-    """Print a line for each file that was read or refused."""
-    for file in files:
-        with suppress(JoulemapError):  # who reads it next says it better
-            read_parquet(Path(file).read_bytes(), Path(file).name, TableLimits())
-        print(flush=True)
+def _trial(file: Path, name: str, mapping: Mapping[str, str], limits: ReadLimits) -> dict[str, object] | None:
+    try:
+        with limited(limits.of_file(file.stat().st_size)):
+            read_log(file, name, {}, mapping=mapping)
+    except JoulemapError as error:
+        return {"code": error.code, "message": error.message, "context": error.context}
+    except MemoryError:
+        words = (
+            f"run {name} needs more than {limits.memory_mb:g} MB of memory to be read: it is corrupt, or much larger "
+        )
+        return {"code": TooLargeError.code, "message": f"{words}inside than outside", "context": {"run": name}}
+    return None
 
 
 if __name__ == "__main__":
-    _main(sys.argv[1:])
+    _main()

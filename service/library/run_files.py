@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
 
 from joulemap.model.errors import NotFoundError
+from joulemap.model.recordings.split import is_split
 from joulemap.model.runs.formats import suffixes
 from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.runs.reader import Run
@@ -103,7 +104,7 @@ def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike |
     Warns
     -----
     UserWarning
-        If numbers are hardly in the units that they are read in.
+        If numbers are hardly in the units that they are read in, or if a log was cut off.
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.files import distinct_names
@@ -112,23 +113,30 @@ def read_runs(files: RunsLike, *, crs: str | None = None, mapping: MappingLike |
 
     if isinstance(files, Runs):
         return files
-    paths = find_run_files(files)
-    names = distinct_names(paths)
     entries = read_mapping(mapping)
+    paths = find_run_files(files, mapping=entries)
+    names = distinct_names(paths)
     runs = tuple(read_run(path, name=name, crs=crs, mapping=entries) for path, name in zip(paths, names, strict=True))
     for run in runs:
-        for found in implausible(run, cut_segments(run, charge=not run.has_energy)):
+        for found in (*run.notes, *implausible(run, cut_segments(run, charge=not run.has_energy))):
             warnings.warn(f"run {run.name}: {found}", stacklevel=2)
     return Runs(tuple(paths), runs)
 
 
-def find_run_files(files: RunsLike | None) -> list[Path]:
+def find_run_files(
+    files: RunsLike | None, *, mapping: Mapping[str, str] | None = None, trial: bool = True
+) -> list[Path]:
     """Return the files that are meant, each once.
 
     Parameters
     ----------
     files : str, Path, sequence of these, Runs or None
         Files, folders (every log in them) or patterns. None means no file.
+    mapping : mapping of str to str, optional
+        Where columns are taken from, as `read_mapping` returns it.
+    trial : bool, optional
+        Whether those that are no texts are read on trial in a process of limited time and memory, because the caller
+        reads them in its own.
 
     Returns
     -------
@@ -140,7 +148,9 @@ def find_run_files(files: RunsLike | None) -> list[Path]:
     NotFoundError
         If one of them names no file.
     RunsError
-        If reading one of them ends the process that reads it.
+        If one of them is broken, or ends the process that reads it.
+    TooLargeError
+        If reading one of them takes more time or memory than the limits.
     """
     if files is None:
         return []
@@ -149,10 +159,10 @@ def find_run_files(files: RunsLike | None) -> list[Path]:
     found: dict[Path, Path] = {}
     for each in [files] if isinstance(files, str | Path) else files:
         place = Path(each)
-        if place.is_file():
+        if place.is_file() or is_split(place):
             here = [place]
         elif place.is_dir():
-            here = sorted(path for path in place.iterdir() if path.suffix.lower() in RUN_SUFFIXES)
+            here = sorted(path for path in place.iterdir() if path.suffix.lower() in RUN_SUFFIXES or is_split(path))
         else:
             here = sorted(Path(name) for name in glob(str(each)))
         if not here:
@@ -161,5 +171,6 @@ def find_run_files(files: RunsLike | None) -> list[Path]:
                 f"{where} log: {', '.join(RUN_SUFFIXES)} (looked for from {Path.cwd()})", pattern=str(each)
             )
         found |= {path.resolve(): path for path in here if path.resolve() not in found}
-    refuse_deadly(list(found.values()))
+    if trial:
+        refuse_deadly(list(found.values()), mapping=mapping)
     return list(found.values())

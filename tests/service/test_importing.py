@@ -9,10 +9,13 @@ from rasterio.transform import Affine
 from typer.testing import CliRunner
 
 import joulemap as jm
-from joulemap.model.errors import RunsError
+from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.service.cli import app
+from joulemap.service.intake.limits import ReadLimits
+from joulemap.service.intake.trial import refuse_deadly
 from tests.reference import log_files as files
 from tests.service.conftest import WEST
+from tests.unit.test_recordings import archive_of, split_bag
 
 ROWS = 300
 
@@ -133,6 +136,7 @@ def test_a_map_in_degrees_is_reprojected_on_request(client):
 
 
 def test_a_recording_is_kept_as_a_table(client, tmp_path):
+    before = client.get("/v1/runs").json()["total"]
     content = files.write_mcap(tmp_path / "drive.mcap", files.drive(40.0)).read_bytes()
     query = {"map": ["x=/odom.pose.pose.position.x", "y=/odom.pose.pose.position.y"]}
     answer = client.post("/v1/runs", files={"file": ("drive.mcap", content)}, params=query)
@@ -143,5 +147,32 @@ def test_a_recording_is_kept_as_a_table(client, tmp_path):
     (kept,) = client.app.state.service.store.run_files(answer.json()["id"])
     assert kept.read_text().startswith("t,x,y,z,voltage,current")
     cut = client.post("/v1/runs", files={"file": ("drive.mcap", content[:20_000])}, params=query)
-    assert cut.status_code == 422
-    assert "truncated or corrupt" in cut.json()["detail"]
+    assert cut.status_code == 201
+    assert "ends in the middle of a record that begins at byte" in cut.json()["runs"][0]["warnings"][0]
+    assert cut.json()["runs"][0]["rows"] < run["rows"]
+    corrupt = content[:9_000] + b"\0" * 400 + content[9_400:]
+    refused = client.post("/v1/runs", files={"file": ("drive.mcap", corrupt)}, params=query)
+    assert refused.status_code == 422
+    assert "truncated or corrupt after 0 messages" in refused.json()["detail"]
+    assert client.get("/v1/runs").json()["total"] == before + 2
+
+
+def test_a_bag_of_several_files_is_sent_as_an_archive(client, tmp_path):
+    content = archive_of(split_bag(tmp_path / "monday", files.drive(40.0), ".db3"), "zip")
+    query = {"map": ["x=/odom.pose.pose.position.x", "y=/odom.pose.pose.position.y"]}
+    answer = client.post("/v1/runs", files={"file": ("monday.zip", content)}, params=query)
+    assert answer.status_code == 201, answer.text
+    (run,) = answer.json()["runs"]
+    assert (run["format"], run["rows"]) == ("ROS 2 bag of several files", 401)
+
+
+def test_files_of_messages_are_read_on_trial_within_limits(tmp_path):
+    good = files.write_mcap(tmp_path / "a.mcap", files.drive(20.0))
+    refuse_deadly([good])
+    with pytest.raises(TooLargeError, match=r"asks for more memory than there is, after 0 messages"):
+        refuse_deadly([good], limits=ReadLimits(100.0, 1.0))
+    with pytest.raises(TooLargeError, match=r"run a\.mcap: it could not be read within 0\.001 s"):
+        refuse_deadly([good], limits=ReadLimits(0.001, 4_000.0))
+    good.write_bytes(good.read_bytes()[:9_000] + b"\0" * 400 + good.read_bytes()[9_400:])
+    with pytest.raises(RunsError, match=r"run a\.mcap: the MCAP recording is truncated or corrupt"):
+        jm.read_runs(good, crs=files.CRS)

@@ -36,7 +36,7 @@ def _read_all(kind, folder, truncated, mutated, capfd):
         except JoulemapError as error:
             said.append(error)
         assert time.process_time() - began < 10.0, f"{kind} number {number}"
-    assert said or kind == "tlog"  # which has no index: one that was cut off is a shorter one
+    assert said or kind in CUT
     assert all(isinstance(error, RunsError | TooLargeError) for error in said)
     assert all(error.message.startswith("run run") for error in said)
     assert capfd.readouterr() == ("", "")
@@ -53,14 +53,38 @@ def test_many_broken_logs_are_read_or_refused_in_words(kind, tmp_path, capfd):
     _read_all(kind, tmp_path, 20, 60, capfd)
 
 
-def test_a_recording_that_was_cut_off_says_where_and_how_to_repair_it(tmp_path):
+CUT = {
+    "mcap": "in the middle of a record that begins at byte",
+    "bin": "in the middle of a record that begins at byte",
+    "tlog": "in the middle of a record that begins at byte",
+    "ulg": "in the middle of a record that begins at byte",
+    "fit": "it ends",
+}
+
+
+@pytest.mark.parametrize("kind", CUT)
+def test_of_a_log_that_was_cut_off_the_whole_records_are_kept_with_a_note(kind, tmp_path):
+    content = WRITERS[kind](tmp_path / f"a.{kind}", files.drive(20.0)).read_bytes()
+    whole = parse_run(content, name="run", crs=files.CRS)
+    assert whole.notes == ()
+    cut = parse_run(content[: int(0.6 * len(content))], name="run", crs=files.CRS)
+    (note,) = cut.notes
+    assert "was cut off" in note
+    assert CUT[kind] in note
+    assert 0.4 * len(whole) < len(cut) < 0.8 * len(whole)
+    np.testing.assert_allclose(cut.drawn(), whole.drawn()[: len(cut)], rtol=1e-9)
+
+
+def test_a_recording_without_its_summary_has_all_its_messages(tmp_path):
     content = files.write_mcap(tmp_path / "a.mcap", files.drive(20.0)).read_bytes()
-    with pytest.raises(
-        RunsError, match=r"truncated or corrupt after 0 messages.*`mcap recover IN -o OUT` may repair it"
-    ):
-        parse_run(content[: len(content) // 2], name="run", crs=files.CRS)
-    content = files.write_fit(tmp_path / "a.fit", files.drive(20.0)).read_bytes()
-    with pytest.raises(RunsError, match=r"after \d+ records: expected .* bytes"):
+    run = parse_run(content[:-100], name="run", crs=files.CRS)
+    assert run.notes == ("the MCAP recording was cut off in its index. All its messages are there",)
+    assert len(run) == 201
+
+
+def test_a_bag_that_was_cut_off_says_where_and_how_to_repair_it(tmp_path):
+    content = files.write_db3(tmp_path / "a.db3", files.drive(20.0)).read_bytes()
+    with pytest.raises(RunsError, match=r"ends at byte 126,976 of 253,952\. `sqlite3 BAG .recover \| sqlite3 OUT`"):
         parse_run(content[: len(content) // 2], name="run", crs=files.CRS)
 
 

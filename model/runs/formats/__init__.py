@@ -9,6 +9,7 @@ FORMATS = [
     LogFormat("MCAP recording", (".mcap",), ".mcap_recording", "logs"),
     LogFormat("ROS 1 bag", (".bag",), ".ros1_bag", "logs"),
     LogFormat("ROS 2 bag (SQLite)", (".db3",), ".ros2_sqlite", "logs"),
+    LogFormat("ROS 2 bag of several files", (".zip", ".tar", ".tar.gz", ".tgz"), ".split_bag", "logs"),
     LogFormat("ArduPilot dataflash log", (".bin",), ".ardupilot", "logs"),
     LogFormat("MAVLink telemetry log", (".tlog",), ".mavlink_telemetry", "logs"),
     LogFormat("PX4 ULog", (".ulg",), ".ulog", "logs"),
@@ -25,4 +26,5 @@ def formats_in_words() -> str:
 
 def suffixes() -> tuple[str, ...]:
     """Return the endings of file names by which a folder is searched for logs."""
-    return tuple(suffix for each in FORMATS for suffix in each.suffixes if suffix != ".txt")
+    any_use = (".txt", ".zip", ".tar", ".tar.gz", ".tgz")
+    return tuple(suffix for each in FORMATS for suffix in each.suffixes if suffix not in any_use)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import mmap
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from joulemap.model.errors import RunsError
-from joulemap.model.runs.formats.contract import Log, mentioned, on_disk
-from joulemap.model.runs.formats.messages import Collector, log_of, reading
+from joulemap.model.recordings.places import on_disk
+from joulemap.model.runs.formats.contract import Log, mentioned
+from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"\xa3\x95\x80"  # the first message describes the format of such messages
 _KINDS = {
@@ -22,6 +25,7 @@ _KINDS = {
     "XKF1": ("PN", "PE", "PD"),
 }
 _INSTANCES = ("Inst", "Instance", "I", "C")
+_MARK, _FORMAT, _FORMAT_BYTES = b"\xa3\x95", 0x80, 89
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -109,6 +113,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         finally:
             if log is not None:
                 log.close()
+        notes = _about_end(path)
     streams = collector.streams()
     power = ("BAT", "CURR")
     wanted_columns = {
@@ -124,7 +129,23 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         "pitch": [("ATT.Pitch", "deg")],
         "speed": [("GPS.Spd", "m/s")],
     }
-    return log_of(streams, wanted_columns, prefer=(("lat", "lon"), ("x", "y")))
+    return log_of(streams, wanted_columns, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+
+
+def _about_end(path: Path) -> list[str]:
+    """A note where the last message is not whole. What follows it without a mark fills the page of the memory card."""
+    lengths = {_FORMAT: _FORMAT_BYTES}
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        at, size = 0, len(data)
+        while (at := data.find(_MARK, at)) >= 0:
+            # one byte further where something in between looks like a mark
+            length = lengths.get(data[at + 2], 1) if at + 3 <= size else 3
+            if at + length > size:
+                return [cut_off("ArduPilot log", at, size)]
+            if data[at + 2] == _FORMAT:
+                lengths[data[at + 3]] = max(data[at + 4], 3)
+            at += length
+    return []
 
 
 def _names(mapping: Mapping[str, str], kind: str) -> list[str]:

@@ -6,16 +6,13 @@ stream for each topic, with stamps of its own. `joulemap.model.runs.logs` makes 
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 from joulemap.model.errors import RunsError
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 if TYPE_CHECKING:
     import numpy as np
@@ -61,11 +58,14 @@ class Log:
         By joulemap's column, where it is found because of the type of a message: as a mapping writes it.
     others : dict of str to tuple of str
         By joulemap's column, further places where it could be taken from.
+    notes : tuple of str
+        What is to be known of the file: that it was cut off, for example.
     """
 
     streams: tuple[Stream, ...]
     usual: Mapping[str, str] = field(default_factory=dict)
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 class LogModule(Protocol):
@@ -182,34 +182,6 @@ def mentioned(mapping: Mapping[str, str], topic: str) -> bool:
         True where one of its sources has the topic's name, followed by a point.
     """
     return any(f"{topic}." in source for source in mapping.values())
-
-
-@contextmanager
-def on_disk(source: SourceFile, suffix: str = "") -> Iterator[Path]:
-    """Give a file a place on disk, for libraries that read nothing else.
-
-    Parameters
-    ----------
-    source : SourceFile
-        A file, or its bytes.
-    suffix : str, optional
-        Ending of the name that the library wants.
-
-    Yields
-    ------
-    Path
-        The file; a copy of bytes, or a link to a file with another ending, is gone afterwards.
-    """
-    if isinstance(source.place, Path) and source.place.name.endswith(suffix):
-        yield source.place
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / f"log{suffix}"
-        if isinstance(source.place, Path):
-            place.symlink_to(source.place.resolve())
-        else:
-            place.write_bytes(source.place)
-        yield place
 
 
 def content_of(source: SourceFile) -> bytes:

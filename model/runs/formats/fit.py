@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping
+from typing import Any
 
 from joulemap.model.errors import RunsError
 from joulemap.model.runs.formats.contract import Log, mentioned
-from joulemap.model.runs.formats.messages import Collector, log_of, reading
+from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 _FIELDS = (
     "position_lat",
@@ -75,6 +76,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     def _place() -> str:
         return f"after {collector.messages:,} records"
 
+    notes: list[str] = []
     with (
         reading("FIT file", source.name, _place),
         source.open() as stream,
@@ -84,21 +86,14 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             error_handling=fitdecode.ErrorHandling.RAISE,
         ) as frames,
     ):
-        for frame in frames:
-            if not isinstance(frame, fitdecode.FitDataMessage) or frame.name != "record":
-                continue
-            values: dict[str, float] = {}
-            when = None
-            whole = mentioned(mapping, "record")
-            for field in frame.fields:
-                if field.name == "timestamp":
-                    when = field.value
-                elif (whole or field.name in _FIELDS) and isinstance(field.value, (int, float)):
-                    values[field.name] = float(field.value)
-            if isinstance(when, dt.datetime):
-                collector.add("record", when.timestamp(), values)
-            elif isinstance(when, (int, float)):
-                collector.add("record", float(when), values)
+        try:
+            for frame in frames:
+                if isinstance(frame, fitdecode.FitDataMessage) and frame.name == "record":
+                    _take(frame, collector, whole=mentioned(mapping, "record"))
+        except fitdecode.FitEOFError as error:
+            if not collector.messages:
+                raise
+            notes = [cut_off("FIT file", error.offset, source.size_bytes)]
     if not collector.messages:
         raise RunsError(f"run {source.name}: the FIT file has no records", run=source.name)
     return log_of(
@@ -112,4 +107,19 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             "gps_error": [("record.gps_accuracy", "m")],
             "temperature": [("record.temperature", "degC")],
         },
+        notes=notes,
     )
+
+
+def _take(frame: Any, collector: Collector, *, whole: bool) -> None:
+    values: dict[str, float] = {}
+    when = None
+    for field in frame.fields:
+        if field.name == "timestamp":
+            when = field.value
+        elif (whole or field.name in _FIELDS) and isinstance(field.value, (int, float)):
+            values[field.name] = float(field.value)
+    if isinstance(when, dt.datetime):
+        collector.add("record", when.timestamp(), values)
+    elif isinstance(when, (int, float)):
+        collector.add("record", float(when), values)

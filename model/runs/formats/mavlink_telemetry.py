@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from pathlib import Path
 
 from joulemap.model.errors import RunsError
-from joulemap.model.runs.formats.contract import Log, mentioned, on_disk
-from joulemap.model.runs.formats.messages import Collector, log_of, reading
+from joulemap.model.recordings.places import on_disk
+from joulemap.model.runs.formats.contract import Log, mentioned
+from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 _MARKS = (0xFD, 0xFE)  # of MAVLink 2 and 1
 _YEARS_US = (1e15, 4e15)  # 2001 to 2096
@@ -104,11 +106,13 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         finally:
             if log is not None:
                 log.close()
+        broken, notes = _about_end(path)
     if unreadable > collector.messages:
         raise RunsError(
-            f"run {source.name}: the MAVLink telemetry log is corrupt: {unreadable:,} pieces of it are no messages, "
-            f"and {collector.messages:,} are",
+            f"run {source.name}: the MAVLink telemetry log is corrupt from byte {broken:,} on: {unreadable:,} pieces "
+            f"of it are no messages, and {collector.messages:,} are",
             run=source.name,
+            byte=broken,
         )
     wanted = {
         "voltage": [("BATTERY_STATUS.voltage", "mV"), ("SYS_STATUS.voltage_battery", "mV")],
@@ -123,4 +127,21 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         "heading": [("ATTITUDE.yaw", "rad")],
         "speed": [("VFR_HUD.groundspeed", "m/s")],
     }
-    return log_of(collector.streams(), wanted, prefer=(("lat", "lon"), ("x", "y")))
+    return log_of(collector.streams(), wanted, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+
+
+def _about_end(path: Path) -> tuple[int, list[str]]:
+    """Where the messages end [bytes], and a note where the last one is not whole."""
+    data = path.read_bytes()
+    at, size = 0, len(data)
+    while at < size:
+        left = size - at
+        if left > 8 and data[at + 8] not in _MARKS:
+            break
+        length = 17 if left <= 10 else 16 + data[at + 9]  # a stamp, a header of 6, a checksum of 2, and the content
+        if left > 10 and data[at + 8] == _MARKS[0]:
+            length += 4 + 13 * (data[at + 10] & 1)  # a longer header; a signature
+        if length > left:
+            return at, [cut_off("MAVLink telemetry log", at, size)]
+        at += length
+    return at, []

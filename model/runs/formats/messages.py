@@ -115,7 +115,11 @@ def _stamps(topic: _Topic) -> FloatArray:
 
 
 def log_of(
-    streams: Sequence[Stream], wanted: Mapping[str, Sequence[tuple[str, str]]], *, prefer: Sequence[Sequence[str]] = ()
+    streams: Sequence[Stream],
+    wanted: Mapping[str, Sequence[tuple[str, str]]],
+    *,
+    prefer: Sequence[Sequence[str]] = (),
+    notes: Sequence[str] = (),
 ) -> Log:
     """Return a log in which columns are found by the types of messages.
 
@@ -127,6 +131,8 @@ def log_of(
         By joulemap's column, the columns that may be it, the best kind first, each with its unit.
     prefer : sequence of sequence of str
         Groups of joulemap's columns of which only the first that is complete is used: a position in degrees or metres.
+    notes : sequence of str, optional
+        What is to be known of the file.
 
     Returns
     -------
@@ -142,18 +148,19 @@ def log_of(
     usual: dict[str, str] = {}
     others: dict[str, tuple[str, ...]] = {}
     for target, candidates in wanted.items():
-        there = [(column, unit) for column, unit in candidates if known.get(column, 0) > 1]
-        if there:
-            usual[target] = f"{there[0][0]}:{there[0][1]}"
-            if len(there) > 1:
-                others[target] = tuple(column for column, _ in there[1:4])
+        found = [(column, unit) for column, unit in candidates if known.get(column, 0) > 1]
+        if found:
+            usual[target] = f"{found[0][0]}:{found[0][1]}"
+            if len(found) > 1:
+                others[target] = tuple(column for column, _ in found[1:4])
     complete = next((group for group in prefer if all(target in usual for target in group)), ())
     for group in prefer:
         for target in group:
             if target not in complete:
                 usual.pop(target, None)
                 others.pop(target, None)
-    return Log(tuple(stream for stream in streams if stream.t is not None and stream.t.size), usual, others)
+    there = tuple(stream for stream in streams if stream.t is not None and stream.t.size)
+    return Log(there, usual, others, tuple(notes))
 
 
 @contextmanager
@@ -232,3 +239,24 @@ class _Complaints(io.TextIOBase):
             if self._lines > _MOST_COMPLAINTS:
                 raise ValueError(f"{self._first} (and {_MOST_COMPLAINTS} more of these)")
         return len(text)
+
+
+def cut_off(kind: str, at: int, size: int) -> str:
+    """Return the note of a log whose last record is not whole, because the robot was switched off for example.
+
+    Parameters
+    ----------
+    kind : str
+        What the file is, in words.
+    at : int
+        Where the record begins [bytes].
+    size : int
+        Length of the file [bytes].
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    where = f"in the middle of a record that begins at byte {at:,} of {size:,}" if at < size else f"at byte {size:,}"
+    return f"the {kind} was cut off: it ends {where}. What comes before is kept"

@@ -1,4 +1,4 @@
-"""ROS messages: which types a run needs, and their fields as numbers. Types are those of the file, or of ROS itself."""
+"""Messages of robots: which types a run needs, and their fields as numbers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from joulemap.model.recordings.contract import Topic
+from joulemap.model.recordings.types import fields_of, short_type
 from joulemap.model.runs.formats.contract import Log, Stream, mentioned
 from joulemap.model.runs.formats.messages import Collector, log_of
 
@@ -18,6 +20,7 @@ _KINDS = {
     "geometry_msgs/PoseWithCovarianceStamped": ("pose.pose",),
     "sensor_msgs/JointState": ("velocity",),
     "foxglove.LocationFix": ("latitude", "longitude", "altitude"),
+    "foxglove.PoseInFrame": ("pose",),
 }
 """By type, the fields that a run may need; poses and orientations are taken apart into positions and angles."""
 
@@ -25,29 +28,13 @@ _MOST_ELEMENTS = 64  # of an array in a message
 _DEEPEST = 8
 
 
-def short_type(name: str) -> str:
-    """Return a type as ROS 1 writes it.
-
-    Parameters
-    ----------
-    name : str
-        Such as `sensor_msgs/msg/Imu`.
-
-    Returns
-    -------
-    str
-        Such as `sensor_msgs/Imu`.
-    """
-    return name.replace("/msg/", "/")
-
-
-def is_wanted(topic: str, kind: str, mapping: Mapping[str, str]) -> bool:
+def is_wanted(topic: Topic, mapping: Mapping[str, str]) -> bool:
     """Decide whether the messages of a topic are read.
 
     Parameters
     ----------
-    topic, kind : str
-        Name of the topic and type of its messages.
+    topic : Topic
+        With the type of its messages.
     mapping : mapping of str to str
         From the user.
 
@@ -56,61 +43,18 @@ def is_wanted(topic: str, kind: str, mapping: Mapping[str, str]) -> bool:
     bool
         True for the types that a run needs, and for topics that the mapping names.
     """
-    return short_type(kind) in _KINDS or mentioned(mapping, topic)
+    return short_type(topic.kind) in _KINDS or mentioned(mapping, topic.name)
 
 
-def types_of(text: str, kind: str, *, ros1: bool) -> Any:
-    """Return a typestore for messages of a type.
-
-    Parameters
-    ----------
-    text : str
-        Its definition as the file has it; empty where the file has none.
-    kind : str
-        The type.
-    ros1 : bool
-        Whether it is one of ROS 1.
-
-    Returns
-    -------
-    Typestore
-        Of rosbags.
-    """
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if text:
-        found = get_types_from_msg(text, full_type(kind))
-        store.register({key: fields for key, fields in found.items() if key not in store.fielddefs})
-    return store
-
-
-def full_type(kind: str) -> str:
-    """Return a type as rosbags writes it.
-
-    Parameters
-    ----------
-    kind : str
-        Such as `sensor_msgs/Imu`.
-
-    Returns
-    -------
-    str
-        Such as `sensor_msgs/msg/Imu`.
-    """
-    parts = kind.split("/")
-    return f"{parts[0]}/msg/{parts[-1]}" if len(parts) == 2 else kind
-
-
-def collect(collector: Collector, topic: str, kind: str, recorded_s: float, message: Any, *, whole: bool) -> None:
+def collect(collector: Collector, topic: Topic, recorded_s: float, message: Any, *, whole: bool) -> None:
     """Take the numbers of a message.
 
     Parameters
     ----------
     collector : Collector
         Takes them.
-    topic, kind : str
-        Name of the topic and type of its messages.
+    topic : Topic
+        With the type of its messages.
     recorded_s : float
         When it was recorded [s].
     message : object or dict
@@ -119,22 +63,28 @@ def collect(collector: Collector, topic: str, kind: str, recorded_s: float, mess
         Whether all its numbers are taken, and not those alone that a run needs.
     """
     values: dict[str, float] = {}
-    fields = _KINDS.get(short_type(kind), ())
+    kind = short_type(topic.kind)
     if whole:
         _leaves(message, "", values, 0)
-    for field in fields:
+    for field in _KINDS.get(kind, ()):
         _leaves(_inside(message, field), field, values, 0)
-    _derived(message, short_type(kind), values)
-    stamp = _inside(message, "header.stamp")
-    sent = math.nan
-    if stamp is not None:
-        seconds = _inside(stamp, "sec") or _inside(stamp, "secs") or 0
-        sent = float(seconds) + 1e-9 * float(_inside(stamp, "nanosec") or _inside(stamp, "nsecs") or 0)
-        sent = sent if seconds else math.nan
-    collector.add(topic, recorded_s, values, sent)
+    _derived(message, kind, values)
+    collector.add(topic.name, recorded_s, values, _sent(message))
 
 
-def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str]) -> Log:
+def _sent(message: Any) -> float:
+    """When the sender says that it was sent [s]: `header.stamp` of ROS, `timestamp` of Foxglove; NaN where unknown."""
+    stamp = _inside(message, "header.stamp") or _inside(message, "timestamp")
+    if stamp is None or isinstance(stamp, (int, float, str)):
+        return math.nan
+    seconds, parts = (
+        next((found for name in names if (found := _inside(stamp, name))), 0)
+        for names in (("sec", "secs", "seconds"), ("nanosec", "nsecs", "nsec", "nanos"))
+    )
+    return float(seconds) + 1e-9 * float(parts) if seconds else math.nan
+
+
+def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str], *, notes: Sequence[str] = ()) -> Log:
     """Return a log whose columns are found by the types of their topics.
 
     Parameters
@@ -143,6 +93,8 @@ def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str]) -> Log:
         One for each topic.
     kinds : mapping of str to str
         Type by topic.
+    notes : sequence of str, optional
+        What is to be known of the file.
 
     Returns
     -------
@@ -157,6 +109,7 @@ def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str]) -> Log:
     poses = [
         ("geometry_msgs/PoseWithCovarianceStamped", "pose.pose"),
         ("geometry_msgs/PoseStamped", "pose"),
+        ("foxglove.PoseInFrame", "pose"),
         ("nav_msgs/Odometry", "pose.pose"),
     ]
     fixes = ("sensor_msgs/NavSatFix", "foxglove.LocationFix")
@@ -175,7 +128,7 @@ def ros_log(streams: Sequence[Stream], kinds: Mapping[str, str]) -> Log:
         "pitch": _of("sensor_msgs/Imu", "pitch", "deg") + _of("nav_msgs/Odometry", "pitch", "deg"),
         "speed": _of("nav_msgs/Odometry", "twist.twist.linear.x", "m/s"),
     }
-    return log_of(streams, wanted, prefer=(("lat", "lon"), ("x", "y")))
+    return log_of(streams, wanted, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
 
 
 def _derived(message: Any, kind: str, values: dict[str, float]) -> None:
@@ -229,20 +182,15 @@ def _leaves(value: Any, path: str, out: dict[str, float], depth: int) -> None:
     if isinstance(value, str):
         return
     front = f"{path}." if path else ""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            _leaves(inner, f"{front}{key}", out, depth + 1)
-    elif hasattr(value, "__dataclass_fields__"):
+    fields = fields_of(value)
+    if fields is not None:
         names = getattr(value, "name", None)
-        for key in value.__dataclass_fields__:
-            inner = getattr(value, key)
-            if key.startswith("__"):
-                continue
+        for key, inner in fields:
             if isinstance(names, list) and key in ("position", "velocity", "effort") and len(inner) == len(names):
                 for name, element in zip(names[:_MOST_ELEMENTS], inner, strict=False):
                     out[f"{front}{key}.{name}"] = float(element)
             else:
                 _leaves(inner, f"{front}{key}", out, depth + 1)
-    elif hasattr(value, "__len__") and len(value) <= _MOST_ELEMENTS:
+    elif hasattr(value, "__len__") and not isinstance(value, bytes) and len(value) <= _MOST_ELEMENTS:
         for k, element in enumerate(value):
             _leaves(element.item() if hasattr(element, "item") else element, f"{path}[{k}]", out, depth + 1)

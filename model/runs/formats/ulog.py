@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 
 import numpy as np
@@ -9,11 +10,13 @@ import numpy as np
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.formats.contract import Log, Stream, mentioned
 from joulemap.model.runs.formats.finite import FiniteStream
-from joulemap.model.runs.formats.messages import log_of, reading
+from joulemap.model.runs.formats.messages import cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
-from joulemap.model.terrain.formats.contract import SourceFile
+from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"ULog\x01\x12\x35"
+_HEADER_BYTES, _MESSAGE_HEAD = 16, struct.Struct("<Hc")
+_MESSAGE_KINDS = (b"A", b"B", b"C", b"D", b"F", b"I", b"L", b"M", b"O", b"P", b"Q", b"R", b"S")
 _KINDS = (
     "battery_status",
     "vehicle_gps_position",
@@ -78,11 +81,13 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     named = {text.split(".")[0].lstrip("+-").split("[")[0] for text in mapping.values()}
     with reading("ULog", source.name, lambda: "in its messages"), source.open() as stream:
         log = ULog(FiniteStream(stream), [*_KINDS, *sorted(named - set(_KINDS))])
+        broken, notes = _about_end(source)
         if log.file_corruption:
             raise RunsError(
-                f"run {source.name}: the ULog is truncated or corrupt: it was read up to "
-                f"{max(log.last_timestamp, 0) * 1e-6:.3f} s, where something is no message",
+                f"run {source.name}: the ULog is corrupt at byte {broken:,} of {source.size_bytes:,} or before: it was "
+                f"read up to {max(log.last_timestamp, 0) * 1e-6:.3f} s, where something is no message",
                 run=source.name,
+                byte=broken,
             )
         streams = []
         for data in log.data_list:
@@ -102,7 +107,24 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             f"{', '.join(sorted(log.message_formats))[:300]}",
             run=source.name,
         )
-    return log_of(streams, _WANTED, prefer=(("lat", "lon"), ("x", "y")))
+    return log_of(streams, _WANTED, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
+
+
+def _about_end(source: SourceFile) -> tuple[int, list[str]]:
+    """Where the messages end [bytes], and a note where the last one is not whole."""
+    size, at = source.size_bytes, _HEADER_BYTES
+    with source.open() as stream:
+        while at < size:
+            stream.seek(at)
+            head = stream.read(_MESSAGE_HEAD.size)
+            if len(head) == _MESSAGE_HEAD.size:
+                length, kind = _MESSAGE_HEAD.unpack(head)
+                if kind not in _MESSAGE_KINDS:
+                    return at, []
+            if len(head) < _MESSAGE_HEAD.size or at + _MESSAGE_HEAD.size + length > size:
+                return at, [cut_off("ULog", at, size)]
+            at += _MESSAGE_HEAD.size + length
+    return at, []
 
 
 _GPS = ("vehicle_gps_position", "sensor_gps")

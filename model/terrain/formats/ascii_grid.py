@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling, check_cells
-from joulemap.model.terrain.formats.contract import SourceFile
 
 _KEYS = {
     "ncols",

@@ -5,45 +5,17 @@ This module loads neither numpy nor GDAL, because the help of the command line l
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from joulemap.model.source_file import SourceFile
     from joulemap.model.terrain.decoded import Decoded, Scaling
-
-
-@dataclass(frozen=True)
-class SourceFile:
-    """A file that is to be read, on disk or in memory.
-
-    Attributes
-    ----------
-    place : Path or bytes
-        Where the file is, or all its bytes.
-    name : str
-        What messages call it.
-    head : bytes
-        Its first 512 bytes, fewer where it is shorter.
-    """
-
-    place: Path | bytes
-    name: str
-    head: bytes
-
-    @property
-    def size_bytes(self) -> int:
-        """Length of the whole file [bytes]."""
-        return len(self.place) if isinstance(self.place, bytes) else self.place.stat().st_size
-
-    def open(self) -> BinaryIO:
-        """Return a new binary stream at the start of the file; the caller closes it."""
-        return io.BytesIO(self.place) if isinstance(self.place, bytes) else self.place.open("rb")
 
 
 class WindowReader(Protocol):

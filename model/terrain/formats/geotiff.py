@@ -13,9 +13,9 @@ from rasterio.enums import ColorInterp
 from rasterio.io import DatasetReader
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import crs_name, warp_command
 from joulemap.model.terrain.decoded import SAME_LENGTH, Decoded, Scaling, check_cells
-from joulemap.model.terrain.formats.contract import SourceFile
 from joulemap.model.terrain.formats.gdal import opened, read_band
 
 _MAX_BLOCK_BYTES = 1 << 30

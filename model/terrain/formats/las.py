@@ -8,8 +8,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from joulemap.model.errors import HeightmapError, JoulemapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Decoded, Scaling
-from joulemap.model.terrain.formats.contract import SourceFile
 from joulemap.model.terrain.point_grid import PointGrid
 
 _GROUND = 2  # class of the LAS specification

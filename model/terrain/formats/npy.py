@@ -11,8 +11,8 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
-from joulemap.model.terrain.formats.contract import SourceFile
 
 _MAX_NPY_HEADER = 10_000  # bytes; numpy writes 128 for a plain array
 _PART_BYTES = 1 << 24  # read at a time

@@ -12,8 +12,8 @@ from typing import IO
 import numpy as np
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Decoded, Scaling
-from joulemap.model.terrain.formats.contract import SourceFile
 from joulemap.model.terrain.formats.npy import read_header, read_heights
 
 _MAX_SCALAR_BYTES = 65_536  # a CRS in WKT is about 1,000

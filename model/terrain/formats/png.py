@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 
 from joulemap.model.errors import HeightmapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
-from joulemap.model.terrain.formats.contract import SourceFile
 from joulemap.model.terrain.formats.gdal import opened, read_band
 
 _KINDS = {

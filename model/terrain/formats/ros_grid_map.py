@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError, JoulemapError
+from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
-from joulemap.model.terrain.formats.contract import SourceFile
 
 _MAGIC = b"\x89MCAP0\r\n"
 _KIND = "grid_map_msgs/msg/GridMap"

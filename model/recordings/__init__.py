@@ -1,0 +1,1 @@
+"""Recordings of messages (ROS bags, MCAP): their topics, and the messages of those that are wanted."""

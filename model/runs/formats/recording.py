@@ -1,0 +1,156 @@
+"""Bags and recordings of messages as logs: the topics that a run needs, within limits, one file or several parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol
+
+from joulemap.model.errors import RunsError
+from joulemap.model.recordings.contract import Recording, Topic, topics_in_words
+from joulemap.model.runs.formats.contract import Log, mentioned
+from joulemap.model.runs.formats.messages import Collector, reading
+from joulemap.model.runs.formats.ros import collect, is_wanted, ros_log
+from joulemap.model.runs.table import TableLimits
+from joulemap.model.source_file import SourceFile
+
+Part = Callable[[], AbstractContextManager[Recording]]
+"""Opens a file of a recording."""
+
+
+class Decode(Protocol):
+    """The function `decode` of a format of logs."""
+
+    def __call__(
+        self, source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]
+    ) -> Log:
+        """Read the topics that a run needs.
+
+        Parameters
+        ----------
+        source : SourceFile
+            The file.
+        mapping : mapping of str to str
+            Topics that it names are read too.
+        limits : TableLimits
+            How large it may be.
+        repairs : dict
+            Not used.
+
+        Returns
+        -------
+        Log
+            A stream for each topic.
+
+        Raises
+        ------
+        RunsError
+            If it is corrupt, or holds no topic that a run needs.
+        TooLargeError
+            If it is larger than the limits.
+        """
+
+
+def decoder(
+    kind: str, open_recording: Callable[[SourceFile], AbstractContextManager[Recording]], *, repair: str = ""
+) -> Decode:
+    """Return the function `decode` of a kind of recordings.
+
+    Parameters
+    ----------
+    kind : str
+        What the file is, in words.
+    open_recording : callable
+        Opens it.
+    repair : str, optional
+        Command that repairs such a file.
+
+    Returns
+    -------
+    callable
+        For the format's module.
+    """
+
+    def _decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimits, repairs: dict[str, int]) -> Log:
+        return read_parts(kind, source.name, [lambda: open_recording(source)], mapping, limits, repair=repair)
+
+    return _decode
+
+
+def read_parts(
+    kind: str, name: str, parts: Iterable[Part], mapping: Mapping[str, str], limits: TableLimits, *, repair: str = ""
+) -> Log:
+    """Read the files of one recording.
+
+    Parameters
+    ----------
+    kind : str
+        What they are, in words.
+    name : str
+        Of the run.
+    parts : iterable of callable
+        Each opens one of them.
+    mapping : mapping of str to str
+        Topics that it names are read, beside those of the types that a run needs.
+    limits : TableLimits
+        How large all of it may be.
+    repair : str, optional
+        Command that repairs such a file.
+
+    Returns
+    -------
+    Log
+        A stream for each topic.
+
+    Raises
+    ------
+    RunsError
+        If a file is corrupt, or if no topic is one that a run needs.
+    TooLargeError
+        If they are larger than the limits.
+    """
+    collector = Collector(name, limits)
+    topics: dict[str, Topic] = {}
+    notes: list[str] = []
+    last = 0.0
+
+    def _place() -> str:
+        return f"after {collector.messages:,} messages" + (f", at {last:.3f} s" if last else "")
+
+    def _wanted(topic: Topic) -> bool:
+        return is_wanted(topic, mapping)
+
+    for part in parts:
+        with reading(kind, name, _place, repair=repair), _opened(part, topics, notes) as recording:
+            for topic, last, message in recording.messages(_wanted):
+                collect(collector, topic, last, message, whole=mentioned(mapping, topic.name))
+    if not collector.messages:
+        raise _nothing(name, topics, _wanted)
+    return ros_log(collector.streams(), {topic.name: topic.kind for topic in topics.values()}, notes=notes)
+
+
+@contextmanager
+def _opened(part: Part, topics: dict[str, Topic], notes: list[str]) -> Iterator[Recording]:
+    with part() as recording:
+        yield recording
+        topics |= recording.topics
+        notes += recording.notes
+
+
+def _nothing(name: str, topics: Mapping[str, Topic], wanted: Callable[[Topic], bool]) -> RunsError:
+    there = topics_in_words(dict(topics))
+    unreadable = sorted({topic.encoding for topic in topics.values() if wanted(topic) and not topic.readable})
+    if unreadable:
+        return RunsError(
+            f"run {name}: its messages are in {', '.join(unreadable)}, which is not read: record them in CDR, ROS 1, "
+            f"JSON or Protobuf. Its topics are {there}",
+            run=name,
+            encodings=unreadable,
+        )
+    if any(wanted(topic) for topic in topics.values()):
+        return RunsError(f"run {name}: the topics that a run needs hold no message. Its topics are {there}", run=name)
+    return RunsError(
+        f"run {name}: no topic is a BatteryState, NavSatFix, Odometry or pose. Its topics are {there}; say "
+        "which with a mapping, such as current=/topic.field:A",
+        run=name,
+    )
