@@ -208,15 +208,44 @@ def judge_course(
     InputError
         If the battery's cut-off voltage is above every voltage that it has.
     """
+    judged, trace = _judged_course(course, battery, nominal_voltage_v, odds)
+    verdict = judged.verdict if trace is None else _under_load(judged, course, trace, known=odds is not None)
+    verdict = replace(verdict, reserve_at=_reserve_at(course, judged.left_j), yes_until_m=_yes_until_m(course, judged))
+    return replace(verdict, verdict_text=verdict_in_words(verdict, course))
+
+
+def chance(course: Course, battery: Battery, *, nominal_voltage_v: float, odds: EnergyOdds | None) -> float:
+    """Return the probability that a battery lasts for a course, with its tails: to compare courses by.
+
+    Parameters
+    ----------
+    course, battery, nominal_voltage_v, odds : Course, Battery, float, EnergyOdds
+        As for `judge_course`.
+
+    Returns
+    -------
+    float
+        Probability, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If the battery's cut-off voltage is above every voltage that it has.
+    """
+    judged, trace = _judged_course(course, battery, nominal_voltage_v, odds)
+    return judged.lasts if trace is None else _lasts_under_load(judged, course, trace, known=odds is not None)
+
+
+def _judged_course(
+    course: Course, battery: Battery, nominal_voltage_v: float, odds: EnergyOdds | None
+) -> tuple[_Judged, BatteryTrace | None]:
+    """The verdict on the energy alone, and the battery along the course where more is known of it."""
     available, trace = battery.available_j, None
     if battery.is_electric:
         pack = pack_of(battery, nominal_voltage_v)
         trace = trace_battery(course, battery, pack)
         available = electric_available_j(battery, pack, trace, float(course.energy_j.sum()))
-    judged = _judge(course.energy_j, battery, odds, available)
-    verdict = judged.verdict if trace is None else _under_load(judged, course, trace, known=odds is not None)
-    verdict = replace(verdict, reserve_at=_reserve_at(course, judged.left_j), yes_until_m=_yes_until_m(course, judged))
-    return replace(verdict, verdict_text=verdict_in_words(verdict, course))
+    return _judge(course.energy_j, battery, odds, available), trace
 
 
 def battery_along(routes: Sequence[Route], battery: Battery, nominal_voltage_v: float) -> tuple[Course, BatteryTrace]:
@@ -318,12 +347,17 @@ def _yes_until_m(course: Course, judged: _Judged) -> float | None:
     return None if unsure.size == 0 else float(np.append(0.0, course.distance_m)[unsure[0]])
 
 
-def _under_load(judged: _Judged, course: Course, trace: BatteryTrace, *, known: bool) -> Verdict:
-    """The verdict with the voltage under load: every piece must stay below the most that the battery can give."""
-    energy, held = course.energy_j, trace.voltage_v[: trace.overload]
+def _lasts_under_load(judged: _Judged, course: Course, trace: BatteryTrace, *, known: bool) -> float:
+    """The probability that the energy lasts and that every piece stays below the most that the battery can give."""
+    energy = course.energy_j
     scale = course.std_j if known and course.std_j is not None else UNSEEN_SHARE * np.abs(energy)
     most = np.where(course.duration_s > 0.0, trace.most_power_w * course.duration_s, np.inf)
-    lasts = float(EnergyOdds(energy, scale).lasts(most).min(initial=judged.lasts))
+    return float(EnergyOdds(energy, scale).lasts(most).min(initial=judged.lasts))
+
+
+def _under_load(judged: _Judged, course: Course, trace: BatteryTrace, *, known: bool) -> Verdict:
+    """The verdict with the voltage under load."""
+    held, lasts = trace.voltage_v[: trace.overload], _lasts_under_load(judged, course, trace, known=known)
     verdict = replace(
         judged.verdict,
         charge_at_end=float(trace.charge[-1]) if trace.charge.size else judged.verdict.charge_at_end,

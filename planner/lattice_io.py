@@ -292,7 +292,11 @@ def load_lattice(path: str | Path) -> CostLattice:
     group = open_group(path)
     meta: dict[str, Any] = dict(group.attrs)
     try:
-        arrays = {name: np.ascontiguousarray(group[name][:]) for name in (*_ARRAYS, *_OPTIONAL) if name in group}  # type: ignore[index]
+        arrays: dict[str, Any] = {
+            name: np.ascontiguousarray(group[name][:])  # type: ignore[index]
+            for name in (*_ARRAYS, *_OPTIONAL)
+            if name in group
+        }
         return CostLattice(
             frame=GridFrame(**meta["frame"]),
             robot=Robot.from_mapping(meta["robot"]),

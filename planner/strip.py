@@ -38,7 +38,9 @@ class Strip:
         self._stored = stored
         rows, cols = stored.frame.shape
         self._read = np.zeros((-(-rows // BLOCK_CELLS), -(-cols // BLOCK_CELLS)), dtype=np.bool_)
-        arrays = {name: _reserved((rows, cols, *more), dtype) for name, (more, dtype) in stored.arrays.items()}
+        arrays: dict[str, Any] = {
+            name: _reserved((rows, cols, *more), dtype) for name, (more, dtype) in stored.arrays.items()
+        }
         arrays["blocked"][:] = int(Blocked.UNKNOWN)
         self.lattice = CostLattice(stored.frame, stored.robot, provenance=stored.provenance, **arrays)
 

@@ -1,0 +1,269 @@
+"""What a route is chosen by: its expected energy, a quantile of it, or the probability that the battery lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from joulemap.model.battery import Battery
+from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import InputError
+from joulemap.planner.budget import chance
+from joulemap.planner.course import course_of
+from joulemap.planner.edges import world_points
+from joulemap.planner.odds import EnergyOdds
+from joulemap.planner.plan import ANY_ANGLE_NEIGHBOURS, Plan, RoutePlanner
+from joulemap.planner.risk import Aim, LeastQuantile, MostLikely, Outcome, Priced, least
+from joulemap.planner.route import Route
+from joulemap.planner.stopping import check_stop
+from joulemap.planner.stored_planner import StoredPlanner
+from joulemap.planner.weighing import Weighing
+from joulemap.service.route_uncertainty import odds_along
+
+MEAN, QUANTILE, ARRIVAL = OBJECTIVES = ("mean", "quantile", "arrival")
+"""Least expected energy, least energy at a quantile, most likely to arrive with the reserve."""
+QUANTILES = 0.5, 0.99
+"""Least and greatest share of drives: beyond, the tails of the distribution are not known."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What the best route is.
+
+    Attributes
+    ----------
+    name : str
+        One of `OBJECTIVES`.
+    quantile : float
+        Share of drives that take no more energy than the one that is made least, 0.5 to 0.99; for "quantile" only.
+    """
+
+    name: str = MEAN
+    quantile: float = 0.95
+
+    def __post_init__(self) -> None:
+        if self.name not in OBJECTIVES:
+            raise InputError(
+                f"objective is {self.name!r}: give one of {', '.join(OBJECTIVES)}", objective=str(self.name)
+            )
+        if not QUANTILES[0] <= self.quantile <= QUANTILES[1]:
+            raise InputError(
+                f"quantile is {self.quantile}: give a share of drives from {QUANTILES[0]} to {QUANTILES[1]}, 0.95 for "
+                "energies that 95 % of them do not exceed",
+                quantile=self.quantile,
+            )
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """How a route does by an objective, and how the one of least expected energy does.
+
+    Attributes
+    ----------
+    name : str
+        Of the objective.
+    quantile : float or None
+        Its share of drives.
+    quantile_j, mean_quantile_j : float or None
+        Energy that this share of drives does not exceed [J], on the route and on the one of least expected energy.
+    probability, mean_probability : float or None
+        That the battery lasts, on either.
+    gap : float or None
+        By how much a better route may be better, as a share of the energy, or as a difference of probabilities, if
+        every search found its cheapest route; None where nothing is known.
+    searches : int
+        Number of prices of uncertainty that were searched.
+    """
+
+    name: str
+    quantile: float | None = None
+    quantile_j: float | None = None
+    mean_quantile_j: float | None = None
+    probability: float | None = None
+    mean_probability: float | None = None
+    gap: float | None = None
+    searches: int = 1
+
+
+Routes = tuple[Route, ...]
+
+
+def plan_by(
+    planner: RoutePlanner | StoredPlanner,
+    start: tuple[float, float],
+    goal: tuple[float, float],
+    objective: Objective,
+    *,
+    battery: Battery | None = None,
+    **options: Any,
+) -> Plan:
+    """Return the best route by an objective, with the shortest one beside it.
+
+    Parameters
+    ----------
+    planner : RoutePlanner or StoredPlanner
+        Of the cost map.
+    start, goal : tuple of float
+        World x, y [m].
+    objective : Objective
+        What the best route is.
+    battery : Battery, optional
+        For "arrival".
+    **options
+        As for `RoutePlanner.plan`. Alternatives and the bound are those of the expected energy.
+
+    Returns
+    -------
+    Plan
+        Its details have the objective under "objective", if it is another one than the expected energy.
+
+    Raises
+    ------
+    InputError
+        If the model does not know its uncertainty, the map is not in memory, or a battery is missing.
+    """
+    if objective.name != MEAN:
+        _check(planner, objective, battery)
+    plan = planner.plan(start, goal, **options)
+    if objective.name == MEAN:
+        return plan
+    assert isinstance(planner, RoutePlanner)
+    refine, progress = options.get("refine", True), options.get("progress")
+    neighbours = ANY_ANGLE_NEIGHBOURS if refine else options.get("neighbours", 16)
+    routes, weighed = best_routes(
+        planner, (plan.route,), objective, battery=battery, refine=refine, neighbours=neighbours, progress=progress
+    )
+    route = replace(routes[0], notes=plan.route.notes)
+    return replace(plan, route=route, details=plan.details | {"objective": weighed.__dict__})
+
+
+def best_routes(
+    planner: RoutePlanner,
+    means: Routes,
+    objective: Objective,
+    *,
+    battery: Battery | None = None,
+    refine: bool = True,
+    neighbours: int = ANY_ANGLE_NEIGHBOURS,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Routes, Weighed]:
+    """Return the best routes by an objective that are driven one after another.
+
+    Parameters
+    ----------
+    planner : RoutePlanner
+        Of the cost map.
+    means : tuple of Route
+        Those of least expected energy, in the order of driving; the best ones have the same ends.
+    objective : Objective
+        What the best routes are, together.
+    battery : Battery, optional
+        For "arrival".
+    refine : bool, default True
+        Whether paths are improved to any angle.
+    neighbours : {32, 8, 16}
+        Moves per cell.
+    progress : callable, optional
+        Called with the share that is done, 0..1.
+
+    Returns
+    -------
+    routes : tuple of Route
+        Never worse by the objective than `means`.
+    weighed : Weighed
+        How good they are.
+
+    Raises
+    ------
+    InputError
+        If the model does not know its uncertainty, or a battery is missing.
+    """
+    _check(planner, objective, battery)
+    odds = odds_along(means)
+    assert odds is not None
+    assert means[0].spread is not None
+    spread = Spread.from_dict(means[0].spread)
+    aim = _aim(objective, odds, spread, battery)
+    weighing = Weighing(planner, spread.correlation_m)
+    ends = [world_points(planner.lattice, route.points[[0, -1]]) for route in means]
+    searched = 0
+
+    def _solve(price: float) -> Priced[Routes]:
+        nonlocal searched
+        searched += 1
+        if price == 0.0:
+            return _priced(means, spread.correlation_m, None)
+        check_stop()
+        if progress is not None:
+            progress(1.0 - 0.8**searched)
+        found = [weighing.cheapest(start, goal, price, neighbours=neighbours, refine=refine) for start, goal in ends]
+        routes = tuple(route for route, _ in found)
+        return _priced(routes, spread.correlation_m, None if refine else sum(bound for _, bound in found))
+
+    def _worth(one: Priced[Routes]) -> float:
+        if objective.name == QUANTILE:
+            known = odds_along(one.ways)
+            assert known is not None
+            return known.final_quantile(objective.quantile)
+        assert battery is not None
+        volts = planner.lattice.robot.nominal_voltage_v
+        return 1.0 - chance(course_of(one.ways), battery, nominal_voltage_v=volts, odds=odds_along(one.ways))
+
+    outcome = least(aim, _solve, worth=_worth)
+    best, mean = _worth(outcome.best), _worth(outcome.mean)
+    gap = _gap(aim, outcome, odds)
+    if objective.name == QUANTILE:
+        weighed = Weighed(objective.name, objective.quantile, best, mean, gap=gap, searches=outcome.searches)
+    else:
+        chances = {"probability": 1.0 - best, "mean_probability": 1.0 - mean}
+        weighed = Weighed(objective.name, **chances, gap=gap, searches=outcome.searches)
+    return outcome.best.ways, weighed
+
+
+def _check(planner: RoutePlanner | StoredPlanner, objective: Objective, battery: Battery | None) -> None:
+    if isinstance(planner, StoredPlanner):
+        raise InputError(
+            f"the objective {objective.name} needs the whole cost map in memory, and this one is planned on from disk: "
+            "leave the objective out, or make a cost map with a coarser spacing"
+        )
+    lattice = planner.lattice
+    if lattice.std_j is None or lattice.provenance.get("model", {}).get("spread") is None:
+        raise InputError(
+            f"the objective {objective.name} needs a model that knows how far off it is: use the model default, or "
+            "calibrate this one with runs",
+            objective=objective.name,
+        )
+    if objective.name == ARRIVAL and battery is None:
+        raise InputError("the objective arrival needs a battery: give its charge and reserve", objective=ARRIVAL)
+
+
+def _aim(objective: Objective, odds: EnergyOdds, spread: Spread, battery: Battery | None) -> Aim:
+    """The objective of mean and variance, at the degrees of freedom of the route of least expected energy."""
+    if objective.name == ARRIVAL:
+        assert battery is not None
+        return MostLikely(battery.available_j, spread.run_share, spread.bias)
+    from scipy.special import ndtri, stdtrit  # loads slowly, and few questions need it
+
+    share = objective.quantile
+    steps = ndtri(share) if odds.freedom is None else stdtrit(odds.freedom[-1], share)
+    return LeastQuantile(float(steps) * spread.skew**0.5, spread.run_share, spread.bias)
+
+
+def _priced(routes: Routes, correlation_m: float, least_j: float | None) -> Priced[Routes]:
+    course = course_of(routes)
+    assert course.std_j is not None
+    driven = course.driven_m
+    per_metre = course.std_j[driven > 0.0] ** 2 / driven[driven > 0.0]  # a piece is correlated in itself
+    return Priced(routes, sum(route.energy_j for route in routes), correlation_m * float(per_metre.sum()), least_j)
+
+
+def _gap(aim: Aim, outcome: Outcome[Routes], odds: EnergyOdds) -> float | None:
+    if isinstance(aim, LeastQuantile):
+        return (outcome.value - outcome.bound) / outcome.bound if outcome.bound > 0.0 else None
+    if outcome.value > 0.0:  # the median takes more than there is
+        return None
+    freedom = None if odds.freedom is None else odds.freedom[-1:]
+    normal = replace(odds, mean_j=odds.mean_j[-1:] * 0.0, scale_j=odds.scale_j[-1:] * 0.0 + 1.0, freedom=freedom)
+    likely = [float(normal.lasts(-steps)[0]) for steps in (outcome.bound, outcome.value)]
+    return likely[0] - likely[1]
