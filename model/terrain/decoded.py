@@ -38,6 +38,8 @@ class Decoded:
         Side of a cell [m], None where the file does not say.
     crs : str or None
         "EPSG:n" or WKT, None where the file does not say.
+    notes : tuple of str
+        What is to be known of the file.
     """
 
     heights: NDArray[np.float32]
@@ -45,6 +47,7 @@ class Decoded:
     north_m: float | None = None
     resolution_m: float | None = None
     crs: str | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -103,7 +103,8 @@ def read_heightmap(
         heights = warped.read(scaling, slice(0, rows), slice(0, cols))
         return Heightmap(heights, _frame(warped, None, 0.0, None, None), file.name, notes=(warped.note,))
     decoded = _format_of(file).code.decode(file, scaling, max_cells=max_cells, band=band)
-    return Heightmap(decoded.heights, _frame(decoded, resolution_m, west_m, north_m, crs), source=file.name)
+    frame = _frame(decoded, resolution_m, west_m, north_m, crs)
+    return Heightmap(decoded.heights, frame, source=file.name, notes=decoded.notes)
 
 
 def open_ground(

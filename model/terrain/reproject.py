@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -294,7 +294,7 @@ def _nodata(dataset: DatasetReader, band: int, scaling: Scaling) -> float | None
 
 
 def _with_cells(decoded: Decoded, resolution_m: float) -> Decoded:
-    return Decoded(decoded.heights, decoded.west_m, decoded.north_m, resolution_m, decoded.crs)
+    return replace(decoded, resolution_m=resolution_m)
 
 
 def _as_geotiff(decoded: Decoded, west_m: float, north_m: float | None) -> bytes:

@@ -7,7 +7,7 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,13 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.odometry import Odometry, cut_travel, read_odometry
 from joulemap.model.runs.reader import parse_run
-from joulemap.model.runs.table import TableLimits
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
-from tests.fuzz import paths
+from tests.fuzz import paths, recordings
 from tests.fuzz.files import LOG, Rng, parquet
 from tests.reference.heightmap_files import ASC, geotiff, npy, npz, png
 
-_LIMITS = TableLimits(rows=1_000_000, columns=2_000, cells=20_000_000, text_mb=200.0)
+_LIMITS = recordings.LIMITS
 _WORDS = [
     b"nan",
     b"inf",
@@ -202,6 +201,9 @@ def _robot(content: bytes, rng: Rng) -> None:
     json.dumps(Robot.from_toml(place).as_dict(), allow_nan=False)
 
 
+RUNS = ("csv", "parquet", "wheel_csv", "mapped_csv", *recordings.WRITERS)
+"""Readers of runs; the others read maps, robots and paths."""
+
 READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng], None]]] = {
     "geotiff": (geotiffs, False, _map),
     "ascii_grid": (lambda: [ASC, ASC.replace(b"corner", b"center"), ASC * 3], True, _map),
@@ -213,6 +215,11 @@ READERS: dict[str, tuple[Callable[[], list[bytes]], bool, Callable[[bytes, Rng],
     "wheel_csv": (wheel_logs, True, _travel),
     "robot": (robots, True, _robot),
     "path": (paths.paths, True, paths.read),
+    **{kind: (partial(recordings.logs, kind), False, recordings.read_log) for kind in recordings.WRITERS},
+    "mapped_csv": (recordings.odd_tables, True, recordings.read_table),
+    "cloud": (recordings.clouds, False, _map),
+    "xyz": (recordings.points, True, partial(_map, filename="a.xyz")),
+    "grid_map": (recordings.grid_maps, False, _map),
 }
 """By reader: the valid files, whether they are text, and what reads a changed one."""
 

@@ -21,7 +21,7 @@ from joulemap.model.errors import JoulemapError
 from joulemap.service.intake import guard
 from joulemap.service.intake.limits import ReadLimits, RunLimits
 from joulemap.service.intake.readers import Readers
-from tests.fuzz.inputs import input_of, read_one
+from tests.fuzz.inputs import RUNS, input_of, read_one
 
 SECONDS, MEMORY_MB = 10.0, 1_000.0
 """What every file and every input has to be answered within."""
@@ -90,7 +90,7 @@ async def _in_the_service(content: bytes, reader: str) -> str:
         file.write(content)
         file.flush()
         given: dict[str, Any] = {"path": file.name, "name": reader, "limits_of_run": asdict(_RUN)}
-        if reader not in ("csv", "parquet", "wheel_csv"):
+        if reader not in RUNS:
             options = {"resolution_m": 0.5, "scale_m": 0.1}
             given = {
                 "path": file.name,

@@ -12,7 +12,7 @@ FORMATS = [
     HeightmapFormat("greyscale PNG", (".png",), ".png"),
     HeightmapFormat("LAS point cloud", (".las", ".laz"), ".las"),
     HeightmapFormat("XYZ points", (".xyz",), ".xyz"),
-    HeightmapFormat("grid map in MCAP", (".mcap",), ".ros_grid_map"),
+    HeightmapFormat("grid map in MCAP or a ROS bag", (".mcap", ".bag", ".db3"), ".ros_grid_map"),
 ]
 """All formats that are read, in the order in which they are tried. A module name with a dot in front lies here."""
 
