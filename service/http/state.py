@@ -52,6 +52,8 @@ from joulemap.service.workflows import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
 _WARM_WAIT_S, _WARM_LOOK_S = 120.0, 0.05
+_NEW_OBJECTS = 50_000
+"""Until the collector looks for cycles: with Python's 700, two thirds of the time to read a long path go into that."""
 
 Job = TypeVar("Job", CostmapRow, CalibrationRow)
 
@@ -450,6 +452,7 @@ class Service:
             seconds = warm_up(models=())
             gc.collect()
             gc.freeze()  # a million objects of libraries that stay: to go over them again stalls everything for 0.5 s
+            gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
             self.warm_seconds = seconds
             _LOG.info("kernels are loaded after %.1f s", self.warm_seconds)
         except JoulemapError as error:

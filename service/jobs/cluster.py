@@ -24,6 +24,8 @@ _CONFIG = {
     "distributed.worker.http.routes": [],
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.limit": "1h",  # no warnings where Python is busy elsewhere
+    "distributed.admin.tick.interval": "1s",  # of 20 ms, for these warnings: a tenth of a core while nothing is done
+    "distributed.admin.system-monitor.interval": "2s",
     "distributed.diagnostics.nvml": False,
     "distributed.nanny.pre-spawn-environ": {"DASK_LOGGING__DISTRIBUTED": "warning"},  # it is this process's for a while
 }

@@ -151,7 +151,7 @@ PathPlace = Annotated[
     Field(description=f"world [x, y] or [x, y, z] [m]; z, which may be null, is ignored; {_DEGREES}"),
 ]
 Areas = Annotated[
-    list[Annotated[list[Place], Field(min_length=3, max_length=10_000)]],
+    list[Annotated[list[Place], Field(min_length=3, max_length=10_000, fail_fast=True)]],
     Field(
         max_length=100,
         description="areas that no route may touch: the corners of each, world [x, y] [m]; their cells are blocked "
@@ -159,7 +159,7 @@ Areas = Annotated[
         examples=[[[[20.0, 20.0], [30.0, 20.0], [30.0, 35.0]]]],
     ),
 ]
-_MANY = 1_000  # points
+_MANY, _SLICE = 1_000, 4_000  # points
 
 
 def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
@@ -179,8 +179,9 @@ def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
     """
     if not isinstance(points, list) or len(points) < _MANY:
         return validate(points)
-    try:
-        array = np.asarray(points)
+    try:  # in slices, because no other thread runs during one call
+        slices = [np.asarray(points[at : at + _SLICE]) for at in range(0, len(points), _SLICE)]
+        array = np.concatenate(slices)
     except ValueError:  # of several lengths
         return validate(points)
     if array.ndim != 2 or array.shape[1] not in (2, 3) or array.dtype.kind not in "fi":

@@ -152,6 +152,7 @@ class BlockedOut(ResponseModel):
     grade: float = Field(description="steeper along the motion than max_grade_deg")
     cross_slope: float = Field(description="steeper across the motion than max_cross_slope_deg")
     avoid: float = Field(default=0.0, description="inside an area of a question that is to be avoided")
+    power: float = Field(default=0.0, description="takes more power than a question allows")
 
 
 class CostmapOut(JobOut):
