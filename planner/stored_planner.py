@@ -190,7 +190,9 @@ class StoredPlanner:
         start, goal = (self._end(name, xy, notes, snap) for name, xy in (("start", start_xy), ("goal", goal_xy)))
         report = _Shares(progress)
         half = 0.1 if neighbours in self._levels else 0.5  # the coarse level, where it is made now
-        shortest = self._searched(start, goal, neighbours, None, refine, report.part(0.0, 0.1))[0]
+        shortest = self._straight(start, goal) if refine else None
+        if shortest is None:
+            shortest = self._searched(start, goal, neighbours, None, refine, report.part(0.0, 0.1))[0]
         level = self._level(neighbours, report.part(0.1, half))[1]
         points, details = self._searched(start, goal, neighbours, level, refine, report.part(half, 1.0))
         details |= {"planner": planner, "neighbours": neighbours, "refined": refine, "tiled": True}
@@ -227,6 +229,12 @@ class StoredPlanner:
             f"a tour of {len(stops_xy)} stops needs the whole cost map in memory, and this one is planned on from "
             "disk: make a cost map with a coarser spacing"
         )
+
+    def _straight(self, start: Points, goal: Points) -> Points | None:
+        """The straight line, where it is free."""
+        points = np.vstack([start, goal])
+        self._strip.read_along(points, cells=4)
+        return points if math.isfinite(path_price(_of_distances(self.lattice), points)) else None
 
     def _searched(
         self,

@@ -61,11 +61,11 @@ class Strip:
         points : ndarray of float, (n, 2)
             Fractional (row, col).
         cells : int
-            How far from it the lattice is wanted, at least [cells].
+            How far from it the lattice is wanted, at least [cells]; 1 or more.
         """
         wanted = np.zeros_like(self._read)
         for (row0, col0), (row1, col1) in zip(points[:-1], points[1:], strict=True):
-            count = int(max(abs(row1 - row0), abs(col1 - col0)) / BLOCK_CELLS) + 2
+            count = int(max(abs(row1 - row0), abs(col1 - col0)) / min(2 * cells, BLOCK_CELLS)) + 2
             for row, col in np.linspace((row0, col0), (row1, col1), count):
                 wanted[self._near(row, cells), self._near(col, cells)] = True
         if len(points) == 1:
