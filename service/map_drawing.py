@@ -166,27 +166,51 @@ def draw_ground(
     return draw_blocked(axes, codes, (west, east, south, north))
 
 
-def tinted_relief(ground: Image, extent: Extent) -> Image:
-    """Return ground coloured by its height and shaded.
+def tinted_relief(
+    ground: Image, extent: Extent, *, between: tuple[float, float] | None = None, steep: float | None = None
+) -> Image:
+    """Return ground as an image: shaded relief, tinted by height.
 
     Parameters
     ----------
     ground : ndarray, (rows, cols) [m]
-        NaN where unknown.
+        Heights, NaN where unknown.
     extent : tuple of float
         West, east, south, north [m].
+    between : tuple of float, optional
+        `tint_range` of the whole, where this is a part of it.
+    steep : float, optional
+        Its `steepness`.
 
     Returns
     -------
     ndarray, (rows, cols, 3)
         Red, green and blue, 0 to 1; white where unknown.
     """
-    known = ground[np.isfinite(ground)]
-    low, high = (float(q) for q in np.quantile(known, [0.02, 0.98])) if known.size else (0.0, 1.0)
-    norm = Normalize(low, max(high, low + 0.1), clip=True)
-    image = _TERRAIN(norm(np.nan_to_num(ground, nan=low)))[..., :3] * hillshade(ground, extent)[..., None]
+    low, high = tint_range(ground) if between is None else between
+    norm = Normalize(low, high, clip=True)
+    light = hillshade(ground, extent, steep=steep)
+    image = _TERRAIN(norm(np.nan_to_num(ground, nan=low)))[..., :3] * light[..., None]
     image[np.isnan(ground)] = 1.0
     return np.clip(np.asarray(image), 0.0, 1.0)
+
+
+def tint_range(ground: Image) -> tuple[float, float]:
+    """Return the heights at the two ends of the tints of `tinted_relief`.
+
+    Parameters
+    ----------
+    ground : ndarray, (rows, cols) [m]
+        Heights, NaN where unknown.
+
+    Returns
+    -------
+    tuple of float
+        2 % and 98 % quantiles [m].
+    """
+    known = ground[np.isfinite(ground)]
+    low, high = (float(q) for q in np.quantile(known, [0.02, 0.98])) if known.size else (0.0, 1.0)
+    return low, max(high, low + 0.1)
 
 
 def draw_lattice_ground(axes: Axes, lattice: CostLattice) -> list[Patch]:

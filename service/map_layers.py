@@ -49,18 +49,42 @@ def overview(stored: StoredLattice) -> CostLattice:
     CostLattice
         With as many cells as a layer has pixels.
     """
-    frame, step = stored.frame, thinning(stored.frame.shape)
-    rows, cols = (max(n // step, 1) for n in frame.shape)
-    wanted = step // 2 + step * np.arange(rows)
-    strips = []
-    for top in range(0, frame.rows, stored.chunk):
-        bottom = min(top + stored.chunk, frame.rows)
-        here = wanted[(wanted >= top) & (wanted < bottom)] - top
-        strip = stored.window(top, bottom, 0, frame.cols)
-        strips.append([part[here, step // 2 : cols * step : step] for part in _arrays(strip)])
-    traction, elevation, gradient, blocked = (np.concatenate(parts) for parts in zip(*strips, strict=True))
-    coarse = GridFrame(frame.west_m, frame.north_m, frame.resolution_m * step, rows, cols, frame.crs)
-    return CostLattice(coarse, stored.robot, traction, elevation, gradient, blocked, stored.provenance)
+    step = thinning(stored.frame.shape)
+    rows, cols = (range(step // 2, max(n // step, 1) * step, step) for n in stored.frame.shape)
+    return sampled(stored, rows, cols)
+
+
+def sampled(lattice: CostLattice | StoredLattice, rows: range, cols: range) -> CostLattice:
+    """Return every n-th cell of a part of a cost map as a coarse cost map.
+
+    Parameters
+    ----------
+    lattice : CostLattice or StoredLattice
+        The cost map.
+    rows, cols : range
+        The cells, with the same step n; each is in the middle of a square of n x n cells.
+
+    Returns
+    -------
+    CostLattice
+        Whose cells are these squares.
+    """
+    frame, step = lattice.frame, rows.step
+    if isinstance(lattice, CostLattice):
+        arrays = tuple(part[rows.start : rows.stop : step, cols.start : cols.stop : step] for part in _arrays(lattice))
+    else:
+        strips = []
+        for top in range(rows.start - rows.start % lattice.chunk, rows.stop, lattice.chunk):
+            here = np.array([row - top for row in rows if top <= row < top + lattice.chunk], dtype=np.int64)
+            if here.size:
+                strip = lattice.window(top, min(top + lattice.chunk, frame.rows), cols.start, cols[-1] + 1)
+                strips.append([part[here, ::step] for part in _arrays(strip)])
+        arrays = tuple(np.concatenate(parts) for parts in zip(*strips, strict=True))
+    traction, elevation, gradient, blocked = arrays
+    corner = frame.window(rows.start - step // 2, rows.stop, cols.start - step // 2, cols.stop)
+    side = frame.resolution_m * step
+    coarse = GridFrame(corner.west_m, corner.north_m, side, len(rows), len(cols), frame.crs)
+    return CostLattice(coarse, lattice.robot, traction, elevation, gradient, blocked, lattice.provenance)
 
 
 def _arrays(lattice: CostLattice) -> tuple[Image, Image, Image, Image]:
@@ -118,7 +142,7 @@ def ground_layer(heights: Image, extent: Extent) -> bytes:
         fine = ndimage.zoom(filled, times, order=3, grid_mode=True, mode="nearest")
         ground = np.where(_enlarged(known, times), fine, np.nan)
     alpha = np.isfinite(ground).astype(np.float64)
-    return _png(np.dstack([tinted_relief(ground, extent), alpha]))
+    return png(np.dstack([tinted_relief(ground, extent), alpha]))
 
 
 def energy_layer(lattice: CostLattice, *, view: str = "mean", heading_deg: float | None = None) -> bytes:
@@ -145,17 +169,58 @@ def energy_layer(lattice: CostLattice, *, view: str = "mean", heading_deg: float
     """
 
     def _priced(strip: CostLattice) -> Image:
-        values, codes, _ = values_of_view(strip, view, heading_deg)
-        return np.where(codes == Blocked.FREE, values, np.nan).astype(np.float32)
+        return free_values(strip, view, heading_deg)
 
     shown, extent = thinned(_by_strips(lattice, _priced), lattice.frame)
     ground, _ = thinned(lattice.elevation_m, lattice.frame)
-    low, high = colour_scale(lattice, view)
-    share = np.clip((np.nan_to_num(shown, nan=low) - low) / (high - low), 0.0, 1.0)
-    image = colormaps[COLOURS[view]](share)
-    image[..., :3] *= (0.72 + 0.28 * hillshade(ground, extent))[..., None]
-    image[..., 3] = np.where(np.isfinite(shown), _ENERGY_ALPHA, 0.0)
-    return _png(np.clip(image, 0.0, 1.0))
+    return png(energy_image(shown, hillshade(ground, extent), colour_scale(lattice, view), view))
+
+
+def free_values(lattice: CostLattice, view: str, heading_deg: float | None) -> Image:
+    """Return what a view colours.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The cost map, or a part of it.
+    view : str
+        As for `energy_layer`.
+    heading_deg : float or None
+        As for `energy_layer`.
+
+    Returns
+    -------
+    ndarray of float32, (rows, cols) [J/m]
+        NaN where blocked.
+    """
+    values, codes, _ = values_of_view(lattice, view, heading_deg)
+    return np.where(codes == Blocked.FREE, values, np.nan).astype(np.float32)
+
+
+def energy_image(values: Image, light: Image, scale: tuple[float, float], view: str) -> Image:
+    """Return energy per metre in colour, shaded.
+
+    Parameters
+    ----------
+    values : ndarray, (rows, cols) [J/m]
+        As of `free_values`.
+    light : ndarray, (rows, cols)
+        As of `hillshade`.
+    scale : tuple of float
+        As of `colour_scale`.
+    view : str
+        As for `energy_layer`.
+
+    Returns
+    -------
+    ndarray, (rows, cols, 4)
+        Red, green, blue and opacity, 0 to 1.
+    """
+    low, high = scale
+    image = colormaps[COLOURS[view]](np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0.0, 1.0))
+    image[..., :3] *= (0.72 + 0.28 * light)[..., None]
+    image[..., 3] = np.where(np.isfinite(values), _ENERGY_ALPHA, 0.0)
+    return np.clip(image, 0.0, 1.0)
 
 
 def blocked_layer(lattice: CostLattice, *, heading_deg: float | None = None) -> bytes:
@@ -175,18 +240,48 @@ def blocked_layer(lattice: CostLattice, *, heading_deg: float | None = None) -> 
         A PNG over the map's bounds.
     """
 
-    def _codes(strip: CostLattice) -> Image:
-        if heading_deg is not None:
-            return strip.blocked_at(np.array([np.deg2rad(heading_deg)]))[..., 0]
-        codes = blocked_everywhere(strip)
-        some = (strip.blocked_by_heading() != Blocked.FREE).any(axis=2)
-        return np.where((codes == Blocked.FREE) & some, _PARTLY, codes)
-
-    codes = _by_strips(lattice, _codes)
+    codes = _by_strips(lattice, lambda strip: blocked_codes(strip, heading_deg))
     step = thinning(codes.shape)
     rows, cols = (max(n // step, 1) * step for n in codes.shape)
     codes = codes[:rows:step, :cols:step]
-    codes = _enlarged(codes, _times(codes))
+    return png(blocked_image(_enlarged(codes, _times(codes))))
+
+
+def blocked_codes(lattice: CostLattice, heading_deg: float | None) -> Image:
+    """Return why cells may not be driven.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        The cost map, or a part of it.
+    heading_deg : float or None
+        As for `blocked_layer`.
+
+    Returns
+    -------
+    ndarray of uint8, (rows, cols)
+        `Blocked` codes, and one for what is blocked in some headings.
+    """
+    if heading_deg is not None:
+        return lattice.blocked_at(np.array([np.deg2rad(heading_deg)]))[..., 0]
+    codes = blocked_everywhere(lattice)
+    some = (lattice.blocked_by_heading() != Blocked.FREE).any(axis=2)
+    return np.where((codes == Blocked.FREE) & some, np.uint8(_PARTLY), codes)
+
+
+def blocked_image(codes: Image) -> Image:
+    """Return blocked ground, hatched in the colour of its reason.
+
+    Parameters
+    ----------
+    codes : ndarray of uint8, (rows, cols)
+        As of `blocked_codes`.
+
+    Returns
+    -------
+    ndarray, (rows, cols, 4)
+        Red, green, blue and opacity, 0 to 1.
+    """
     row, col = np.indices(codes.shape)
     image = np.zeros((*codes.shape, 4))
     image[codes == _PARTLY] = (*to_rgb(REASONS[Blocked.CROSS_SLOPE][0]), _PARTLY_ALPHA)
@@ -196,7 +291,7 @@ def blocked_layer(lattice: CostLattice, *, heading_deg: float | None = None) -> 
         falling = (row - col) % _HATCH < 2
         lines = falling | ((row + col) % _HATCH < 2) if "x" in hatch else falling
         image[here & lines] = (*(to_rgb(line) if hatch else _darker(face)), 1.0)
-    return _png(image)
+    return image
 
 
 def layer_bounds(frame: GridFrame) -> tuple[float, float, float, float]:
@@ -379,7 +474,19 @@ def _darker(colour: str) -> tuple[float, ...]:
     return tuple(0.8 * part for part in to_rgb(colour))
 
 
-def _png(image: Image) -> bytes:
+def png(image: Image) -> bytes:
+    """Return an image as a file.
+
+    Parameters
+    ----------
+    image : ndarray, (rows, cols, 4)
+        Red, green, blue and opacity, 0 to 1.
+
+    Returns
+    -------
+    bytes
+        A PNG.
+    """
     sink = io.BytesIO()
     imsave(sink, image, format="png", pil_kwargs={"compress_level": 2})
     return sink.getvalue()

@@ -87,8 +87,8 @@ def thinning(shape: tuple[int, ...], *, most: int = 0) -> int:
     return math.ceil(max(shape) / (most or MAX_PIXELS))
 
 
-def hillshade(heights: Image, extent: Extent) -> Image:
-    """Return the brightness of ground lit from the north-west, exaggerated so that gentle slopes show.
+def steepness(heights: Image, extent: Extent) -> float:
+    """Return the slope that `hillshade` shades most: most ground is less steep.
 
     Parameters
     ----------
@@ -99,15 +99,42 @@ def hillshade(heights: Image, extent: Extent) -> Image:
 
     Returns
     -------
+    float
+        95 % quantile of the slopes [m/m]; 0 where none is known.
+    """
+    if min(heights.shape) < 2:
+        return 0.0
+    slope = np.hypot(*_gradient(heights, extent))
+    return float(np.nanquantile(slope, 0.95)) if np.isfinite(slope).any() else 0.0
+
+
+def _gradient(heights: Image, extent: Extent) -> tuple[Image, Image]:
+    pixel = (extent[1] - extent[0]) / heights.shape[1]
+    south, east = (np.asarray(part) for part in np.gradient(heights.astype(np.float64), pixel))
+    return south, east
+
+
+def hillshade(heights: Image, extent: Extent, *, steep: float | None = None) -> Image:
+    """Return the brightness of ground lit from the north-west, exaggerated so that gentle slopes show.
+
+    Parameters
+    ----------
+    heights : ndarray, (rows, cols) [m]
+        NaN where unknown.
+    extent : tuple of float
+        West, east, south, north [m].
+    steep : float, optional
+        `steepness` of the whole, where this is a part of it.
+
+    Returns
+    -------
     ndarray, (rows, cols)
         0.45 to 1.2; 1 where unknown.
     """
     if min(heights.shape) < 2:
         return np.ones(heights.shape)
-    pixel = (extent[1] - extent[0]) / heights.shape[1]
-    south, east = np.gradient(heights.astype(np.float64), pixel)
-    slope = np.hypot(south, east)
-    steep = np.nanquantile(slope, 0.95) if np.isfinite(slope).any() else 0.0
+    south, east = _gradient(heights, extent)
+    steep = steepness(heights, extent) if steep is None else steep
     gain = 0.7 / steep if steep > 1e-9 else 0.0
     nx, ny = -east * gain, south * gain
     light = np.array([-0.5, 0.5, math.sqrt(0.5)])

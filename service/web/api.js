@@ -1,5 +1,7 @@
 // Talks to the service: questions, files, pictures and progress. Errors carry the words of the service.
 
+import { make } from "./dom.js";
+
 const ROOT = new URL("../", import.meta.url);
 const KEY = "joulemap-key";
 const lost = new EventTarget();
@@ -48,6 +50,14 @@ async function request(path, { method = "GET", body, headers = {}, signal } = {}
 export async function ask(path, options) {
   const answer = await request(path, { ...options, headers: { Accept: "application/json", ...options?.headers } });
   return answer.status === 204 ? null : answer.json();
+}
+
+/** Asks with a confidence, and where the model gives no odds without one: then the expected energy decides. Returns the answer, and whether it has odds. */
+export async function sendForOdds(path, body, options) {
+  try { return [await send(path, body, options), true]; } catch (error) {
+    if (error.status !== 422 || !/confidence/.test(error.message)) throw error;
+    return [await send(path, { ...body, confidence: null }, options), false];
+  }
 }
 
 export const send = (path, body, options) => ask(path, { method: "POST", body, ...options });
@@ -116,20 +126,11 @@ async function watchConnection() {
 let asking = null;
 function askKey(why) {
   asking ??= new Promise(done => {
-    const box = document.createElement("dialog"), form = document.createElement("form"), words = document.createElement("p");
-    const label = document.createElement("label"), input = document.createElement("input"), button = document.createElement("button");
-    words.textContent = why;
-    label.textContent = "Key ";
-    Object.assign(input, { type: "password", required: true, autocomplete: "off" });
-    Object.assign(button, { textContent: "Use this key", className: "main" });
-    form.method = "dialog";
-    label.append(input);
-    form.append(words, label, " ", button);
-    box.append(form);
-    box.setAttribute("aria-label", "This service wants a key");
-    document.body.append(box);
-    form.addEventListener("submit", () => sessionStorage.setItem(KEY, input.value));
+    const input = make("input", { type: "password", required: true, autocomplete: "off" });
+    const box = make("dialog", { "aria-label": "This service wants a key" },
+      make("form", { method: "dialog", onsubmit: () => sessionStorage.setItem(KEY, input.value) }, make("p", {}, why), make("label", {}, "Key ", input), " ", make("button", { class: "main" }, "Use this key")));
     box.addEventListener("close", () => { box.remove(); asking = null; done(input.value !== ""); });
+    document.body.append(box);
     box.showModal();
   });
   return asking;

@@ -1,8 +1,8 @@
 // Areas to avoid: drawn corner by corner, blocked in every question.
 
-import { by, fill, make } from "./dom.js";
+import { button, by, fill, make } from "./dom.js";
 import { inside, leaf, map } from "./map.js";
-import { can, hint, takers } from "./question.js";
+import { hint, takers } from "./question.js";
 import { now, on, set } from "./state.js";
 
 const STYLE = { color: "#b3261e", weight: 2, dashArray: "6 4", fillColor: "#b3261e", fillOpacity: 0.18 };
@@ -12,15 +12,14 @@ let corners = null;
 const SAYS = "Click the corners of the area; click the first corner again, or press Enter, to close it. Escape gives up.";
 
 export function panel() {
-  if (!can("avoid")) return null;
   return make("div", {}, make("h2", {}, "Areas to avoid"), make("div", { class: "row", id: "areas" }));
 }
 
 function list() {
   const here = by("areas");
   if (!here) return;
-  fill(here, make("button", { type: "button", onclick: corners ? close : begin }, corners ? "Close the area" : "Draw an area"),
-    now.avoid.map((_, k) => make("button", { type: "button", "aria-label": `Remove area ${k + 1}`, onclick: () => set({ avoid: now.avoid.filter((_, i) => i !== k) }) }, `Area ${k + 1} ✕`)));
+  fill(here, button({ onclick: corners ? close : begin }, corners ? "Close the area" : "Draw an area"),
+    now.avoid.map((_, k) => button({ "aria-label": `Remove area ${k + 1}`, onclick: () => set({ avoid: now.avoid.filter((_, i) => i !== k) }) }, `Area ${k + 1} ✕`)));
 }
 
 function begin() { corners = []; hint(SAYS); list(); }

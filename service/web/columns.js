@@ -1,36 +1,37 @@
-// When the columns of a log have other names: say which is which, and send the log with the names that are known.
+// When the columns of a log have other names: say which is which, and in which unit.
 
-import { fill, make } from "./dom.js";
+import { alarm, button, fill, make, row } from "./dom.js";
 
-/** What a run needs, and what a column of it may be called. */
-const NEEDED = [["t", "Time [s]"], ["x", "x [m]"], ["y", "y [m]"], ["voltage", "Voltage [V]"], ["current", "Current [A]"]];
-const LIKELY = { t: /^(t|time|stamp|timestamp|sec)/i, x: /^(x|east)/i, y: /^(y|north)/i, voltage: /volt|^u$|^v$|v_?bat/i, current: /curr|amp|^i$|i_?bat/i };
+/** What a run needs, how a column of it is often called, and the units that it may be in. */
+const LENGTHS = ["m", "cm", "mm", "km", "ft"], ANGLES = ["deg", "rad", "degE7"];
+const NEEDED = {
+  t: ["Time", /^(t$|time|stamp|sec)/i, ["s", "ms", "us", "ns", "min", "h"]], x: ["x, east", /^(x|east)/i, LENGTHS], y: ["y, north", /^(y|north)/i, LENGTHS],
+  lat: ["or latitude", /lat/i, ANGLES], lon: ["and longitude", /lon|lng/i, ANGLES],
+  voltage: ["Voltage", /volt|^u$|^v$|v_?bat/i, ["V", "mV", "cV", "dV"]], current: ["Current", /curr|amp|^i$|i_?bat/i, ["A", "mA", "cA", "dA"]], power: ["or power", /watt|power/i, ["W", "kW", "mW"]],
+};
 
-const headOf = text => text.split(/\r?\n/).find(line => line.trim() && !line.startsWith("#")) ?? "";
-const separatorOf = head => [",", ";", "\t"].map(mark => [head.split(mark).length, mark]).sort(([a], [b]) => b - a)[0][1];
+async function namesIn(file) {
+  const head = (await file.slice(0, 65536).text()).split(/\r?\n/).find(line => line.trim() && !line.startsWith("#")) ?? "";
+  const mark = [",", ";", "\t"].reduce((best, one) => (head.split(one).length > head.split(best).length ? one : best));
+  return head.split(mark).map(name => name.trim().replace(/^"|"$/g, ""));
+}
 
-/** A form to name the columns, or nothing where the files are no tables of text. */
-export async function form(files, sendAgain) {
-  if (!files.every(file => /\.(csv|txt|tsv)$/i.test(file.name))) return null;
-  const head = headOf(await files[0].slice(0, 65536).text()), separator = separatorOf(head);
-  const names = head.split(separator).map(name => name.trim().replace(/^"|"$/g, ""));
-  if (names.length < 3 || NEEDED.every(([name]) => names.includes(name))) return null;
-  const choices = NEEDED.map(([name, label]) => {
-    const guess = names.includes(name) ? name : names.find(one => LIKELY[name].test(one));
-    const list = make("select", {}, make("option", { value: "" }, "not logged"), names.map(one => make("option", { value: one, selected: one === guess }, one)));
-    return [name, label, list];
+/** A form to name the columns, or nothing where the files are no tables of text; `send` is called with the mapping. */
+export async function form(files, send) {
+  if (!files.every(file => /\.(csv|txt|tsv|log)$/i.test(file.name))) return null;
+  const names = await namesIn(files[0]);
+  if (names.length < 3 || ["t", "x", "y", "voltage", "current"].every(name => names.includes(name))) return null;
+  const choices = Object.entries(NEEDED).map(([name, [label, likely, units]]) => {
+    const guess = names.includes(name) ? name : names.find(one => likely.test(one));
+    const list = make("select", { "aria-label": label }, make("option", { value: "" }, "not logged"), names.map(one => make("option", { value: one, selected: one === guess }, one)));
+    const unit = make("select", { "aria-label": `unit of ${label}` }, make("option", { value: "" }, "auto"), units.map(one => make("option", { value: `:${one}` }, one)));
+    return { name, label, list, unit };
   });
   const said = make("div", { "aria-live": "polite" });
-  const go = async () => {
-    const chosen = choices.filter(([, , list]) => list.value);
-    const twice = chosen.find(([, , list], k) => chosen.slice(0, k).some(([, , other]) => other.value === list.value));
-    if (twice) { fill(said, make("p", { class: "error", role: "alert" }, `The column ${twice[2].value} is chosen twice.`)); return; }
-    const renamed = Object.fromEntries(chosen.map(([name, , list]) => [list.value, name]));
-    sendAgain(await Promise.all(files.map(async file => {
-      const text = await file.text(), first = headOf(text), at = text.indexOf(first);
-      const line = first.split(separator).map(one => renamed[one.trim().replace(/^"|"$/g, "")] ?? one).join(separator);
-      return new File([text.slice(0, at) + line + text.slice(at + first.length)], file.name, { type: file.type });
-    })));
+  const go = () => {
+    const chosen = choices.filter(({ list }) => list.value), twice = chosen.find(({ list }, k) => chosen.slice(0, k).some(other => other.list.value === list.value));
+    if (twice) fill(said, alarm(`The column ${twice.list.value} is chosen twice.`)); else send(chosen.map(({ name, list, unit }) => `${name}=${list.value}${unit.value}`));
   };
-  return make("div", { id: "columns" }, make("h3", {}, "Which column is which?"), choices.map(([, label, list]) => make("label", { class: "field wide" }, label, list)), make("div", { class: "row" }, make("button", { type: "button", class: "main", onclick: go }, "Send with these columns")), said);
+  return make("div", { id: "columns" }, make("h3", {}, "Which column is which?"), choices.map(({ label, list, unit }) => make("div", { class: "column" }, make("span", {}, label), list, unit)),
+    row(button({ class: "main", onclick: go }, "Send with these columns")), said);
 }

@@ -47,10 +47,12 @@ export function minutes(seconds) {
 
 export const number = (value, digits = 1) => rounded(value, digits);
 
+const kind = (tag, own) => (...children) => make(tag, own, children.flat());
+export const note = kind("p", { class: "note" }), warn = kind("p", { class: "note warn" }), row = kind("div", { class: "row" });
+export const alarm = kind("p", { class: "error", role: "alert" }), button = ({ ...own }, ...children) => make("button", { type: "button", ...own }, ...children);
+
 /** The words of an error, for a person. */
-export function errorNote(error) {
-  return make("p", { class: "error", role: "alert" }, error.message);
-}
+export const errorNote = error => alarm(error.message);
 
 /** A table; the first row is the head. Cells are text or nodes; numbers are put to the right. */
 export function table([head, ...rows], caption) {

@@ -1,6 +1,6 @@
 // The address of the page holds what is shown, so that a link opens the same view again.
 
-import { now, on, set } from "./state.js";
+import { now, on } from "./state.js";
 
 const point = text => {
   const values = (text ?? "").split(",").map(Number);
@@ -26,7 +26,7 @@ export function read(hash = location.hash) {
   const avoid = (given.get("avoid") ?? "").split("|").map(ring => ring.split(";").map(point).filter(Boolean)).filter(ring => ring.length > 2);
   if (avoid.length) found.changes.avoid = avoid;
   const seen = (given.get("at") ?? "").split(",").map(Number);
-  if (seen.length === 3 && seen.every(Number.isFinite)) found.seen = { x: seen[0], y: seen[1], zoom: seen[2] };
+  if (seen.length === 3 && seen.every(Number.isFinite) && seen[2] > 0) found.seen = { x: seen[0], y: seen[1], span: seen[2] };
   return found;
 }
 
@@ -45,7 +45,7 @@ export function address() {
   if (now.avoid.length) parts.set("avoid", now.avoid.map(ring => ring.map(written).join(";")).join("|"));
   parts.set("view", now.view);
   if (now.view === "heading") parts.set("heading", now.heading);
-  if (where) parts.set("at", `${where.x.toFixed(1)},${where.y.toFixed(1)},${where.zoom.toFixed(2)}`);
+  if (where) parts.set("at", [where.x, where.y, where.span].map(value => +value.toFixed(2)).join(","));
   return `${location.pathname}#${parts.toString().replace(/%2C/g, ",").replace(/%3B/g, ";")}`;
 }
 
@@ -61,4 +61,3 @@ function write() {
 }
 
 on("costmap start goal stops battery roundTrip alternatives avoid view heading", write);
-export const apply = changes => set(changes);

@@ -1,24 +1,26 @@
 // The loop: send measured runs, see what was read of them, calibrate the model, compare before and after.
 
-import { ask, follow, send, superseded } from "./api.js";
-import { by, errorNote, fill, joules, make, metres, number, percent, table } from "./dom.js";
+import { ask, send } from "./api.js";
+import { alarm, button, by, errorNote, fill, joules, make, metres, note, number, percent, row, table, warn } from "./dom.js";
 import { dropZone } from "./ground.js";
 import * as columns from "./columns.js";
+import { check, watched } from "./controls.js";
 import { build } from "./map_panel.js";
 import * as measured from "./measured.js";
 import { leaf, map } from "./map.js";
+import { routeButtons } from "./save_panel.js";
 import { now, on, set } from "./state.js";
 
 const drawn = L.layerGroup().addTo(map);
-let waiting = null;
+const BEFORE = "#6d6d6d", AFTER = "#00634a", DRIVE = "#5b2a86"; // the way of the question stays blue
 
 export function show() {
   drawn.clearLayers();
   const here = by("step-runs");
-  if (!now.costmap) { fill(here, make("p", { class: "note" }, "Make a cost map first: runs are compared with its ground, robot and model.")); return; }
+  if (!now.costmap) { fill(here, note("Make a cost map first: runs are compared with its ground, robot and model.")); return; }
   fill(here,
     make("h2", {}, "Measured runs"),
-    make("p", { class: "note" }, "Logs of this robot on this ground: time, position, voltage and current. What the model does not contain is found in them."),
+    note("Logs of this robot on this ground: time, position, voltage and current. What the model does not contain is found in them."),
     dropZone(make("span", {}, make("b", {}, "Choose runs"), " or drop them here"), { multiple: true, id: "runs-files", "aria-label": "Files of runs" }, upload),
     make("div", { id: "sent", "aria-live": "polite" }), make("div", { id: "runs-list" }), make("div", { id: "calibrating", "aria-live": "polite" }),
     make("h2", {}, "Calibrations"), make("div", { id: "calibrations" }), make("div", { id: "found", "aria-live": "polite" }));
@@ -27,20 +29,20 @@ export function show() {
 }
 
 const words = key => key.replaceAll("_", " ");
-const counted = counts => Object.entries(counts).map(([reason, count]) => `${number(count, 0)} ${words(reason)}`).join(", ") || "nothing";
+const counted = counts => Object.entries(counts).map(([reason, count]) => `${words(reason)}: ${number(count, 0)}`).join(", ") || "nothing";
 
-async function upload(files) {
-  fill(by("sent"), make("p", {}, `Reading ${files.length} file${files.length > 1 ? "s" : ""}…`), make("progress", { "aria-label": "Reading the runs" }));
-  const form = new FormData();
+async function upload(files, mapping = []) {
+  const here = by("sent"), form = new FormData(), query = new URLSearchParams({ heightmap_id: now.costmap.heightmap_id });
+  fill(here, make("p", {}, `Reading ${files.length} file${files.length > 1 ? "s" : ""}…`), make("progress", { "aria-label": "Reading the runs" }));
   for (const file of files) form.append("file", file, file.name);
+  for (const entry of mapping) query.append("map", entry);
   try {
-    const sent = await ask(`v1/runs?heightmap_id=${now.costmap.heightmap_id}`, { method: "POST", body: form });
-    fill(by("sent"), make("h3", {}, "What was read"), readOf(sent));
-    waiting = null;
+    const sent = await ask(`v1/runs?${query}`, { method: "POST", body: form });
+    fill(here, make("h3", {}, "What was read"), readOf(sent), sent.runs.flatMap(run => run.warnings).map(one => warn(one)));
     listRuns(sent.id);
   } catch (error) {
-    waiting = files;
-    fill(by("sent"), errorNote(error), await columns.form(files, renamed => upload(renamed)));
+    const naming = error.status === 422 ? await columns.form(files, mapping => upload(files, mapping)) : null;
+    fill(here, naming ? alarm(error.message.replace(/; a mapping says.*/, ".")) : errorNote(error), naming);
   }
 }
 
@@ -50,13 +52,13 @@ async function listRuns(chosen) {
   const here = by("runs-list");
   try {
     const { items } = await ask("v1/runs?limit=100");
-    if (!items.length) { fill(here, make("p", { class: "note" }, "No runs are kept yet.")); return; }
+    if (!items.length) { fill(here, note("No runs are kept yet.")); return; }
     const boxes = items.filter(one => one.runs).map(one => [one, make("input", { type: "checkbox", checked: one.id === chosen || (!chosen && one === items[0]) })]);
-    const quick = make("input", { type: "checkbox", checked: true, id: "quick" });
+    let quick = true;
     fill(here, make("details", { open: true }, make("summary", {}, "Learn from"),
       boxes.map(([one, box]) => make("label", { class: "check" }, box, `${one.runs.map(run => run.name).slice(0, 3).join(", ")}${one.runs.length > 3 ? `, and ${one.runs.length - 3} more` : ""} (${number(one.runs.reduce((sum, run) => sum + run.segments, 0), 0)} segments)`)),
-      make("label", { class: "check" }, quick, "Quick: errors are those of the fit, which are too small"),
-      make("div", { class: "row" }, make("button", { type: "button", class: "main", id: "calibrate", onclick: () => calibrate(boxes.filter(([, box]) => box.checked).map(([one]) => one.id), quick.checked) }, "Calibrate the model"))));
+      check("Quick: done sooner, but errors are those of the fit, which are too small", quick, on => { quick = on; }, { id: "quick" }),
+      row(button({ class: "main", id: "calibrate", onclick: () => calibrate(boxes.filter(([, box]) => box.checked).map(([one]) => one.id), quick) }, "Calibrate the model"))));
   } catch (error) { fill(here, errorNote(error)); }
 }
 
@@ -65,38 +67,42 @@ const robotOf = ({ robot }) => Object.fromEntries(Object.entries(robot).filter((
 
 async function calibrate(runs, quick) {
   const said = by("calibrating");
-  if (!runs.length) { fill(said, make("p", { class: "error", role: "alert" }, "Choose at least one set of runs.")); return; }
+  if (!runs.length) { fill(said, alarm("Choose at least one set of runs.")); return; }
   const ends = now.start && now.goal ? { start: now.start, goal: now.goal } : {};
   try {
-    fill(said, make("p", { class: "note" }, "Asking…"));
+    fill(said, note("Asking…"));
     await watch(await send("v1/calibrations", { heightmap_id: now.costmap.heightmap_id, runs, model: baseModel(), robot: robotOf(now.costmap), quick, ...ends }));
-  } catch (error) { if (!superseded(error)) fill(said, errorNote(error)); }
+  } catch (error) { fill(said, errorNote(error)); }
 }
 
 async function watch(calibration) {
-  const said = by("calibrating"), bar = make("progress", { max: 1, value: 0, "aria-label": "Calibration" }), state = make("p", { class: "note" }, "Waiting for its turn");
-  const stop = make("button", { type: "button", onclick: () => send(`v1/calibrations/${calibration.id}/cancel`).catch(error => fill(said, errorNote(error))) }, "Cancel");
-  fill(said, state, bar, make("div", { class: "row" }, stop));
-  await follow(`v1/calibrations/${calibration.id}/events`, ({ status, progress }) => { bar.value = progress; state.textContent = status === "queued" ? "Waiting for its turn" : `Calibrating: ${percent(progress)}`; });
-  const made = await ask(`v1/calibrations/${calibration.id}`);
-  if (made.status === "failed") fill(said, make("p", { class: "error", role: "alert" }, made.problem.detail));
-  else fill(said, made.status === "cancelled" ? make("p", { class: "note" }, "Cancelled.") : "");
+  const made = await watched(by("calibrating"), `v1/calibrations/${calibration.id}`, "Calibration");
   listCalibrations();
   if (made.status === "done") open(made);
 }
+
+const time = stamp => new Date(stamp).toLocaleString("en-GB", { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit" });
 
 async function listCalibrations() {
   const here = by("calibrations");
   try {
     const { items } = await ask("v1/calibrations?limit=100"), mine = items.filter(one => one.heightmap_id === now.costmap?.heightmap_id);
-    if (!mine.length) { fill(here, make("p", { class: "note" }, "None on this ground yet.")); return; }
-    fill(here, mine.map(one => make("div", { class: "row" }, make("button", { type: "button", onclick: async () => (one.status === "done" ? open(await ask(`v1/calibrations/${one.id}`)) : watch(one)), disabled: ["failed", "cancelled"].includes(one.status) }, `${one.id}, model ${one.model}`), make("span", { class: "quiet" }, one.status === "failed" ? one.problem.detail : one.status === "done" ? "" : one.status))));
+    if (!mine.length) { fill(here, note("None on this ground yet.")); return; }
+    fill(here, mine.map(one => row(button({ onclick: async () => (one.status === "done" ? open(await ask(`v1/calibrations/${one.id}`)) : watch(one)), disabled: ["failed", "cancelled"].includes(one.status) }, `${time(one.created_at)}, from model ${one.model}`), make("span", { class: "quiet" }, one.status === "failed" ? one.problem.detail : one.status === "done" ? "" : one.status))));
   } catch (error) { fill(here, errorNote(error)); }
 }
 
 const STATES = { before: "model before", corrected: "with base parameters fitted", after: "calibrated", after_planner: "calibrated, known before a drive" };
 const interval = ({ value, ci95, unit, name }, alone) => `${alone ? "" : `${words(name)} `}${+value.toPrecision(3)} ${unit} (95 %: ${ci95.map(end => +end.toPrecision(3)).join(" to ")})`;
 const sure = p => (p < 0.001 ? "p < 0.001" : `p = ${p.toPrecision(2)}`);
+
+function swatch(colour) {
+  const node = make("i", { class: "swatch" });
+  node.style.background = colour;
+  return node;
+}
+
+const line = (points, words, style) => L.polyline(points.map(leaf), style).bindTooltip(make("span", {}, words), { sticky: true }).addTo(drawn);
 
 /** What a calibration found, and what to do with it. */
 async function open(made) {
@@ -107,21 +113,21 @@ async function open(made) {
     report.effects.map(one => make("div", { class: "verdict likely" }, make("b", {}, one.label), one.meaning, make("br"), one.form === "curve" ? "" : one.coefficients.map(each => interval(each, one.coefficients.length === 1)).join("; "), ` · ${sure(one.p_value)} · explains ${percent(one.share_of_residual_variance)} of what the model missed`)),
     make("h3", {}, "Error per metre"),
     table([["", "mean relative", `RMSE [${unit}/m]`], ...Object.entries(STATES).filter(([state]) => report.error[state]).map(([state, name]) => [name, percent(report.error[state].mean_relative, 1), number(report.error[state].rmse, 1)])], "Error before and after"),
-    report.validation.whole_procedure ? null : make("p", { class: "note warn" }, "Quick: these are errors of the fit. On new runs they are larger."),
-    make("p", { class: "note" }, `${number(report.segments.fit, 0)} segments; left out: ${counted(report.runs.left_out)}; repaired: ${counted(report.runs.repairs)}`),
-    report.confounded.map(([name, ...rivals]) => make("p", { class: "note warn" }, `These runs cannot distinguish ${words(name)} from ${rivals.map(words).join(", ")}.`)),
+    report.validation.whole_procedure ? null : warn("Quick: these are errors of the fit. On new runs they are larger."),
+    note(`${number(report.segments.fit, 0)} segments; left out: ${counted(report.runs.left_out)}; repaired: ${counted(report.runs.repairs)}`),
+    report.confounded.map(([name, ...rivals]) => warn(`These runs cannot distinguish ${words(name)} from ${rivals.map(words).join(", ")}.`)),
     make("div", { class: "row" },
-      made.calibrated_model ? make("button", { type: "button", class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
+      made.calibrated_model ? button({ class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
       make("a", { class: "button", href: `v1/calibrations/${made.id}/report.html`, target: "_blank", rel: "noopener" }, "Whole report")),
     route ? make("div", {}, make("h3", {}, "A route before and after"), make("p", {}, `By the calibrated model the way before costs ${joules(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${joules(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
-    drive ? make("div", {}, make("h3", {}, "What to drive next"), make("p", {}, `${drive.kind}, ${metres(drive.total_length_m)} in all, at ${drive.speeds_mps.map(speed => number(speed, 2)).join(" and ")} m/s: it measures ${drive.label} more precisely${drive.expected_interval_share ? `; its interval shrinks to ${percent(drive.expected_interval_share)}` : ""}.`)) : null,
-    route || drive?.placed ? make("p", { class: "note" }, make("i", { class: "swatch before" }), "before ", make("i", { class: "swatch optimal" }), "after ", drive?.placed ? "· dotted: the next drive" : "") : null,
+    drive ? make("div", {}, make("h3", {}, "What to drive next"), make("p", {}, `${drive.kind}, ${metres(drive.total_length_m)} in all, at ${drive.speeds_mps.map(speed => number(speed, 2)).join(" and ")} m/s: it measures ${drive.label} more precisely${drive.expected_interval_share ? `; its interval shrinks to ${percent(drive.expected_interval_share)}` : ""}.`), drive.placed ? routeButtons("next-drive", format => [`v1/calibrations/${made.id}/next-drive?format=${format}`]) : null) : null,
+    route || drive?.placed ? note("On the map: ", route ? [swatch(BEFORE), "before ", swatch(AFTER), "after "] : "", drive?.placed ? [swatch(DRIVE), "next drive"] : "") : null,
     make("div", { id: "measured" }));
   if (route) {
-    L.polyline(route.before.path.map(leaf), { color: "#6d6d6d", weight: 4, dashArray: "2 7" }).bindTooltip("before", { sticky: true }).addTo(drawn);
-    L.polyline(route.after.path.map(leaf), { color: "#0072B2", weight: 4 }).bindTooltip("after", { sticky: true }).addTo(drawn);
+    line(route.before.path, "before", { color: BEFORE, weight: 4, dashArray: "2 7" });
+    line(route.after.path, "after", { color: AFTER, weight: 3 });
   }
-  if (drive?.placed) L.polyline(drive.points.map(leaf), { color: "#5b2a86", weight: 3, dashArray: "1 6" }).bindTooltip(make("span", {}, `next drive: ${drive.kind}`), { sticky: true }).addTo(drawn);
+  if (drive?.placed) line(drive.points, `next drive: ${drive.kind}`, { color: DRIVE, weight: 3, dashArray: "1 6" });
   await measured.show(by("measured"), made, drawn);
 }
 

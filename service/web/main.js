@@ -1,16 +1,15 @@
 // Starts the page: asks what the service can do, opens what the link says, and joins the parts.
 
 import { ask, onConnection } from "./api.js";
-import { by, errorNote, fill, make } from "./dom.js";
+import { button, by, errorNote, fill, make } from "./dom.js";
 import * as ground from "./ground.js";
 import * as link from "./link.js";
 import * as loop from "./loop.js";
 import { map, showCostmap, showHeightmap } from "./map.js";
 import * as mapPanel from "./map_panel.js";
+import "./pieces.js";
 import "./profile.js";
-import * as homeward from "./homeward.js";
-import { hint, useFields } from "./question.js";
-import * as reach from "./reach.js";
+import { hint } from "./question.js";
 import * as robots from "./robot.js";
 import "./roses.js";
 import * as routePanel from "./route_panel.js";
@@ -40,21 +39,17 @@ tabs.forEach((tab, k) => {
   });
 });
 
-onConnection(there => {
-  by("banner").hidden = there;
-  by("banner").textContent = there ? "" : "The service does not answer. The page asks again every two seconds.";
-});
-window.addEventListener("unhandledrejection", ({ reason }) => {
-  if (reason?.name === "AbortError") return;
-  by("banner").textContent = reason?.message ?? String(reason);
-  by("banner").hidden = false;
-});
+/** A line over everything; nothing hides it. */
+const banner = words => { by("banner").hidden = !words; fill(by("banner"), words, " ", words && button({ onclick: () => banner(null) }, "Close")); };
+onConnection(there => banner(there ? null : "The service does not answer. The page asks again every two seconds."));
+window.addEventListener("unhandledrejection", ({ reason }) => { if (reason?.name !== "AbortError") banner(reason?.message ?? String(reason)); });
 
 async function listMaps() {
   const [costmaps, heightmaps] = await Promise.all([ask("v1/costmaps?limit=100"), ask("v1/heightmaps?limit=100")]);
   const names = new Map(heightmaps.items.map(one => [one.id, one.name])), done = costmaps.items.filter(one => one.status === "done");
-  fill(by("maps"), now.costmap ? null : make("option", { value: "" }, "none chosen"),
-    done.map(one => make("option", { value: one.id, selected: one.id === now.costmap?.id }, `${names.get(one.heightmap_id) ?? one.heightmap_id} · ${one.robot.name} · ${one.model}`)));
+  const grounds = [...new Set(done.map(one => one.heightmap_id))].sort((a, b) => (b === now.costmap?.heightmap_id) - (a === now.costmap?.heightmap_id)); // models of this ground first
+  fill(by("maps"), now.costmap ? null : make("option", { value: "" }, "none chosen"), grounds.map(ground => make("optgroup", { label: names.get(ground) ?? ground },
+    done.filter(one => one.heightmap_id === ground).map(one => make("option", { value: one.id, selected: one.id === now.costmap?.id }, `${names.get(ground) ?? ground} · ${one.robot.name} · ${one.model}`)))));
   by("maps").disabled = !done.length;
 }
 
@@ -90,9 +85,6 @@ let about = null, sampleOpen = false;
 async function begin() {
   const asked = link.read();
   about = await ask("page/start.json");
-  useFields(about.path_fields);
-  reach.use(about.paths.includes("/v1/costmaps/{costmap_id}/reach"));
-  homeward.use(about.paths.includes("/v1/costmaps/{costmap_id}/return"));
   savePanel.use(about.path_formats);
   robots.use(about.robot);
   routePanel.start(about.planners);
@@ -117,5 +109,5 @@ async function begin() {
   document.documentElement.dataset.ready = "yes";
 }
 
-begin().catch(error => fill(by("welcome"), make("div", {}, errorNote(error), make("button", { type: "button", onclick: () => window.location.reload() }, "Try again")))).finally(() => { if (!now.costmap) by("welcome").hidden = by("welcome").childElementCount === 0; });
+begin().catch(error => fill(by("welcome"), make("div", {}, errorNote(error), button({ onclick: () => window.location.reload() }, "Try again")))).finally(() => { if (!now.costmap) by("welcome").hidden = by("welcome").childElementCount === 0; });
 window.joulemap = { map, now };

@@ -1,7 +1,7 @@
 // The map: pictures of ground, energy and blocked ground, contours, scale bar, and what is under the pointer.
 
 import { ask, blob, Latest, superseded } from "./api.js";
-import { by, metres, number } from "./dom.js";
+import { by, number } from "./dom.js";
 import * as link from "./link.js";
 import { now, on, set } from "./state.js";
 
@@ -13,7 +13,7 @@ export const map = L.map("map", {
   crs: L.CRS.Simple, zoomSnap: 0.25, wheelPxPerZoomLevel: 90, minZoom: -9, maxZoom: 9, attributionControl: false, zoomControl: true, doubleClickZoom: false, boxZoom: false,
 }).setView([0, 0], 0);
 L.control.scale({ imperial: false, position: "bottomleft" }).addTo(map);
-for (const [name, order] of [["ground", 200], ["colour", 210], ["blocked", 220], ["contours", 230], ["roses", 240], ["reach", 250]]) {
+for (const [name, order] of [["ground", 200], ["colour", 210], ["blocked", 220], ["pieces", 225], ["contours", 230], ["roses", 240], ["reach", 250]]) {
   map.createPane(name).style.zIndex = order;
   if (name !== "reach") map.getPane(name).style.pointerEvents = "none";
 }
@@ -43,17 +43,19 @@ export async function showHeightmap(heightmap) {
   await show("ground", `v1/heightmaps/${heightmap.id}/ground.png`, heightmap.bounds);
 }
 
-let whole = null; // what is fitted into the view again when the view changes its size, until somebody moves the map
+let whole = null, linked = null; // what is fitted into the view again when the view changes its size, until somebody moves the map
 
-function look(box) {
-  whole = box;
+/** Shows a whole map, or of it what a link shows: its middle and how many metres are seen at least. */
+function look(box, seen) {
+  linked = seen;
+  whole = seen ? [seen.x - seen.span / 2, seen.y - seen.span / 2, seen.x + seen.span / 2, seen.y + seen.span / 2] : box;
   map.setMaxBounds(L.latLngBounds(bounds(box)).pad(1));
   fit();
 }
 
 function fit() {
   map.invalidateSize({ animate: false, pan: !whole });
-  if (whole) map.fitBounds(bounds(whole), { padding: [18, 18], animate: false });
+  if (whole) map.fitBounds(bounds(whole), { padding: linked ? [0, 0] : [18, 18], animate: false });
 }
 const moved = () => { whole = null; };
 map.on("dragstart", moved);
@@ -62,8 +64,7 @@ map.zoomControl.getContainer().addEventListener("click", moved, true);
 
 /** Shows a cost map; `seen` is the place and zoom of a link. */
 export async function showCostmap(costmap, layers, seen) {
-  look(costmap.frame.bounds);
-  if (seen) { whole = null; map.setView([seen.y, seen.x], seen.zoom, { animate: false }); }
+  look(costmap.frame.bounds, seen);
   await Promise.all([show("ground", `v1/costmaps/${costmap.id}/layer.png?layer=ground`, layers.bounds), colour(), hatch(), contours()]);
 }
 
@@ -109,7 +110,7 @@ export function latLon([x, y]) {
 }
 
 /** Why nothing can be driven at a place, in words. */
-export const reasonWords = reason => ({ outside: "too near the edge", unknown: "height unknown", step: "a step above the wheel radius", grade: "steeper than the robot climbs", cross_slope: "side slope too steep", avoid: "area to avoid" })[reason] ?? reason;
+export const reasonWords = reason => ({ outside: "too near the edge", unknown: "height unknown", step: "a step above the wheel radius", grade: "steeper than the robot climbs", cross_slope: "side slope too steep", power: "more power than allowed", avoid: "area to avoid" })[reason] ?? reason;
 
 function placeWords(found, place) {
   const lines = [`x ${number(place[0], 1)}  y ${number(place[1], 1)} m`];
@@ -127,21 +128,32 @@ function placeWords(found, place) {
 }
 
 let pausing = 0;
-map.on("mousemove", ({ latlng }) => {
-  const place = world(latlng);
+function say(latlng) {
+  const place = world(latlng), here = by("readout");
   clearTimeout(pausing);
-  if (!inside(place)) { by("readout").textContent = ""; return; }
-  by("readout").textContent = placeWords(null, place);
+  if (!inside(place)) { here.textContent = ""; return; }
+  here.textContent = placeWords(null, place);
   pausing = setTimeout(async () => {
     const { id } = now.costmap;
     try {
-      by("readout").textContent = placeWords(await latest.at.run(signal => ask(`v1/costmaps/${id}/at?x=${place[0]}&y=${place[1]}`, { signal })), place);
+      here.textContent = placeWords(await latest.at.run(signal => ask(`v1/costmaps/${id}/at?x=${place[0]}&y=${place[1]}`, { signal })), place);
     } catch (error) {
-      if (!superseded(error)) by("readout").textContent = error.message;
+      if (!superseded(error)) here.textContent = error.message;
     }
   }, 50);
-});
+}
+map.on("mousemove", ({ latlng }) => say(latlng));
 map.on("mouseout", () => { clearTimeout(pausing); by("readout").textContent = ""; });
+
+// By keyboard the middle of the map is the pointer: the arrow keys move the map under it, Space is a click.
+const byKeyboard = () => map.getContainer().matches(":focus-visible");
+map.getContainer().addEventListener("keydown", event => {
+  if (event.key !== " " || event.target !== event.currentTarget) return;
+  event.preventDefault();
+  map.fire("click", { latlng: map.getCenter(), containerPoint: map.getSize().divideBy(2) });
+});
+for (const [name, how] of [["focus", "polite"], ["blur", "off"]]) map.getContainer().addEventListener(name, () => by("readout").setAttribute("aria-live", how));
+map.on("moveend", () => { if (byKeyboard()) say(map.getCenter()); });
 
 export function inside([x, y]) {
   if (!now.costmap?.frame) return false;
@@ -150,8 +162,8 @@ export function inside([x, y]) {
 }
 
 map.on("moveend", () => {
-  const [x, y] = world(map.getCenter());
-  link.sees({ x, y, zoom: map.getZoom() });
+  const [x, y] = world(map.getCenter()), { x: wide, y: tall } = map.getSize();
+  link.sees(whole ? linked : { x, y, span: Math.min(wide, tall) / 2 ** map.getZoom() });
 });
 new ResizeObserver(fit).observe(by("map"));
 
@@ -178,5 +190,3 @@ export async function asPicture(routes) {
   }
   return new Promise(done => canvas.toBlob(done, "image/png"));
 }
-
-export { metres };

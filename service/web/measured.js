@@ -1,7 +1,7 @@
 // Measured against predicted: the residual of each segment on the map, and both along a run.
 
 import { ask } from "./api.js";
-import { draw, fill, make, number } from "./dom.js";
+import { draw, fill, make, note, number, row } from "./dom.js";
 import { leaf, map } from "./map.js";
 
 /** Blue: less was measured than predicted; red: more. Both are seen with any colour vision. */
@@ -38,8 +38,8 @@ export async function show(here, calibration, layer) {
     fill(chart, svg);
   }
   const toggle = make("input", { type: "checkbox", onchange: () => { state.after = toggle.checked; places(); } });
-  fill(here, make("h3", {}, "Measured against predicted"), make("p", { class: "note" }, "On the map: red took more energy than predicted, blue less."), make("label", { class: "check" }, toggle, "by the calibrated model"),
-    make("div", { class: "row" }, which), chart, make("p", { class: "note" }, `${found.unit} per segment: `, make("span", {}, "dark measured, "), make("i", { class: "swatch shortest" }), "before ", make("i", { class: "swatch optimal" }), "after"));
+  fill(here, make("h3", {}, "Measured against predicted"), note("On the map: red took more energy than predicted, blue less."), make("label", { class: "check" }, toggle, "by the calibrated model"),
+    row(which), chart, note(`${found.unit} per segment: `, make("span", {}, "dark measured, "), make("i", { class: "swatch shortest" }), "before ", make("i", { class: "swatch optimal" }), "after"));
   places();
   along();
   const all = found.runs.flatMap(run => run.x.map((x, k) => leaf([x, run.y[k]])));

@@ -10,11 +10,7 @@ const routes = L.layerGroup().addTo(map), pins = L.layerGroup().addTo(map);
 const guide = L.polyline([], { color: "#1d2329", weight: 1.5, dashArray: "4 6", interactive: false }).addTo(map);
 const COLOURS = { optimal: "#0072B2", shortest: "#D55E00", other: "#3b3f45", before: "#6d6d6d" };
 const MANY_CELLS = 250_000; // of a larger map a route along the grid is shown first, until the better one is there
-let next = "start", fields = [];
-
-/** Which fields a question may have, as the service says. */
-export const useFields = known => { fields = known; };
-export const can = field => fields.includes(field);
+let next = "start";
 
 /** What the next click on the map sets: "start", "goal" or "stop". */
 export function expect(what) {
@@ -75,30 +71,31 @@ function place() {
 }
 
 const battery = () => ({ charge: now.battery.charge, reserve: now.battery.reserve });
-const avoiding = () => (now.avoid.length && can("avoid") ? { avoid: now.avoid } : {});
 
-async function search(signal) {
-  const here = `v1/costmaps/${now.costmap.id}`;
-  if (now.stops.length) {
-    const answer = await send(`${here}/tours`, { stops: [now.start, ...now.stops, ...(now.goal ? [now.goal] : [])], battery: battery() }, { signal });
-    return { ...answer, tour: true, alternatives: [], verdict: answer.battery };
-  }
-  const ends = { start: now.start, goal: now.goal, ...avoiding() }, { rows, cols } = now.costmap.frame;
-  if (rows * cols > MANY_CELLS && now.planner === "astar") show(await send(`${here}/paths`, { ...ends, refine: false }, { signal }), true);
-  const answer = await send(`${here}/paths`, { ...ends, battery: battery(), planner: now.planner, alternatives: now.alternatives }, { signal });
-  return { ...answer, verdict: answer.battery };
+/** The question as it is now: its address, and its body. */
+export function asked() {
+  if (now.stops.length) return ["tours", { stops: [now.start, ...now.stops, ...(now.goal ? [now.goal] : [])], battery: battery(), avoid: now.avoid }];
+  return ["paths", { start: now.start, goal: now.goal, battery: battery(), planner: now.planner, alternatives: now.alternatives, avoid: now.avoid }];
 }
 
-/** Asks again; the answer before stays on the map until the new one is there. */
-export async function askAgain() {
+async function search(signal, snap) {
+  const here = `v1/costmaps/${now.costmap.id}`, [kind, body] = asked(), tour = kind === "tours", { rows, cols } = now.costmap.frame;
+  if (!tour && rows * cols > MANY_CELLS && now.planner === "astar") show(await send(`${here}/paths`, { start: now.start, goal: now.goal, refine: false, snap, avoid: now.avoid }, { signal }), true);
+  const answer = await send(`${here}/${kind}`, { ...body, snap }, { signal });
+  return { alternatives: [], ...answer, tour, verdict: answer.battery };
+}
+
+/** Asks again; the answer before stays on the map until the new one is there. With `snap`, places on blocked ground are moved to the nearest free one. */
+export async function askAgain(snap = false) {
   latest.stop();
   if (!now.costmap || !now.start || !(now.goal || now.stops.length)) { show(null); set({ answer: null }); return; }
   try {
-    const answer = await latest.run(search);
+    const answer = await latest.run(signal => search(signal, snap));
+    if (snap && !answer.tour) { set({ start: answer.path[0].slice(0, 2), goal: answer.path.at(-1).slice(0, 2) }); return; }
     show(answer);
     set({ answer });
     if (now.roundTrip && !answer.tour) {
-      const body = { start: now.start, goal: now.goal, round_trip: true, battery: battery(), ...avoiding() };
+      const body = { start: now.start, goal: now.goal, round_trip: true, battery: battery(), avoid: now.avoid };
       const both = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/feasibility`, body, { signal }));
       set({ answer: { ...answer, verdict: both, back: both.back } });
       show({ ...answer, back: both.back });
@@ -129,7 +126,7 @@ function show(answer, rough = false) {
 }
 
 on("start goal stops", place);
-on("start goal stops costmap planner alternatives roundTrip avoid battery", askAgain);
+on("start goal stops costmap planner alternatives roundTrip avoid battery", () => askAgain());
 on("before", () => show(now.answer));
 
 /** Lines for a picture. */

@@ -1,6 +1,6 @@
 // The robot: a form with units and presets, or a TOML file.
 
-import { fill, make } from "./dom.js";
+import { alarm, fill, make } from "./dom.js";
 
 const USUAL = ["mass_kg", "battery_wh", "speed_mps", "wheel_radius_m", "max_grade_deg", "max_cross_slope_deg"];
 /** Places to begin: no robot of any maker, so that its owner looks into its data sheet. */
@@ -48,12 +48,12 @@ export function form(said) {
     return make("label", { class: text ? "field wide" : "field" }, label, input, text ? null : make("span", { class: "unit" }, unit));
   };
   const file = make("input", { type: "file", accept: ".toml", "aria-label": "Robot file (TOML)", onchange: async () => {
-    try { set(fromToml(await file.files[0].text())); show(); said(`robot read from ${file.files[0].name}`); } catch (error) { said(error.message, true); }
+    try { set(fromToml(await file.files[0].text())); show(); preset.append(make("option", { selected: true, value: "" }, file.files[0].name)); said(`robot read from ${file.files[0].name}`); } catch (error) { said(error.message, true); }
   } });
-  const preset = make("select", { onchange: () => { set(PRESETS[preset.value]); show(); } }, Object.keys(PRESETS).map(name => make("option", { selected: PRESETS[name].name === values.name }, name)));
+  const preset = make("select", { onchange: () => { if (preset.value) { set(PRESETS[preset.value]); show(); } } }, Object.keys(PRESETS).map(name => make("option", { selected: PRESETS[name].name === values.name }, name)));
   function show() {
     const unknown = Object.keys(values).filter(name => !(name in fields));
-    fill(here, unknown.length ? make("p", { class: "error", role: "alert" }, `Not fields of a robot: ${unknown.join(", ")}`) : null, USUAL.map(one),
+    fill(here, unknown.length ? alarm(`Not fields of a robot: ${unknown.join(", ")}`) : null, USUAL.map(one),
       make("details", {}, make("summary", {}, "All fields"), Object.keys(fields).filter(name => !USUAL.includes(name)).map(one)));
   }
   show();

@@ -5,7 +5,7 @@ import { map } from "./map.js";
 import { now, on } from "./state.js";
 
 const NEAR_PX = 26; // a cell has so many pixels before roses are drawn
-const SIZE_PX = 22, APART_PX = 54;
+const APART_PX = 64;
 const group = L.layerGroup().addTo(map), latest = new Latest();
 const renderer = L.canvas({ pane: "roses", padding: 0.2 });
 
@@ -19,7 +19,7 @@ async function show() {
   const query = `west=${seen.getWest()}&south=${seen.getSouth()}&east=${seen.getEast()}&north=${seen.getNorth()}&across=${across}`;
   try {
     const found = await latest.run(signal => ask(`v1/costmaps/${now.costmap.id}/roses?${query}`, { signal }));
-    const size = SIZE_PX / 2 ** map.getZoom(), full = Math.max(...found.energy_per_m.flat().map(value => value ?? 0), 1e-9);
+    const [[x0], [x1]] = found.points.length > 1 ? found.points : [[0], [now.costmap.spacing_m]], size = 0.46 * (Math.abs(x1 - x0) || now.costmap.spacing_m), full = Math.max(...found.energy_per_m.flat().map(value => value ?? 0), 1e-9);
     found.points.forEach(([px, py], k) => {
       const corners = found.headings_deg.map((degrees, j) => {
         const energy = found.energy_per_m[k][j], reach = energy === null ? 0 : size * energy / full;

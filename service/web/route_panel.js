@@ -1,8 +1,8 @@
 // The panel "Route": places, battery, planner, and the answer in words and numbers.
 
 import * as avoid from "./avoid.js";
-import { settled, slider } from "./controls.js";
-import { by, errorNote, fill, joules, make, metres, minutes, number, percent } from "./dom.js";
+import { check, settled, slider } from "./controls.js";
+import { button, by, errorNote, fill, joules, make, metres, minutes, note, number, percent, row, warn } from "./dom.js";
 import * as homeward from "./homeward.js";
 import { askAgain, expect, expected, hint } from "./question.js";
 import * as reach from "./reach.js";
@@ -23,21 +23,21 @@ function placeField(name, label) {
 const slow = settled(() => set({ battery: { ...now.battery } }));
 
 function form() {
-  const pick = (what, label) => make("button", { type: "button", "aria-pressed": String(expected() === what), onclick: () => { expect(what); places(); if (what === "goal") hint("Click where it shall go"); if (what === "start") hint("Click where the robot starts"); } }, label);
+  const pick = (what, label) => button({ "aria-pressed": String(expected() === what), onclick: () => { expect(what); places(); if (what === "goal") hint("Click where it shall go"); if (what === "start") hint("Click where the robot starts"); } }, label);
   const choice = make("select", { onchange: event => set({ planner: event.target.value }) }, planners.map(name => make("option", { value: name, selected: name === now.planner }, name)));
   const others = make("input", { type: "number", min: 0, max: 5, value: now.alternatives, onchange: event => set({ alternatives: Math.max(0, Math.min(5, Math.round(+event.target.value) || 0)) }) });
   const places = () => fill(by("places"),
     placeField("start", "Start"), placeField("goal", "Goal"),
-    now.stops.length ? make("p", { class: "note" }, `${now.stops.length} stop${now.stops.length > 1 ? "s" : ""}: the service finds the best order and returns to the start. `, make("button", { type: "button", class: "plain", onclick: () => set({ stops: [] }) }, "Remove the stops")) : null,
+    now.stops.length ? note(`${now.stops.length} stop${now.stops.length > 1 ? "s" : ""}: the service finds the best order and returns to the start. `, button({ class: "plain", onclick: () => set({ stops: [] }) }, "Remove the stops")) : null,
     make("div", { class: "row tight" }, pick("start", "Set start"), pick("goal", "Set goal"), pick("stop", "Add stop"),
-      make("button", { type: "button", onclick: () => set({ start: now.goal, goal: now.start }), disabled: !now.start || !now.goal }, "Swap")));
+      button({ onclick: () => set({ start: now.goal, goal: now.start }), disabled: !now.start || !now.goal }, "Swap")));
   fill(by("step-route"),
     make("div", { id: "places" }),
     make("div", { id: "answer", "aria-live": "polite" }),
     make("h2", {}, "Battery"),
     slider("Charge at the start", now.battery.charge, { min: 0.05, max: 1, step: 0.01, words: value => percent(value) }, charge => { now.battery.charge = charge; slow(); }),
     slider("Reserve to keep", now.battery.reserve, { min: 0, max: 0.9, step: 0.01, words: value => percent(value) }, reserve => { now.battery.reserve = reserve; slow(); }),
-    make("label", { class: "check" }, make("input", { type: "checkbox", checked: now.roundTrip, onchange: event => set({ roundTrip: event.target.checked }) }), "And back again"),
+    check("And back again", now.roundTrip, roundTrip => set({ roundTrip })),
     homeward.panel(),
     avoid.panel(), reach.panel(),
     make("details", {}, make("summary", {}, "Search"), make("label", { class: "field" }, "Alternatives to show", others, make("span", { class: "unit" })), make("label", { class: "field wide" }, "Planner", choice)));
@@ -66,22 +66,22 @@ export function verdictOf(verdict) {
 function answer() {
   const here = by("answer"), found = now.answer;
   if (!here) return;
-  if (!found) { fill(here, make("p", { class: "note" }, !now.costmap ? "Make a cost map first." : now.start && now.goal ? "Searching…" : "Click a start and a goal on the map, or write them above.")); return; }
+  if (!found) { fill(here, note(!now.costmap ? "Make a cost map first." : now.start && now.goal ? "Searching…" : "Click a start and a goal on the map, or write them above.")); return; }
   if (found.error) {
-    fill(here, errorNote(found.error), found.error.name === "Unreachable" ? make("button", { type: "button", onclick: askAgain }, "Ask again") : null);
+    fill(here, errorNote(found.error), found.error.name === "Unreachable" ? button({ onclick: () => askAgain() }, "Ask again") : found.error.code === "blocked" ? button({ id: "snap", onclick: () => askAgain(true) }, "Use the nearest free place") : null);
     return;
   }
   const { verdict, shortest } = found, word = verdict && verdictOf(verdict);
   const band = verdict?.energy_p05_j ?? found.energy_p05_j, top = verdict?.energy_p95_j ?? found.energy_p95_j;
-  const row = (kind, name, route) => [make("span", {}, make("i", { class: `swatch ${kind}` }), name), make("span", { class: "number" }, joules(route.energy_j)), make("span", { class: "number" }, metres(route.length_m))];
-  const rows = [row("optimal", found.tour ? "tour" : "least energy", found), ...(shortest ? [row("shortest", "shortest", shortest)] : []), ...found.alternatives.map((other, k) => row("before", `alternative ${k + 1}`, other)), ...(found.back ? [row("optimal", "way back", found.back)] : [])];
+  const line = (kind, name, route) => [make("span", {}, make("i", { class: `swatch ${kind}` }), name), make("span", { class: "number" }, joules(route.energy_j)), make("span", { class: "number" }, metres(route.length_m))];
+  const rows = [line("optimal", found.tour ? "tour" : "least energy", found), ...(shortest ? [line("shortest", "shortest", shortest)] : []), ...found.alternatives.map((other, k) => line("other", `alternative ${k + 1}`, other)), ...(found.back ? [line("optimal", "way back", found.back)] : []), ...(now.before ? [line("before", `before: model ${now.before.model}`, now.before)] : [])];
   fill(here,
     verdict ? make("div", { class: `verdict ${word}` }, make("b", {}, TITLES[word] ?? word), verdict.verdict_text ?? verdict.message) : null,
-    !verdict?.verdict_text && typeof band === "number" && typeof top === "number" ? make("p", { class: "note" }, `9 of 10 such drives take ${joules(band)} to ${joules(top)}.`) : null,
+    !verdict?.verdict_text && typeof band === "number" && typeof top === "number" ? note(`9 of 10 such drives take ${joules(band)} to ${joules(top)}.`) : null,
     shortest ? make("p", {}, found.saving_j > 0.5 ? make("span", {}, "Going this way saves ", make("b", {}, joules(found.saving_j)), ` (${number(found.saving_percent, 1)} %) against the shortest way.`) : "The shortest way is also the cheapest.") : null,
     tableOf(rows),
-    make("p", { class: "note" }, `${minutes(found.duration_s)} at ${number(now.costmap.robot.speed_mps, 1)} m/s, ${metres(found.climb_m)} up, ${metres(found.descent_m)} down`),
-    found.warnings?.map(words => make("p", { class: "note warn" }, words)));
+    note(`${minutes(found.duration_s)} at ${number(now.costmap.robot.speed_mps, 1)} m/s, ${metres(found.climb_m)} up, ${metres(found.descent_m)} down`),
+    found.warnings?.map(words => warn(words)));
 }
 
 const tableOf = rows => make("table", {}, make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "way"), make("th", { scope: "col", class: "number" }, "energy"), make("th", { scope: "col", class: "number" }, "length"))), make("tbody", {}, rows.map(cells => make("tr", {}, cells.map((cell, k) => make("td", k ? { class: "number" } : {}, cell))))));

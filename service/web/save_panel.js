@@ -1,15 +1,15 @@
 // The panel "Save": routes, the map and pictures as files, and a link that opens this view again.
 
 import { blob } from "./api.js";
-import { by, errorNote, fill, make } from "./dom.js";
+import { button, by, errorNote, fill, make, note, row } from "./dom.js";
 import * as link from "./link.js";
 import { asPicture } from "./map.js";
-import { lines } from "./question.js";
+import { asked, lines } from "./question.js";
 import { now, on } from "./state.js";
 
-/** Formats of routes that this service writes, beyond GeoJSON. */
+/** Formats of routes that this service writes. */
 let formats = [];
-const NAMES = { "qgc-plan": ["QGroundControl", "plan"], waypoints: ["ArduPilot", "waypoints"], mcap: ["ROS 2 (MCAP)", "mcap"], "ros-path": ["ROS path (JSON)", "json"] };
+const NAMES = { geojson: ["GeoJSON", "geojson"], "qgc-plan": ["QGroundControl", "plan"], waypoints: ["ArduPilot", "waypoints"], mcap: ["ROS 2 (MCAP)", "mcap"], "ros-path": ["ROS path (JSON)", "json"] };
 export const use = known => { formats = known; };
 
 function keep(data, name) {
@@ -18,33 +18,39 @@ function keep(data, name) {
   setTimeout(() => URL.revokeObjectURL(node.href), 5000);
 }
 
-const ends = () => ({ start: now.start, goal: now.goal, planner: now.planner, alternatives: now.alternatives, battery: { charge: now.battery.charge, reserve: now.battery.reserve }, ...(now.avoid.length ? { avoid: now.avoid } : {}) });
-
-export function show() {
-  const here = by("step-save"), id = now.costmap?.id;
-  if (!id) { fill(here, make("p", { class: "note" }, "Nothing to save yet: make a cost map first.")); return; }
-  const said = make("div", { "aria-live": "polite" }), route = Boolean(now.answer?.path && now.start && now.goal && !now.answer.tour);
-  const file = (words, name, get, able = true) => make("button", { type: "button", disabled: !able, onclick: async event => {
-    const { target } = event;
+/** Buttons that save something; `get` makes it. What becomes of it is said under them. */
+function files(...kinds) {
+  const said = make("div", { "aria-live": "polite" });
+  const one = ([words, name, get]) => button({ onclick: async ({ target }) => {
     target.disabled = true;
-    fill(said, make("p", { class: "note" }, `Making ${name}…`));
-    try { keep(await get(), name); fill(said, make("p", { class: "note", role: "status" }, `${name} is in your downloads.`)); } catch (error) { fill(said, errorNote(error)); }
+    fill(said, note(`Making ${name}…`));
+    try { keep(await get(), name); fill(said, note(`${name} is in your downloads.`)); } catch (error) { fill(said, errorNote(error)); }
     target.disabled = false;
   } }, words);
-  const routeAs = (format, accept) => blob(`v1/costmaps/${id}/paths?format=${format}`, { method: "POST", body: ends(), headers: { Accept: accept } });
-  const text = make("input", { type: "text", readonly: "", "aria-label": "Link to this view", value: new URL(link.address(), window.location.href).href });
+  return make("div", {}, row(...kinds.map(one)), said);
+}
+
+/** Buttons that save a route in every format; `question` gives what to ask for a format: an address and its options. */
+export const routeButtons = (name, question) => files(...formats.filter(format => format !== "json").map(format => {
+  const [words, ending] = NAMES[format] ?? [format.toUpperCase(), format];
+  return [words, `${name}.${ending}`, () => blob(...question(format === "geojson" && !now.costmap.frame.crs ? "geojson&coordinates=map" : format))];
+}));
+
+export function show() {
+  const here = by("step-save"), id = now.costmap?.id, { answer } = now;
+  if (!id) { fill(here, note("Nothing to save yet: make a cost map first.")); return; }
+  const said = make("div", { "aria-live": "polite" }), [question, body] = asked(), address = new URL(link.address(), window.location.href).href;
+  const text = make("input", { type: "text", readonly: "", "aria-label": "Link to this view", value: address });
   fill(here,
-    make("h2", {}, "The routes"), route ? null : make("p", { class: "note" }, "Set a start and a goal first."),
-    make("div", { class: "row" }, file("GeoJSON", "route.geojson", () => routeAs(now.costmap.frame.crs ? "geojson" : "geojson&coordinates=map", "application/geo+json"), route),
-      formats.filter(name => !["json", "geojson"].includes(name)).map(name => file(NAMES[name]?.[0] ?? name.toUpperCase(), `route.${NAMES[name]?.[1] ?? name}`, () => routeAs(name, "*/*"), route)),
-      now.answer?.tour ? file("Tour as JSON", "tour.json", async () => new Blob([JSON.stringify(now.answer, null, 1)], { type: "application/json" })) : null),
+    make("h2", {}, answer?.tour ? "The tour" : "The routes"),
+    answer?.path ? routeButtons(answer.tour ? "tour" : "route", format => [`v1/costmaps/${id}/${question}?format=${format}`, { method: "POST", body }]) : note("Set a start and a goal first."),
     make("h2", {}, "The map"),
-    make("div", { class: "row" }, file("Picture (PNG)", "map.png", () => asPicture(lines())), file("GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)), file("Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`))),
+    files(["Picture (PNG)", "map.png", () => asPicture(lines())], ["GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)], ["Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`)]),
     make("h2", {}, "This view"),
-    make("p", { class: "note" }, "The link opens the same map, route and colours again, for whoever reaches this service."),
-    make("div", { class: "row" }, text, make("button", { type: "button", onclick: async () => {
+    note("The link opens the same map, route and colours again, for whoever reaches this service."),
+    row(text, button({ onclick: async () => {
       text.select();
-      try { await navigator.clipboard.writeText(text.value); fill(said, make("p", { class: "note", role: "status" }, "Copied.")); } catch { fill(said, make("p", { class: "note", role: "status" }, "Selected: copy it with Ctrl-C.")); }
+      try { await navigator.clipboard.writeText(text.value); fill(said, note("Copied.")); } catch { fill(said, note("Selected: copy it with Ctrl-C.")); }
     } }, "Copy")), said);
 }
 

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.errors import NotFoundError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -17,7 +18,7 @@ from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.lattice_io import save_lattice
 from joulemap.planner.stored_lattice import StoredLattice
-from joulemap.service import raster_shading
+from joulemap.service import map_pieces, raster_shading
 from joulemap.service.map_layers import (
     blocked_layer,
     coarse_heights,
@@ -28,6 +29,7 @@ from joulemap.service.map_layers import (
     overview,
     roses,
 )
+from joulemap.service.map_pieces import draw_piece, levels_of, look_of
 
 
 def wavy(rows: int = 30, cols: int = 47) -> Heightmap:
@@ -96,3 +98,35 @@ def test_roses_are_those_of_the_cells_in_the_part(lattice: CostLattice) -> None:
     row, col = lattice.frame.cell_of(107.5, 192.5)
     assert found["energy_per_m"][3] == pytest.approx(lattice.energy_per_m[row, col].tolist())
     assert roses(lattice, (0.0, 0.0, 1.0, 1.0), across=3)["points"] == []
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_pieces_join_without_a_seam(
+    level: int, lattice: CostLattice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pieces beside each other are the picture of the whole, from memory as from disk."""
+    monkeypatch.setattr(raster_shading, "MAX_PIXELS", 16)
+    save_lattice(lattice, tmp_path / "map.zarr")
+    stored, look, step = StoredLattice(tmp_path / "map.zarr"), look_of(lattice), 2**level
+    assert levels_of(lattice.frame.shape) == 2
+    whole = pixels(draw_piece(lattice, look, (level, 0, 0), view="mean"))
+    assert whole.shape[:2] == tuple(n // step for n in lattice.frame.shape)
+    monkeypatch.setattr(map_pieces, "PIECE_PIXELS", 8)  # as wide as the pattern of a hatch
+    rows, cols = (-(-n // step // 8) for n in lattice.frame.shape)
+    for one in (lattice, stored):
+        pieces = [
+            np.hstack([pixels(draw_piece(one, look, (level, row, col), view="mean")) for col in range(cols)])
+            for row in range(rows)
+        ]
+        np.testing.assert_array_equal(np.vstack(pieces), whole)
+
+
+def test_a_piece_that_is_not_there(lattice: CostLattice, monkeypatch: pytest.MonkeyPatch) -> None:
+    look = look_of(lattice)
+    assert levels_of(lattice.frame.shape) == 0
+    for place in ((0, 0, 0), (0, -1, 0)):
+        with pytest.raises(NotFoundError, match="no piece"):
+            draw_piece(lattice, look, place, view=None)
+    monkeypatch.setattr(raster_shading, "MAX_PIXELS", 16)
+    with pytest.raises(NotFoundError, match="no piece 0, 1 of level 0"):
+        draw_piece(lattice, look, (0, 0, 1), view=None)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Request, Response
+from fastapi import Path as PathParameter
 from fastapi.responses import JSONResponse
 
 from joulemap.model.ranges import HEADING_DEG
@@ -32,6 +34,7 @@ from joulemap.service.map_layers import (
     roses,
     scale_colours,
 )
+from joulemap.service.map_pieces import MOST_LEVELS, PIECE_PIXELS, Look, draw_piece, levels_of, look_of
 from joulemap.service.raster_shading import centres, thinned
 from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate, within
@@ -45,6 +48,8 @@ _PICTURE: dict[int | str, dict[str, Any]] = {
 _KEPT = {"Cache-Control": "private, max-age=3600"}  # a cost map and a heightmap never change
 _SURFACE_PIXELS = 220
 _OVERVIEWS: dict[str, CostLattice] = {}  # of the large cost map that was asked about last
+_LOOKS: OrderedDict[str, Look] = OrderedDict()  # of the cost maps whose pieces were asked for last
+_MOST_LOOKS = 16
 _LOCK = threading.Lock()
 Answer = Callable[[CostLattice], Response]
 
@@ -75,6 +80,8 @@ async def get_ground(heightmap_id: str, service: ServiceDep, request: Request) -
 @router.get("/costmaps/{costmap_id}/layers", tags=_MAPS, response_model=LayersOut, responses=problems(404, 409, 503))
 async def get_layers(costmap_id: str, service: KernelsDep, request: Request) -> Response:
     """Where the layers of `layer.png` lie, what their colours mean, and where on Earth they are."""
+    row = await run_sync(service.done_costmap, costmap_id)
+    shape = (row.summary or {})["frame"]
 
     def _describe(lattice: CostLattice) -> Response:
         known = lattice.elevation_m[np.isfinite(lattice.elevation_m)]
@@ -88,6 +95,8 @@ async def get_layers(costmap_id: str, service: KernelsDep, request: Request) -> 
             height_max_m=float(known.max()) if known.size else None,
             blocked=[BlockedColourOut(reason=r.label, colour=face) for r, (face, _, _) in REASONS.items()],
             lat_lon=lat_lon(lattice.frame),
+            piece_levels=levels_of((shape["rows"], shape["cols"])),
+            piece_pixels=PIECE_PIXELS,
             **scales,
         )
         return Response(found.model_dump_json(), media_type="application/json", headers=_KEPT)
@@ -202,6 +211,62 @@ async def get_surface(costmap_id: str, service: KernelsDep, request: Request) ->
         return Response(found.model_dump_json(), media_type="application/json", headers=_KEPT)
 
     return await _of_lattice(costmap_id, service, request, _thin)
+
+
+@router.get(
+    "/costmaps/{costmap_id}/pieces/{level}/{row}/{col}.png",
+    tags=_MAPS,
+    response_class=Response,
+    responses={**_PICTURE, **problems(404, 409, 503)},
+)
+async def get_piece(
+    costmap_id: str,
+    level: Annotated[int, PathParameter(ge=0, le=MOST_LEVELS - 1, description="a pixel is 2^level x 2^level cells")],
+    row: Annotated[int, PathParameter(ge=0, le=1_000_000, description="of the pieces of this level, from the north")],
+    col: Annotated[int, PathParameter(ge=0, le=1_000_000, description="of the pieces of this level, from the west")],
+    service: KernelsDep,
+    request: Request,
+    view: Annotated[
+        Literal["mean", "directionality", "heading", "ground"], Query(description="as of `layer.png`; or ground alone")
+    ] = "mean",
+    heading_deg: Annotated[
+        Annotated[float, within(HEADING_DEG)] | None,
+        Query(description="of energy and blocked ground: clockwise from north [deg]"),
+    ] = None,
+    blocked: Annotated[bool, Query(description="whether blocked ground is hatched")] = True,
+) -> Response:
+    """A piece of a large cost map, as fine as its cells: ground, energy and blocked ground over each other.
+
+    `layers` says how many levels and how many pixels; a map whose `layer.png` shows every cell has none.
+    """
+    await run_sync(service.done_costmap, costmap_id)
+
+    def _draw() -> Response:
+        with service.maps.for_pricing(costmap_id) as planner:
+            lattice = planner.stored if isinstance(planner, StoredPlanner) else planner.lattice
+            with _LOCK:
+                look = _look(costmap_id, lattice)
+            drawn = draw_piece(
+                lattice,
+                look,
+                (level, row, col),
+                view=None if view == "ground" else view,
+                heading_deg=heading_deg,
+                blocked=blocked,
+            )
+        return Response(drawn, media_type="image/png", headers=_KEPT)
+
+    return await while_connected(request, service.plans.do(costmap_id, _draw))
+
+
+def _look(costmap_id: str, lattice: CostLattice | StoredLattice) -> Look:
+    if costmap_id not in _LOOKS:
+        whole = lattice if isinstance(lattice, CostLattice) else _coarse(costmap_id, lattice)
+        _LOOKS[costmap_id] = look_of(whole)
+        while len(_LOOKS) > _MOST_LOOKS:
+            _LOOKS.popitem(last=False)
+    _LOOKS.move_to_end(costmap_id)
+    return _LOOKS[costmap_id]
 
 
 async def _of_lattice(costmap_id: str, service: Service, request: Request, answer: Answer) -> Response:

@@ -82,8 +82,6 @@ def start(request: Request, service: ServiceDep) -> JSONResponse:
     return JSONResponse(
         {
             "version": service.version,
-            "paths": list(document["paths"]),
-            "path_fields": list(fields["PathRequest"]["properties"]),
             "planners": fields["PathRequest"]["properties"]["planner"]["enum"],
             "path_formats": _formats(document["paths"]["/v1/costmaps/{costmap_id}/paths"]["post"]),
             "models": list(MODEL_NAMES),
