@@ -6,6 +6,7 @@ import json
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, BinaryIO
 
 from joulemap.model.errors import TooLargeError
@@ -14,6 +15,7 @@ from joulemap.model.recordings.types import full_type, types_of
 from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"\x89MCAP0\r\n"
+_RECORD_HEAD = 9  # code and length
 _LARGEST_RECORD = 1 << 30
 _READ = ("cdr", "ros1", "json", "protobuf")
 
@@ -49,92 +51,104 @@ def open_mcap(source: SourceFile) -> Iterator[Recording]:
     ------
     Recording
         With the topics of its summary.
-
-    Raises
-    ------
-    TooLargeError
-        If a chunk says that it unpacks to more than the limit.
     """
     with source.open() as stream:
-        stream.seek(max(source.size_bytes - len(_MAGIC), 0))
-        whole = stream.read() == _MAGIC and source.size_bytes > 2 * len(_MAGIC)
-        stream.seek(0)
-        yield _Whole(stream, source.name) if whole else _Cut(stream, source)
+        yield _Recording(stream, source)
 
 
-class _Whole:
-    """Read with its summary, so that chunks without wanted topics are not unpacked."""
+class _Recording:
+    """Read by its index, so that chunks without wanted topics are not unpacked; without one from start to end."""
 
-    def __init__(self, stream: BinaryIO, name: str) -> None:
+    def __init__(self, stream: BinaryIO, source: SourceFile) -> None:
         from mcap.reader import SeekingReader
 
         self.notes: list[str] = []
         self.topics: dict[str, Topic] = {}
-        self._reader = SeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
-        summary = self._reader.get_summary()
-        self._listed = summary is not None and bool(summary.channels)
-        if summary is None:
+        self._stream, self._source = stream, source
+        self._schemas: dict[int, Any] = {}
+        self._channels: dict[int, Any] = {}
+        self._chunks: list[Any] = []
+        stream.seek(max(source.size_bytes - len(_MAGIC), 0))
+        if stream.read() != _MAGIC or source.size_bytes <= 2 * len(_MAGIC):  # it was cut off
             return
-        for chunk in summary.chunk_indexes:
-            _check_chunk(chunk.uncompressed_size, name)
-        for channel in summary.channels.values():
-            _meet(self.topics, channel, summary.schemas.get(channel.schema_id))
+        stream.seek(0)
+        summary = SeekingReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD).get_summary()
+        if summary is not None and summary.channels and summary.chunk_indexes:
+            self._schemas, self._channels, self._chunks = summary.schemas, summary.channels, summary.chunk_indexes
+        for channel in self._channels.values():
+            self._meet(channel)
 
     def messages(self, wanted: Wanted) -> Iterator[tuple[Topic, float, Any]]:
-        chosen = [topic.name for topic in self.topics.values() if topic.readable and wanted(topic)]
-        if self._listed and not chosen:
-            return
-        found = self._reader.iter_messages(topics=chosen if self._listed else None, log_time_order=False)
-        yield from _read(found, self.topics, wanted)
+        from mcap.records import Channel, Message, Schema
 
+        readers: dict[int, Callable[[bytes], Any] | None] = {}
+        for record in self._indexed(wanted) if self._chunks else self._all():
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
+                self._meet(record)
+            elif isinstance(record, Message):
+                channel = self._channels[record.channel_id]
+                topic = self.topics[channel.topic]
+                if channel.id not in readers:
+                    schema = self._schemas.get(channel.schema_id)
+                    readers[channel.id] = _reader_of(schema, topic) if topic.readable and wanted(topic) else None
+                read = readers[channel.id]
+                if read is not None:
+                    yield topic, record.log_time * 1e-9, read(record.data)
 
-class _Cut:
-    """Read from the start, to where the file ends."""
+    def _meet(self, channel: Any) -> None:
+        schema, encoding = self._schemas.get(channel.schema_id), channel.message_encoding
+        readable = encoding in _READ and (encoding != "protobuf" or schema is not None)
+        kind = schema.name if schema is not None else ""
+        self.topics.setdefault(channel.topic, Topic(channel.topic, kind, encoding or "no known encoding", readable))
 
-    def __init__(self, stream: BinaryIO, source: SourceFile) -> None:
-        self.notes: list[str] = []
-        self.topics: dict[str, Topic] = {}
-        self._stream = stream
-        self._source = source
+    def _indexed(self, wanted: Wanted) -> Iterator[Any]:
+        """The records of the chunks that hold a wanted topic."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Chunk
 
-    def messages(self, wanted: Wanted) -> Iterator[tuple[Topic, float, Any]]:
-        yield from _read(self._records(), self.topics, wanted)
+        topics = {number: self.topics[channel.topic] for number, channel in self._channels.items()}
+        chosen = {number for number, topic in topics.items() if topic.readable and wanted(topic)}
+        for index in sorted(self._chunks, key=lambda chunk: int(chunk.chunk_start_offset)):
+            if chosen & set(index.message_index_offsets or chosen):
+                self._stream.seek(index.chunk_start_offset + _RECORD_HEAD)
+                yield from self._inside(Chunk.read(ReadDataStream(self._stream)), index.chunk_start_offset)
 
-    def _records(self) -> Iterator[tuple[Any, Any, Any]]:
-        from mcap.records import Channel, Chunk, DataEnd, Message, Schema
-        from mcap.stream_reader import breakup_chunk
+    def _all(self) -> Iterator[Any]:
+        """All records, to where the file ends."""
+        from mcap.records import Chunk, DataEnd
 
-        schemas: dict[int, Any] = {}
-        channels: dict[int, Any] = {}
-        for record in self._whole_records():
-            inside = [record]
+        for record, at in self._whole_records():
             if isinstance(record, Chunk):
-                _check_chunk(record.uncompressed_size, self._source.name)
-                inside = breakup_chunk(record, validate_crc=True)
-            for each in inside:
-                if isinstance(each, Schema):
-                    schemas[each.id] = each
-                elif isinstance(each, Channel):
-                    channels[each.id] = each
-                elif isinstance(each, Message):
-                    channel = channels[each.channel_id]
-                    yield schemas.get(channel.schema_id), channel, each
-            if isinstance(record, DataEnd):  # the summary, which is broken off, repeats what was read
-                self.notes.append("the MCAP recording was cut off in its index. All its messages are there")
+                yield from self._inside(record, at)
+            else:
+                yield record
+            if isinstance(record, DataEnd):
+                self._note_index()
                 break
 
-    def _whole_records(self) -> Iterator[Any]:
+    def _note_index(self) -> None:
+        self._stream.seek(max(self._source.size_bytes - len(_MAGIC), 0))
+        if self._stream.read() != _MAGIC:
+            self.notes.append("the MCAP recording was cut off in its index. All its messages are there")
+
+    def _whole_records(self) -> Iterator[tuple[Any, int]]:
         from mcap.exceptions import EndOfFile
         from mcap.stream_reader import StreamReader
 
+        self._stream.seek(0)
         records = iter(StreamReader(self._stream, emit_chunks=True, record_size_limit=_LARGEST_RECORD).records)
         end = 0
         while True:
             try:
                 record = next(records)
+            except StopIteration:
+                return
             except (EndOfFile, struct.error):
                 break
-            yield record
+            yield record, end
             end = self._stream.tell()
         if end == 0:
             raise EOFError("there is no whole record in it")
@@ -143,35 +157,36 @@ class _Cut:
             f"{self._source.size_bytes:,}. What comes before is kept; `mcap recover IN -o OUT` may find more"
         )
 
+    def _inside(self, chunk: Any, at: int) -> list[Any]:
+        """The records of a chunk, which is unpacked to the size that it declares, and no further."""
+        from mcap.stream_reader import breakup_chunk
 
-def _check_chunk(size: int, name: str) -> None:
-    if size > _LARGEST_RECORD:
-        raise TooLargeError(
-            f"{name}: a chunk of the MCAP recording unpacks to {size:,} bytes, the limit is {_LARGEST_RECORD:,}: split "
-            "it into smaller chunks",
-            name=name,
-            bytes=size,
-            limit=_LARGEST_RECORD,
-        )
+        size = int(chunk.uncompressed_size)
+        if size > _LARGEST_RECORD:
+            raise TooLargeError(
+                f"{self._source.name}: the chunk at byte {at:,} of the MCAP recording unpacks to {size:,} bytes, the "
+                f"limit is {_LARGEST_RECORD:,}: split it into smaller chunks",
+                name=self._source.name,
+                bytes=size,
+                limit=_LARGEST_RECORD,
+            )
+        if chunk.compression in ("zstd", "lz4"):
+            unpacked = _unpacked(chunk.data, chunk.compression, size)
+            if len(unpacked) != size:
+                raise ValueError(f"the chunk at byte {at:,} declares {size:,} bytes, and holds more or less")
+            chunk = replace(chunk, compression="", data=unpacked)
+        return breakup_chunk(chunk, validate_crc=True)
 
 
-def _meet(topics: dict[str, Topic], channel: Any, schema: Any) -> Topic:
-    kind, encoding = schema.name if schema is not None else "", channel.message_encoding
-    readable = encoding in _READ and (encoding != "protobuf" or schema is not None)
-    return topics.setdefault(channel.topic, Topic(channel.topic, kind, encoding or "no known encoding", readable))
+def _unpacked(data: bytes, compression: str, size: int) -> bytes:
+    """At most one byte more than a size."""
+    import lz4.frame
+    import zstandard
 
-
-def _read(
-    found: Iterator[tuple[Any, Any, Any]], topics: dict[str, Topic], wanted: Wanted
-) -> Iterator[tuple[Topic, float, Any]]:
-    readers: dict[int, Callable[[bytes], Any] | None] = {}
-    for schema, channel, message in found:
-        if channel.id not in readers:
-            topic = _meet(topics, channel, schema)
-            readers[channel.id] = _reader_of(schema, topic) if topic.readable and wanted(topic) else None
-        read = readers[channel.id]
-        if read is not None:
-            yield topics[channel.topic], message.log_time * 1e-9, read(message.data)
+    if compression == "lz4":
+        found: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+        return found
+    return zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
 
 
 def _reader_of(schema: Any, topic: Topic) -> Callable[[bytes], Any]:

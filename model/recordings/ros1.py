@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import bz2
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,6 +13,7 @@ from joulemap.model.recordings.types import types_of
 from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"#ROSBAG V"
+_LARGEST_CHUNK = 1 << 28
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -49,7 +51,27 @@ def open_ros1(source: SourceFile) -> Iterator[Recording]:
     from rosbags.rosbag1 import Reader
 
     with on_disk(source, ".bag") as path, Reader(path) as bag:
+        bag.chunks = {at: chunk._replace(decompressor=_bounded(chunk.decompressor)) for at, chunk in bag.chunks.items()}
         yield _Bag(bag)
+
+
+def _bounded(unpack: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    """The same, but of limited size: a chunk of kilobytes may hold gigabytes."""
+    import lz4.frame
+    from rosbags.rosbag1.reader import decompressors
+
+    if unpack is decompressors["bz2"]:
+        return lambda data: _unpacked(bz2.BZ2Decompressor(), data)
+    if unpack is decompressors["lz4"]:
+        return lambda data: _unpacked(lz4.frame.LZ4FrameDecompressor(), data)
+    return unpack
+
+
+def _unpacked(unpacker: Any, data: bytes) -> bytes:
+    found: bytes = unpacker.decompress(data, _LARGEST_CHUNK)
+    if not unpacker.eof:
+        raise ValueError(f"a chunk of {len(data):,} bytes is cut off, or unpacks to more than {_LARGEST_CHUNK:,}")
+    return found
 
 
 class _Bag:

@@ -60,6 +60,7 @@ def open_sqlite(source: SourceFile) -> Iterator[Recording]:
     ):
         bag.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST_MESSAGE)
         bag.execute("PRAGMA trusted_schema = OFF")
+        _check_tables(bag)
         yield _Bag(bag)
 
 
@@ -71,6 +72,16 @@ def _check_length(source: SourceFile) -> None:
     declared = (65_536 if page == 1 else page) * pages
     if declared > source.size_bytes:
         raise ValueError(f"it ends at byte {source.size_bytes:,} of {declared:,}")
+
+
+def _check_tables(bag: sqlite3.Connection) -> None:
+    """Refuse what is no bag, and tables that are computed, which may never end."""
+    listed = bag.execute("SELECT name, type, sql FROM sqlite_master")
+    found = {str(name): (str(kind), str(text)) for name, kind, text in listed}
+    for table in ("topics", "messages"):
+        kind, text = found.get(table, ("", ""))
+        if kind != "table" or "virtual" in text.lower():
+            raise ValueError(f"it has no table {table!r}: its tables are {', '.join(sorted(found))[:200] or 'none'}")
 
 
 class _Bag:

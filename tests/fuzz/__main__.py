@@ -17,13 +17,15 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=20_000, help="generated inputs for each reader")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--readers", nargs="*", default=list(READERS), choices=list(READERS))
+    parser.add_argument("--bombs", action="store_true", help="send only what is huge inside or endless")
     wanted = parser.parse_args()
     failures = []
     if wanted.files:
-        from tests.fuzz.sending import send_files  # loads the whole service, which no reader needs
+        from tests.fuzz.sending import BOMBS, MAKERS, send_files  # loads the whole service, which no reader needs
 
         with tempfile.TemporaryDirectory() as folder:
-            sent = send_files(wanted.files, wanted.seed, Path(folder))
+            makers = BOMBS if wanted.bombs else MAKERS
+            sent = send_files(wanted.files, wanted.seed, Path(folder), makers=makers)
         print(sent.table(), flush=True)
         failures += sent.failures
     for reader in wanted.readers if wanted.inputs else []:

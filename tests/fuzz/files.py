@@ -7,7 +7,7 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -53,11 +53,11 @@ def hostile(make: Maker) -> Maker:
     return make
 
 
-def hostile_files(count: int, seed: int) -> Iterator[Sent]:
+def hostile_files(count: int, seed: int, makers: Sequence[Maker]) -> Iterator[Sent]:
     """Requests of all kinds in turn, each with sizes and contents of its own."""
     rng = np.random.default_rng(seed)
     for k in range(count):
-        yield MAKERS[k % len(MAKERS)](rng)
+        yield makers[k % len(makers)](rng)
 
 
 def tiff(tags: dict[int, tuple[int, int]], tail: bytes = b"") -> bytes:

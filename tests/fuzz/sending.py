@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +15,8 @@ import psutil
 from joulemap.model.robot import Robot
 from joulemap.service.http.app import create_app
 from joulemap.service.storage.stats import heightmap_stats
-from tests.fuzz.files import COSTMAPS, PATHS, hostile_files
+from tests.fuzz.bombs import BOMBS
+from tests.fuzz.files import COSTMAPS, MAKERS, PATHS, Maker, hostile_files
 from tests.fuzz.reading import MEMORY_MB, SECONDS
 from tests.service.conftest import hill, settings_for
 from tests.service.test_contract import served
@@ -38,8 +40,9 @@ class Answers:
         )
 
 
-def send_files(count: int, seed: int, folder: Path) -> Answers:
+def send_files(count: int, seed: int, folder: Path, *, makers: Sequence[Maker] = MAKERS) -> Answers:
     """Send hostile files to a service of its own, one after the other."""
+    assert set(BOMBS) < set(MAKERS)
     found = Answers()
     app = create_app(settings_for(folder, workers=0))
     with served(app) as url, httpx.Client(base_url=url, timeout=120.0) as client, _Watch() as watch:
@@ -50,7 +53,7 @@ def send_files(count: int, seed: int, folder: Path) -> Answers:
             heightmap.id, {"robot": Robot().as_dict(), "model": "physics", "spacing_m": 1.0, "headings": 16}
         )
         client.post("/v1/runs", content=b"t,x\n1,2\n")  # the process that reads is started
-        for number, sent in enumerate(hostile_files(count, seed)):
+        for number, sent in enumerate(hostile_files(count, seed, makers)):
             watch.peak_mb = 0.0
             start = time.monotonic()
             kind = "application/json" if sent.to in (COSTMAPS, PATHS) else "application/octet-stream"

@@ -112,10 +112,13 @@ def _ros_messages(d: Drive, *, ros1: bool):
             yield "/battery_state", kind, ns, serialize(battery, kind), store
 
 
-def write_bag(path: Path, d: Drive) -> Path:
+def write_bag(path: Path, d: Drive, *, compression: str = "") -> Path:
     from rosbags.rosbag1 import Writer
 
-    with Writer(path) as bag:
+    bag = Writer(path)
+    if compression:
+        bag.set_compression(Writer.CompressionFormat[compression])
+    with bag:
         connections: dict[str, object] = {}
         for topic, kind, ns, data, store in _ros_messages(d, ros1=True):
             if topic not in connections:

@@ -4,6 +4,7 @@ import io
 import tarfile
 import zipfile
 
+import lz4.frame
 import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
@@ -16,6 +17,7 @@ from rosbags.rosbag2 import Writer as BagWriter
 from joulemap.model.errors import InputError, RunsError, TooLargeError
 from joulemap.model.runs.reader import parse_run, read_run
 from joulemap.service.library.run_files import find_run_files, read_runs
+from tests.fuzz import bombs
 from tests.reference import log_files as files
 
 
@@ -73,6 +75,25 @@ def test_a_bag_of_several_files_is_one_run(drive, whole, suffix, tmp_path):
     for kind in ("zip", "tar", "tar.gz"):
         run = parse_run(archive_of(folder, kind), name=f"monday.{kind}", crs=files.CRS)
         np.testing.assert_allclose(run.drawn(), whole.drawn(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
+def test_compressed_bags_are_the_same(drive, whole, compression, tmp_path):
+    run = read_run(files.write_bag(tmp_path / "a.bag", drive, compression=compression), crs=files.CRS)
+    np.testing.assert_allclose(run.drawn(), whole.drawn(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("compression", ["LZ4", "NONE"])
+def test_compressed_recordings_are_the_same(drive, whole, compression, tmp_path):
+    run = read_run(files.write_mcap(tmp_path / "a.mcap", drive, compression=compression), crs=files.CRS)
+    np.testing.assert_allclose(run.drawn(), whole.drawn(), rtol=1e-9)
+
+
+def test_a_chunk_that_unpacks_to_more_than_it_declares_is_not_unpacked():
+    with pytest.raises(RunsError, match=r"the chunk at byte 30 declares 1,000 bytes, and holds more or less"):
+        parse_run(bombs.mcap_of_chunk(lz4.frame.compress(bytes(10_000_000)), b"lz4", 1_000), name="a.mcap")
+    with pytest.raises(TooLargeError, match=r"the chunk at byte 30 .* unpacks to 1,099,511,627,776 bytes"):
+        parse_run(bombs.mcap_of_chunk(b"", b"zstd", 2**40), name="a.mcap")
 
 
 def test_archives_that_hold_no_bag_say_what_they_hold(drive, tmp_path):

@@ -15,6 +15,7 @@ from joulemap.model.source_file import SourceFile
 
 _MARKS = (0xFD, 0xFE)  # of MAVLink 2 and 1
 _YEARS_US = (1e15, 4e15)  # 2001 to 2096
+_MOST_UNREADABLE = 1_000  # more than there are messages: the rest is not looked at
 _KINDS = {
     "SYS_STATUS": ("voltage_battery", "current_battery"),
     "BATTERY_STATUS": ("current_battery",),
@@ -77,7 +78,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
     collector = Collector(source.name, limits)
     log = None
-    unreadable = 0
+    unreadable = whole_messages = 0
 
     def _place() -> str:
         return f"after {collector.messages:,} messages" + (f", at {log.percent:.1f} % of it" if log is not None else "")
@@ -89,7 +90,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
                 kind = message.get_type()
                 if kind == "BAD_DATA":
                     unreadable += 1
+                    if unreadable > _MOST_UNREADABLE + whole_messages:
+                        break
                     continue
+                whole_messages += 1
                 if kind not in _KINDS and not mentioned(mapping, kind):
                     continue
                 whole = mentioned(mapping, kind)
@@ -107,10 +111,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             if log is not None:
                 log.close()
         broken, notes = _about_end(path)
-    if unreadable > collector.messages:
+    if unreadable > whole_messages:
         raise RunsError(
             f"run {source.name}: the MAVLink telemetry log is corrupt from byte {broken:,} on: {unreadable:,} pieces "
-            f"of it are no messages, and {collector.messages:,} are",
+            f"of it are no messages, and {whole_messages:,} are",
             run=source.name,
             byte=broken,
         )

@@ -93,7 +93,7 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
 
 
 def _last_maps(source: SourceFile, read: list[str]) -> tuple[dict[str, Any], dict[str, Topic], list[str]]:
-    """The last message of each type of map, all topics, and what is to be known of the file; `read` gets their topics."""
+    """The last message of each type of map, all topics, and what is to be known of the file; counts in `read`."""
     found: dict[str, Any] = {}
     with open_recording(source) as recording:
         for topic, _, message in recording.messages(lambda one: short_type(one.kind) in (_GRID_MAP, _OCCUPANCY)):
