@@ -8,6 +8,9 @@ import pytest
 from joulemap.model.errors import JoulemapError, RunsError, TooLargeError
 from joulemap.model.runs.reader import parse_run
 from joulemap.model.runs.table import TableLimits
+from joulemap.model.terrain.readers import read_heightmap
+from tests.fuzz.bombs import BOMBS
+from tests.fuzz.files import MAPS
 from tests.fuzz.inputs import changed
 from tests.reference import log_files as files
 
@@ -86,6 +89,25 @@ def test_a_bag_that_was_cut_off_says_where_and_how_to_repair_it(tmp_path):
     content = files.write_db3(tmp_path / "a.db3", files.drive(20.0)).read_bytes()
     with pytest.raises(RunsError, match=r"ends at byte 126,976 of 253,952\. `sqlite3 BAG .recover \| sqlite3 OUT`"):
         parse_run(content[: len(content) // 2], name="run", crs=files.CRS)
+
+
+@pytest.mark.parametrize("make", [make for make in BOMBS if "gigabytes" not in make.__name__])
+def test_what_is_huge_inside_endless_or_defined_by_itself_is_refused_soon(make, capfd):
+    for seed in range(2):
+        sent = make(np.random.default_rng(seed))
+        began = time.process_time()
+        try:
+            if sent.to == MAPS:
+                read_heightmap(sent.content, filename=sent.params.pop("name", "map"), max_cells=10**6, **sent.params)
+            else:
+                parse_run(sent.content, name="run", crs=files.CRS, limits=LIMITS)
+        except JoulemapError as error:
+            said = error.message
+        else:
+            said = ""
+        assert len(said) < 1_000
+        assert time.process_time() - began < 10.0
+    assert capfd.readouterr() == ("", "")
 
 
 def test_more_messages_than_the_limit_are_too_many(tmp_path):
