@@ -36,12 +36,18 @@ def answer_of(body: BaseModel | dict[str, Any]) -> Response:
 
 def _written(value: Any) -> bytes:
     """As JSON; long lists in slices, because the event loop waits while one call writes."""
+    if not _is_long(value):
+        return to_json(value, inf_nan_mode="null")
     if isinstance(value, dict):
         return b"{%b}" % b",".join(b"%b:%b" % (to_json(name), _written(one)) for name, one in value.items())
-    if isinstance(value, list) and len(value) > _SLICE:
-        slices = (value[at : at + _SLICE] for at in range(0, len(value), _SLICE))
-        return b"[%b]" % b",".join(to_json(part, inf_nan_mode="null")[1:-1] for part in slices)
-    return to_json(value, inf_nan_mode="null")
+    slices = (value[at : at + _SLICE] for at in range(0, len(value), _SLICE))
+    return b"[%b]" % b",".join(to_json(part, inf_nan_mode="null")[1:-1] for part in slices)
+
+
+def _is_long(value: Any) -> bool:
+    if isinstance(value, dict):
+        return any(map(_is_long, value.values()))
+    return isinstance(value, list) and len(value) > _SLICE
 
 
 def warnings_of(row: CostmapRow) -> list[str]:

@@ -62,15 +62,19 @@ class _QuickRequest(Request):
     async def json(self) -> Any:
         body = await self.body()
         if len(body) <= _LARGE_BYTES:
-            return await super().json()
+            return _told_if_wrong(body)
         return await run_sync(_understood, body, self._check)
 
 
-def _understood(body: bytes, check: Check | None) -> Any:
+def _told_if_wrong(body: bytes) -> Any:
     try:
-        value = parsed(body)
+        return parsed(body)
     except ValueError as error:
         raise _told(str(error), body) from None
+
+
+def _understood(body: bytes, check: Check | None) -> Any:
+    value = _told_if_wrong(body)
     if check is None:
         return value
     model, errors = check(value, loc=("body",))
@@ -97,6 +101,8 @@ def parsed(body: bytes) -> Any:
     ValueError
         If it is no JSON.
     """
+    if len(body) <= _LARGE_BYTES:
+        return from_json(body)
     begin, end = body.find(b"[["), body.find(b"]]")
     inner = body[begin + 1 : end + 1]
     if not 0 <= begin < end or len(inner) < 2 * _SLICE_BYTES or inner.translate(None, _NUMBERS):

@@ -159,7 +159,8 @@ Areas = Annotated[
         examples=[[[[20.0, 20.0], [30.0, 20.0], [30.0, 35.0]]]],
     ),
 ]
-_MANY, _SLICE = 1_000, 4_000  # points
+_MANY, _SLICE = 32, 4_000  # points
+_MOST_FLAGS = 1_000
 
 
 def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
@@ -188,7 +189,7 @@ def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
         return validate(points)
     inside = bool(((array >= COORDINATE_M.low) & (array <= COORDINATE_M.high)).all())
     flags = np.argwhere((array == 0) | (array == 1))  # among them true and false, which are no numbers here
-    if not inside or len(flags) > _MANY or any(isinstance(points[row][col], bool) for row, col in flags):
+    if not inside or len(flags) > _MOST_FLAGS or any(isinstance(points[row][col], bool) for row, col in flags):
         return validate(points)
     return points
 

@@ -18,6 +18,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.edges import price_world_path
 from joulemap.planner.lattice_io import load_lattice
+from joulemap.service.schemas.planning import FeasibilityOut, PathOut
 from tests.service.conftest import GOAL, IN_HOLE, NORTH, START, WEST, hill
 from tests.service.test_restart import wait_until
 
@@ -180,6 +181,7 @@ def test_prices_at_one_place(client: TestClient, costmap_id: str) -> None:
 def test_path_with_profile_and_shortest(client: TestClient, costmap_id: str) -> None:
     body = {"start": START, "goal": GOAL, "battery": {"reserve": 0.2}}
     about = client.post(f"/v1/costmaps/{costmap_id}/paths", json=body).json()
+    assert PathOut.model_validate(about, strict=True).model_dump(mode="json") == about
     lattice = load_lattice(client.app.state.service.store.lattice_path(costmap_id))  # type: ignore[attr-defined]
     for route in (about, about["shortest"]):  # judged by re-pricing
         points = np.array(route["path"])[:, :2]
@@ -279,6 +281,7 @@ def test_round_trip_is_priced_with_reversed_headings(client: TestClient, costmap
     assert about["energy_j"] == pytest.approx(about["out"]["energy_j"] + about["back"]["energy_j"])
     assert about["out"]["climb_m"] == pytest.approx(about["back"]["descent_m"])
     assert about["feasible"] is True
+    assert FeasibilityOut.model_validate(about, strict=True).model_dump(mode="json") == about
     best = client.post(
         f"/v1/costmaps/{costmap_id}/feasibility", json={"start": START, "goal": top, "round_trip": True}
     ).json()
