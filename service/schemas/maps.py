@@ -185,6 +185,7 @@ class FieldOut(ResponseModel):
     least_j: float | None = Field(description="least energy of a cell; with start and goal, of the best grid path [J]")
     most_j: float | None = Field(description="largest energy of a cell [J]")
     corridor_cells: int | None = Field(description="cells of the corridor, where one was asked for")
+    warnings: list[str] = Field(default=[], description="how places in degrees were read")
 
 
 class AtOut(ResponseModel):

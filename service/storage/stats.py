@@ -1,11 +1,13 @@
-"""What a listing says about a heightmap."""
+"""What a listing says about a heightmap, and its frame from that."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 
 
@@ -37,3 +39,20 @@ def heightmap_stats(heightmap: Heightmap, *, band: int | None = None) -> dict[st
         "hash": heightmap.data_hash,
         "band": band,
     }
+
+
+def frame_of_stats(stats: Mapping[str, Any]) -> GridFrame:
+    """Return the frame of a heightmap that is kept.
+
+    Parameters
+    ----------
+    stats : mapping
+        As `heightmap_stats` returned them.
+
+    Returns
+    -------
+    GridFrame
+        Its cells and its place.
+    """
+    west, _, _, north = stats["bounds"]
+    return GridFrame(west, north, stats["resolution_m"], stats["rows"], stats["cols"], stats["crs"])

@@ -7,6 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 import rasterio
+from pyproj import Transformer
 from typer.testing import CliRunner
 
 import joulemap as jm
@@ -112,6 +113,11 @@ def test_fields_over_http(client, costmap_id):
     assert client.get(place, params={**ends, "format": "png"}).content[:4] == b"\x89PNG"
     assert client.get(place).status_code == 422
     assert client.get(place, params={"start_x": 1.0}).status_code == 422
+    assert told["warnings"] == []
+    (lon,), (lat,) = Transformer.from_crs("EPSG:32630", "EPSG:4326", always_xy=True).transform([HTTP_START[0]], [HTTP_START[1]])
+    here = client.get(place, params={"start_x": lat, "start_y": lon}).json()
+    assert here["reached"] > 0
+    assert "was read as latitude,longitude" in here["warnings"][0]
 
 
 def test_areas_to_avoid_hold_for_paths_tours_and_verdicts_over_http(client, costmap_id):

@@ -1,6 +1,5 @@
 """Plans: what is asked, what is refused, and what comes back beside the route."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from joulemap.model.robot import Robot
 from joulemap.planner.budget import judge
 from joulemap.planner.edges import price_world_path
 from joulemap.planner.plan import PLANNERS, RoutePlanner
-from joulemap.planner.route import geojson, price_route
+from joulemap.planner.route import price_route
 from joulemap.planner.sampling import price_floor_per_m
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice, uniform_lattice
 
@@ -117,9 +116,6 @@ def test_a_route_adds_up():
     z = lambda p: 0.05 * p[0] + 0.1 * p[1]  # noqa: E731
     assert route.climb_m - route.descent_m == pytest.approx(z(path[2]) - z(path[0]), abs=1e-4)
     np.testing.assert_allclose(route.points[:, 2], [z(p) for p in path], atol=1e-4)
-    feature = geojson(route, kind="optimal")
-    assert feature["geometry"]["coordinates"] == route.points.tolist()
-    assert feature["properties"]["energy_j"] == route.energy_j
 
 
 def test_a_path_through_blocked_ground_is_refused_with_its_leg():
@@ -164,7 +160,7 @@ def test_the_price_floor_is_below_every_price():
             assert np.isnan(price) or price >= floor - 1e-6
 
 
-def test_heights_beside_a_hole_are_the_nearest_known_and_the_geojson_is_valid():
+def test_heights_beside_a_hole_are_the_nearest_known():
     """In the outer half cell heights are continued from two centres, of which one is in the hole."""
     lattice, at = ascii_lattice("""
         a....
@@ -181,7 +177,6 @@ def test_heights_beside_a_hole_are_the_nearest_known_and_the_geojson_is_valid():
         assert np.isfinite(route.points).all()
         assert np.isfinite([route.climb_m, route.descent_m]).all()
         assert np.isfinite(route.profile.z).all()
-        json.dumps(geojson(route), allow_nan=False)
     assert plan.route.points[-1, 2] == pytest.approx(0.1 * 4.5 + 0.2 * 1.5, abs=1e-6)  # that of its own cell's centre
     far = price_route(lattice, [at["a"], (0.5, 0.1)])
     np.testing.assert_allclose(far.points[-1, 2], 0.1 * 0.5 + 0.2 * 0.1, atol=1e-6)  # elsewhere continued, as ever
@@ -190,8 +185,8 @@ def test_heights_beside_a_hole_are_the_nearest_known_and_the_geojson_is_valid():
 def test_a_route_over_ground_of_unknown_height_has_no_heights():
     lattice, at = ascii_lattice("a...\n...b")
     route = price_route(replace(lattice, elevation_m=np.full_like(lattice.elevation_m, np.nan)), [at["a"], at["b"]])
-    line = json.loads(json.dumps(geojson(route), allow_nan=False))["geometry"]["coordinates"]
-    assert line == [list(at["a"]), list(at["b"])]
+    np.testing.assert_array_equal(route.points[:, :2], [at["a"], at["b"]])
+    assert np.isnan(route.points[:, 2]).all()
     assert (route.climb_m, route.descent_m) == (0.0, 0.0)
 
 

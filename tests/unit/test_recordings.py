@@ -70,8 +70,9 @@ def test_a_bag_of_several_files_is_one_run(drive, whole, suffix, tmp_path):
         run = read_run(place, crs=files.CRS)
         np.testing.assert_allclose(run.t, whole.t, atol=1e-6)
         np.testing.assert_allclose(run.drawn(), whole.drawn(), rtol=1e-9)
-    assert find_run_files(tmp_path) == [folder]
-    assert len(read_runs(tmp_path, crs=files.CRS)) == 1
+    assert find_run_files(tmp_path, trial=False) == [folder]
+    if suffix == ".db3":
+        assert len(read_runs(tmp_path, crs=files.CRS)) == 1
     for kind in ("zip", "tar", "tar.gz"):
         run = parse_run(archive_of(folder, kind), name=f"monday.{kind}", crs=files.CRS)
         np.testing.assert_allclose(run.drawn(), whole.drawn(), rtol=1e-9)

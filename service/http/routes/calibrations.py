@@ -20,9 +20,11 @@ from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, ro
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
 from joulemap.service.loop.calibration import campaigns_of, refuse_calibrated
+from joulemap.service.places import Places
 from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import calibration_out, listed, shown
 from joulemap.service.schemas.loop import CalibrationOut, CalibrationRequest, SegmentsOut
+from joulemap.service.storage.stats import frame_of_stats
 from joulemap.service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
 from joulemap.service.work.calibrations import PAGE, SEGMENTS
 
@@ -113,7 +115,8 @@ def delete_calibration(calibration_id: str, service: ServiceDep) -> None:
 
 def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     """Check what can be checked without calibrating, and put the calibration into the queue."""
-    ground = None if wanted.heightmap_id is None else service.store.heightmap(wanted.heightmap_id).id
+    on = None if wanted.heightmap_id is None else service.store.heightmap(wanted.heightmap_id)
+    ground = None if on is None else on.id
     test, baseline = list(dict.fromkeys(wanted.test_runs)), list(dict.fromkeys(wanted.baseline_runs))
     runs = [runs_id for runs_id in dict.fromkeys(wanted.runs) if runs_id not in test]
     if not runs:
@@ -135,11 +138,15 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
         raise InputError("name the heightmap that these runs were driven on", field="heightmap_id")
     if ground is not None and odometry is not None:
         raise InputError("runs without positions belong to no heightmap: leave heightmap_id out", field="heightmap_id")
+    asked = wanted.model_dump(include={"model", "start", "goal", "campaigns", "quick", "seed"})
+    if on is not None and asked["start"] is not None:
+        frame = frame_of_stats(on.stats)
+        for name in ("start", "goal"):
+            frame.cell_of(*Places(frame)(asked[name], name), name=name)
     robot = Robot.from_mapping(robot_values(wanted.robot))
     if wanted.model not in MODEL_NAMES:  # those need no check, and only the workers load them
         refuse_calibrated(wanted.model, service.find_predictor(wanted.model))
     service.jobs.check_room(CALIBRATION)
-    asked = wanted.model_dump(include={"model", "start", "goal", "campaigns", "quick", "seed"})
     asked |= {"runs": runs, "base_runs": baseline, "test_runs": test}
     row = service.store.add_calibration(ground, {"robot": robot.as_dict(), "odometry": odometry, **asked})
     service.jobs.submit()

@@ -21,6 +21,7 @@ from joulemap.service.http.state import KernelsDep
 from joulemap.service.http.zip_stream import zip_folder
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.pictures import field_image, lattice_image
+from joulemap.service.places import Places
 from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate
 from joulemap.service.schemas.base import within as bounds
@@ -177,7 +178,10 @@ async def get_field(
 
     def _search() -> Response:
         lattice = service.maps.planner(costmap_id).lattice
-        found = CostMap(lattice).field(start=start, goal=goal, neighbours=neighbours, snap=snap)
+        places = Places(lattice.frame)
+        here = None if start is None else places(start, "start")
+        there = None if goal is None else places(goal, "goal")
+        found = CostMap(lattice).field(start=here, goal=there, neighbours=neighbours, snap=snap)
         if format == "geotiff":
             return _file(iter([found.geotiff(within=share)]), "image/tiff", f"{costmap_id}-field.tif")
         if format == "png":
@@ -190,6 +194,7 @@ async def get_field(
             least_j=float(known.min()) if known.size else None,
             most_j=float(known.max()) if known.size else None,
             corridor_cells=None if share is None else int(found.corridor(share).sum()),
+            warnings=places.notes,
         )
         return Response(figures.model_dump_json(), media_type="application/json")
 
