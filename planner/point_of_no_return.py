@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.planner.course import Course, Place
-from joulemap.planner.edges import leg_prices_between, world_points
+from joulemap.planner.edges import leg_prices_between
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.odds import EnergyOdds
 
@@ -19,6 +19,7 @@ Odds = Callable[[FloatArray], EnergyOdds | None]
 """Returns the distribution of expected energies [J]; None where the model does not know its uncertainty."""
 
 _NEAR = 2.0  # cells
+_STEP = 8  # points of a path between two that are looked at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,51 +57,81 @@ class Bail:
     cheapest_j: float
 
 
-def energies_from(
-    lattice: CostLattice, energy_j: NDArray[np.float32], goal: tuple[float, float], x: FloatArray, y: FloatArray
-) -> FloatArray:
-    """Return the least energies from any places of a map to the goal of an energy field.
+class WaysFrom:
+    """The least energies from places of a path to goals of energy fields.
 
     Parameters
     ----------
     lattice : CostLattice
         Prices and limits.
-    energy_j : ndarray of float32, (rows, cols)
-        Least energy from each cell to the goal [J]; infinite where there is no way.
-    goal : tuple of float
-        World x, y of the goal [m].
-    x, y : ndarray of float, (n,)
-        World places [m].
+    points : ndarray of float, (n, 2)
+        Fractional (row, col) of the places.
 
-    Returns
-    -------
-    ndarray of float, (n,)
-        The cheapest of the straight legs to the centres of the cells around, and from there by the field, or of the leg
-        to a goal in the next cell [J]; infinite where there is no way. Turning into the first move is not counted.
+    Notes
+    -----
+    The cheapest of the straight legs to the centres of the cells around, and from there by the field, or of the leg to
+    a goal in the next cell; infinite where there is no way. Turning into the first move is not counted. The legs to the
+    centres are priced once for all goals.
     """
-    points, end = (world_points(lattice, np.column_stack(xy)) for xy in ((x, y), ([goal[0]], [goal[1]])))
-    last = np.array(lattice.frame.shape) - 1
-    low = np.clip(np.floor(points), 0, last)
-    found = np.full(len(points), np.inf)
-    for offset in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        cell = np.minimum(low + offset, last)
-        legs = leg_prices_between(lattice, points, cell)
-        total = legs + energy_j[cell[:, 0].astype(int), cell[:, 1].astype(int)]
-        found = np.fmin(found, total)  # a leg that may not be driven is NaN
-    near = np.flatnonzero(np.abs(points - end).max(axis=1) < _NEAR)
-    found[near] = np.fmin(found[near], leg_prices_between(lattice, points[near], np.repeat(end, near.size, axis=0)))
-    return found
+
+    def __init__(self, lattice: CostLattice, points: FloatArray) -> None:
+        self._lattice, self._points = lattice, points
+        self._legs = np.full((len(points), 4), np.nan)
+        self._priced = np.zeros(len(points), dtype=np.bool_)
+        last = np.array(lattice.frame.shape) - 1
+        low = np.clip(np.floor(points), 0, last).astype(np.int64)
+        self._cells = np.minimum(low[:, None] + np.array([(0, 0), (0, 1), (1, 0), (1, 1)]), last)  # (n, 4, 2)
+
+    def energies(self, field_j: NDArray[np.float32], goal: tuple[float, float], of: NDArray[np.int64]) -> FloatArray:
+        """Return the least energies to a goal.
+
+        Parameters
+        ----------
+        field_j : ndarray of float32, (rows, cols)
+            Least energy from each cell to the goal [J]; infinite where there is no way.
+        goal : tuple of float
+            World x, y of the goal [m].
+        of : ndarray of int, (m,)
+            Numbers of places.
+
+        Returns
+        -------
+        ndarray of float, (m,)
+            Energy [J]; infinite where there is no way.
+        """
+        new = of[~self._priced[of]]
+        if new.size:
+            ends = self._cells[new].reshape(-1, 2).astype(np.float64)
+            legs = leg_prices_between(self._lattice, np.repeat(self._points[new], 4, axis=0), ends)
+            self._legs[new] = legs.reshape(-1, 4)
+            self._priced[new] = True
+        cells, points = self._cells[of], self._points[of]
+        total = self._legs[of] + field_j[cells[..., 0], cells[..., 1]]
+        found = np.where(np.isnan(total), np.inf, total).min(axis=1, initial=np.inf)
+        end = np.array(self._lattice.frame.rowcol(*goal)).ravel()
+        near = np.flatnonzero(np.abs(points - end).max(axis=1, initial=0.0) < _NEAR)
+        straight = leg_prices_between(self._lattice, points[near], np.repeat(end[None], near.size, axis=0))
+        found[near] = np.fmin(found[near], straight)  # a leg that may not be driven is NaN
+        return found
 
 
-def last_place(course: Course, rest_j: FloatArray, available_j: float, *, odds: Odds, confidence: float | None) -> Bail:
+def last_place(
+    course: Course,
+    rest_j: Callable[[NDArray[np.int64]], FloatArray],
+    available_j: float,
+    *,
+    odds: Odds,
+    confidence: float | None,
+) -> Bail:
     """Return until where a path may be driven so that the battery still lasts for the way to a place.
 
     Parameters
     ----------
     course : Course
         The rest of the path, from here.
-    rest_j : ndarray of float, (n + 1,)
-        Least energy to the place from here, and from the end of each piece [J]; infinite where there is no way.
+    rest_j : callable
+        Returns the least energy to the place [J], infinite where there is no way, of points of the course: 0 is here,
+        k the end of piece k - 1.
     available_j : float
         Energy above the reserve now [J].
     odds : callable
@@ -112,29 +143,48 @@ def last_place(course: Course, rest_j: FloatArray, available_j: float, *, odds: 
     -------
     Bail
         With the place.
+
+    Notes
+    -----
+    Whoever can drive on to a point and go from there can go from every point before. So the last point is sought among
+    every `_STEP`-th one from the end, and then among those up to the next of these.
     """
     spent = np.append(0.0, np.cumsum(course.energy_j))
-    total = spent + rest_j
-    known = np.isfinite(total)
-    finite = np.where(known, total, 0.0)
-    there = odds(finite) if known.any() else None
-    needed = total
-    if there is not None and confidence is not None:
-        needed = np.where(known, there.quantile(confidence), np.inf)
+    marks = np.unique(np.append(np.arange(0, len(course) + 1, _STEP), len(course)))
+
+    def _asked(points: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """(n,) energies on from these points, what is needed up to the place [J], and the odds of it."""
+        rest = rest_j(points)
+        total = spent[points] + rest
+        known = np.isfinite(total)
+        there = odds(np.where(known, total, 0.0)) if known.any() else None
+        sure = total if there is None or confidence is None else there.quantile(confidence)
+        lasts = None if there is None else there.lasts(available_j)
+        return rest, np.where(known, sure, np.inf), lasts
+
+    rest, needed, likely = _asked(marks)
     lasts = needed <= available_j
-    gone = np.flatnonzero(~lasts)
-    stop = int(gone[0]) if gone.size else len(lasts)  # first point from where it is too far
     reachable = bool(lasts[0])
-    cheapest = int(np.argmin(np.where(lasts, rest_j, np.inf)[:stop])) if reachable else None
+    stop = cheapest = 0
+    if reachable:
+        last = int(np.flatnonzero(lasts)[-1])
+        stop = int(marks[last])
+        between = np.arange(stop + 1, marks[min(last + 1, len(marks) - 1)])
+        if between.size:
+            held = np.flatnonzero(_asked(between)[1] <= available_j)
+            stop = int(between[held[-1]]) if held.size else stop
+        best = int(np.argmin(rest[: last + 1]))
+        around = np.arange(marks[max(best - 1, 0)], min(marks[min(best + 1, len(marks) - 1)], stop) + 1)
+        cheapest = int(around[np.argmin(rest_j(around))])
     return Bail(
-        energy_j=float(rest_j[0]),
+        energy_j=float(rest[0]),
         needed_j=float(needed[0]),
-        probability=None if there is None or not known[0] else float(there.lasts(available_j)[0]),
+        probability=None if likely is None or not np.isfinite(rest[0]) else float(likely[0]),
         reachable=reachable,
-        last=_end_of(course, stop - 1) if reachable and gone.size else None,
-        whole_path=not gone.size,
-        cheapest=None if cheapest is None else _end_of(course, cheapest),
-        cheapest_j=np.inf if cheapest is None else float(rest_j[cheapest]),
+        last=_end_of(course, stop) if reachable and stop < len(course) else None,
+        whole_path=reachable and stop == len(course),
+        cheapest=_end_of(course, cheapest) if reachable else None,
+        cheapest_j=float(rest_j(np.array([cheapest]))[0]) if reachable else np.inf,
     )
 
 

@@ -212,43 +212,43 @@ def _known_elevation(elevation_m: NDArray[np.float32], points: NDArray[np.float6
     return np.where(weights > 0.0, total / np.where(weights > 0.0, weights, 1.0), np.nan)
 
 
-def geojson(route: Route, **properties: object) -> dict[str, object]:
-    """Return the route as a GeoJSON Feature.
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A polyline cut into pieces of at most a metre, never across a corner.
+
+    Attributes
+    ----------
+    points : ndarray of float, (n + 1, 2)
+        Fractional (row, col) of their ends.
+    driven_m : ndarray of float, (n,)
+        Length of each [m].
+    heading_rad : ndarray of float, (n,)
+        Heading of each [rad, clockwise from north].
+    energy_j : ndarray of float, (n,)
+        Energy of each, the turn at its beginning included [J]; NaN where it may not be driven.
+    """
+
+    points: NDArray[np.float64]
+    driven_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    energy_j: NDArray[np.float64]
+
+
+def pieces_of(lattice: CostLattice, points: NDArray[np.float64]) -> Pieces:
+    """Return the pieces of a polyline.
 
     Parameters
     ----------
-    route : Route
-        The route.
-    **properties : object
-        More properties of the Feature, JSON-able.
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
 
     Returns
     -------
-    dict
-        A LineString of x, y, z [m] in the map's CRS, which is named in `crs`. Its points have no z where the height of
-        one of them is not known.
-
-    References
-    ----------
-    RFC 7946; `crs` is that of its predecessor, GeoJSON 2008.
+    Pieces
+        Priced.
     """
-    points = route.points if np.isfinite(route.points).all() else route.points[:, :2]
-    feature: dict[str, object] = {
-        "type": "Feature",
-        "geometry": {"type": "LineString", "coordinates": points.tolist()},
-        "properties": {
-            "energy_j": route.energy_j,
-            "length_m": route.length_m,
-            "duration_s": route.duration_s,
-            **properties,
-        },
-    }
-    if route.crs is not None:
-        feature["crs"] = {"type": "name", "properties": {"name": route.crs}}
-    return feature
-
-
-def _profile(lattice: CostLattice, points: NDArray[np.float64]) -> Profile:
     spacing = lattice.frame.resolution_m
     length = np.hypot(*np.diff(points, axis=0).T) * spacing
     pieces = np.maximum(1, np.ceil(length / PROFILE_STEP_M - 1e-9)).astype(int)
@@ -262,6 +262,12 @@ def _profile(lattice: CostLattice, points: NDArray[np.float64]) -> Profile:
         change = np.abs(wrap_angle(np.diff(heading)))
         moving = (driven[1:] > 0) & (driven[:-1] > 0)
         energy[1:] += lattice.robot.turn_j_per_rad * np.where(moving, change, 0.0)
+    return Pieces(fine, driven, heading, energy)
+
+
+def _profile(lattice: CostLattice, points: NDArray[np.float64]) -> Profile:
+    cut = pieces_of(lattice, points)
+    fine, driven, heading, energy = cut.points, cut.driven_m, cut.heading_rad, cut.energy_j
     x, y = lattice.frame.xy(fine[1:, 0], fine[1:, 1])
     std = None if lattice.std_j is None else driven * _std_at(lattice.std_j, 0.5 * (fine[1:] + fine[:-1]), heading)
     return Profile(np.cumsum(driven), x, y, elevation_at(lattice, fine[1:]), heading, energy, np.cumsum(energy), std)

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
-from joulemap.planner.course import Course, course_of
+from joulemap.planner.course import course_of_pieces
+from joulemap.planner.edges import world_points
 from joulemap.planner.odds import class_of
 from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.point_of_no_return import Bail, energies_from, last_place
-from joulemap.planner.route import price_route
+from joulemap.planner.point_of_no_return import Bail, WaysFrom, last_place
+from joulemap.planner.route import pieces_of, price_route
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.planner.words import energy_words, probability_words
 from joulemap.service.route_uncertainty import odds_of_energies
@@ -145,19 +146,17 @@ def homeward(
         )
     lattice = planner.lattice
     row, col = lattice.frame.cell_of(*position, name="position")
-    points = np.array([position]) if path is None else np.vstack([position, np.asarray(path, dtype=np.float64)[:, :2]])
-    apart = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
-    here = float(lattice.elevation_m[row, col])
-    if apart.sum() > 1:
-        course = course_of([price_route(lattice, points[apart])])
-    else:
-        none = np.zeros(0)
-        course = Course(none, none, none, none, none, none, none.astype(np.int64), (*position, here))
-    x, y = np.append(position[0], course.x), np.append(position[1], course.y)
+    xy = np.array([position]) if path is None else np.vstack([position, np.asarray(path, dtype=np.float64)[:, :2]])
+    apart = np.append(True, np.abs(np.diff(xy, axis=0)).max(axis=1) > 1e-9)
+    points = world_points(lattice, xy[apart])
+    cut = pieces_of(lattice, points)
+    if np.isnan(cut.energy_j).any():
+        price_route(lattice, xy[apart])  # says which leg it is, or which point is outside
+    course = course_of_pieces(lattice, cut, (*position, float(lattice.elevation_m[row, col])))
+    ways, odds = WaysFrom(lattice, cut.points), partial(odds_of_energies, lattice)
 
     def _bail(place: tuple[float, float], name: str) -> Bail:
-        rest = energies_from(lattice, planner.energies_towards(place, name=name), place, x, y)
-        odds = partial(odds_of_energies, lattice)
+        rest = partial(ways.energies, planner.energies_towards(place, name=name), place)
         return last_place(course, rest, battery.available_j, odds=odds, confidence=confidence)
 
     bails = tuple(_bail(place, f"charging place {k}") for k, place in enumerate(charging))

@@ -18,6 +18,7 @@ from rich.table import Table
 
 from joulemap.model.terrain.readers import read_heightmap
 from tests.bench.calibration import bench_calibration
+from tests.bench.homeward import compare_return
 from tests.bench.large_maps import bench_large, bench_start_up
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.quality import compare_options, compare_peers, compare_planners
@@ -45,6 +46,7 @@ def main() -> None:
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     only.add_argument("--quality", action="store_true", help="set the default answer beside every other option of ours")
     only.add_argument("--reach", action="store_true", help="set reach beside planning to one goal after another")
+    only.add_argument("--return", action="store_true", dest="homeward", help="ask a service until where one comes home")
     parser.add_argument("--tasks", type=int, default=10, help="random tasks a map with --quality or --reach")
     parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
     parser.add_argument("--real", type=Path, help="a heightmap for --quality and --reach")
@@ -58,6 +60,8 @@ def main() -> None:
     elif options.reach:
         for found in compare_reach(read_heightmap(options.real) if options.real else None, options.tasks):
             console.print(found)
+    elif options.homeward:
+        console.print(compare_return())
     elif options.peers:
         for cells in options.sizes:
             console.print(compare_peers(cells, options.resolution))
