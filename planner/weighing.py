@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -66,16 +67,13 @@ class Weighing:
         NoRouteError
             If there is no way.
         """
-        lattice = weighed(self._planner.lattice, self._variance, price)
         table = self.table(price, neighbours)
-        if not refine:
-            path = grid_search(lattice, table, start, goal)
-            return self._route(path.points), path.energy_j
-        best = best_path(lattice, table, start, goal)
-        try:
-            return self._route(best.points), best.grid_energy_j
-        except BlockedError:  # the limit of power is not known to the prices that were searched, but to their moves
-            return self._route(grid_search(lattice, table, start, goal).points), best.grid_energy_j
+        if refine:
+            best = best_path(weighed(self._planner.lattice, self._variance, price), table, start, goal)
+            with suppress(BlockedError):  # a limit of power is known to the moves, and not to prices of any angle
+                return self._route(best.points), best.grid_energy_j
+        path = grid_search(self._planner.lattice, table, start, goal)  # the legs to the first and from the last centre
+        return self._route(path.points), path.energy_j  # have no variance, and stay within the limit
 
     def table(self, price: float, neighbours: int) -> MoveTable:
         """Return the moves at a price.

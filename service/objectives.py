@@ -14,6 +14,7 @@ from joulemap.planner.course import course_of
 from joulemap.planner.edges import world_points
 from joulemap.planner.odds import EnergyOdds
 from joulemap.planner.plan import ANY_ANGLE_NEIGHBOURS, Plan, RoutePlanner
+from joulemap.planner.power_limit import within_power
 from joulemap.planner.risk import Aim, LeastQuantile, MostLikely, Outcome, Priced, least
 from joulemap.planner.route import Route
 from joulemap.planner.stopping import check_stop
@@ -23,6 +24,10 @@ from joulemap.service.route_uncertainty import odds_along
 
 MEAN, QUANTILE, ARRIVAL = OBJECTIVES = ("mean", "quantile", "arrival")
 """Least expected energy, least energy at a quantile, most likely to arrive with the reserve."""
+_ON_DISK = (
+    "{what} needs the whole cost map in memory, and this one is planned on from disk: leave it out, or make a cost map "
+    "with a coarser spacing"
+)
 QUANTILES = 0.5, 0.99
 """Least and greatest share of drives: beyond, the tails of the distribution are not known."""
 
@@ -89,8 +94,35 @@ class Weighed:
 Routes = tuple[Route, ...]
 
 
+def limited(planner: RoutePlanner | StoredPlanner, max_power_w: float | None) -> RoutePlanner | StoredPlanner:
+    """Return the planner of the same map whose routes draw at most some power.
+
+    Parameters
+    ----------
+    planner : RoutePlanner or StoredPlanner
+        Of the cost map.
+    max_power_w : float or None
+        Most power at the robot's speed [W]; None returns this planner.
+
+    Returns
+    -------
+    RoutePlanner or StoredPlanner
+        As `within_power`.
+
+    Raises
+    ------
+    InputError
+        If standing takes as much already, or the map is not in memory.
+    """
+    if max_power_w is None:
+        return planner
+    if isinstance(planner, StoredPlanner):
+        raise InputError(_ON_DISK.format(what="a limit of power"))
+    return within_power(planner, max_power_w)
+
+
 def plan_by(
-    planner: RoutePlanner | StoredPlanner,
+    router: RoutePlanner | StoredPlanner,
     start: tuple[float, float],
     goal: tuple[float, float],
     objective: Objective,
@@ -102,7 +134,7 @@ def plan_by(
 
     Parameters
     ----------
-    planner : RoutePlanner or StoredPlanner
+    router : RoutePlanner or StoredPlanner
         Of the cost map.
     start, goal : tuple of float
         World x, y [m].
@@ -124,22 +156,20 @@ def plan_by(
         If the model does not know its uncertainty, the map is not in memory, or a battery is missing.
     """
     if objective.name != MEAN:
-        _check(planner, objective, battery)
-    plan = planner.plan(start, goal, **options)
+        _check(router, objective, battery)
+    plan = router.plan(start, goal, **options)
     if objective.name == MEAN:
         return plan
-    assert isinstance(planner, RoutePlanner)
     refine, progress = options.get("refine", True), options.get("progress")
     neighbours = ANY_ANGLE_NEIGHBOURS if refine else options.get("neighbours", 16)
     routes, weighed = best_routes(
-        planner, (plan.route,), objective, battery=battery, refine=refine, neighbours=neighbours, progress=progress
+        router, (plan.route,), objective, battery=battery, refine=refine, neighbours=neighbours, progress=progress
     )
-    route = replace(routes[0], notes=plan.route.notes)
-    return replace(plan, route=route, details=plan.details | {"objective": weighed.__dict__})
+    return replace(plan, route=routes[0], details=plan.details | {"objective": weighed.__dict__})
 
 
 def best_routes(
-    planner: RoutePlanner,
+    planner: RoutePlanner | StoredPlanner,
     means: Routes,
     objective: Objective,
     *,
@@ -152,7 +182,7 @@ def best_routes(
 
     Parameters
     ----------
-    planner : RoutePlanner
+    planner : RoutePlanner or StoredPlanner
         Of the cost map.
     means : tuple of Route
         Those of least expected energy, in the order of driving; the best ones have the same ends.
@@ -180,6 +210,7 @@ def best_routes(
         If the model does not know its uncertainty, or a battery is missing.
     """
     _check(planner, objective, battery)
+    assert isinstance(planner, RoutePlanner)
     odds = odds_along(means)
     assert odds is not None
     assert means[0].spread is not None
@@ -218,15 +249,13 @@ def best_routes(
     else:
         chances = {"probability": 1.0 - best, "mean_probability": 1.0 - mean}
         weighed = Weighed(objective.name, **chances, gap=gap, searches=outcome.searches)
-    return outcome.best.ways, weighed
+    chosen = outcome.best.ways
+    return tuple(replace(route, notes=mean.notes) for route, mean in zip(chosen, means, strict=True)), weighed
 
 
 def _check(planner: RoutePlanner | StoredPlanner, objective: Objective, battery: Battery | None) -> None:
     if isinstance(planner, StoredPlanner):
-        raise InputError(
-            f"the objective {objective.name} needs the whole cost map in memory, and this one is planned on from disk: "
-            "leave the objective out, or make a cost map with a coarser spacing"
-        )
+        raise InputError(_ON_DISK.format(what=f"the objective {objective.name}"))
     lattice = planner.lattice
     if lattice.std_j is None or lattice.provenance.get("model", {}).get("spread") is None:
         raise InputError(
