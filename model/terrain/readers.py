@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import Bounds, crs_name
-from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Decoded, Scaling
+from joulemap.model.terrain.cut_out import PartReader, WindowLike, cells_of, transform_of
+from joulemap.model.terrain.decoded import MAX_SIDE, SAME_LENGTH, Decoded, Scaling, check_cells
 from joulemap.model.terrain.formats import FORMATS, formats_in_words
 from joulemap.model.terrain.formats.contract import HeightmapFormat, WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
@@ -20,6 +22,7 @@ MAX_CELLS = 400_000_000
 """Default limit of declared cells: 1.6 GB of float32."""
 
 _HEAD_BYTES = 512
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # a Path has lost one of the slashes
 
 
 def read_heightmap(
@@ -35,6 +38,7 @@ def read_heightmap(
     nodata: float | None = None,
     band: int | None = None,
     reproject: str | None = None,
+    window: WindowLike | None = None,
     max_cells: int = MAX_CELLS,
 ) -> Heightmap:
     """Read a heightmap from a file of any known format.
@@ -67,6 +71,9 @@ def read_heightmap(
         "auto", "EPSG:n" or WKT: resample a map in degrees, feet or Web Mercator, a rotated one or one whose cells are
         not square, to a north-up grid of true metres. "auto" takes the UTM zone, or keeps a CRS in true metres.
         `resolution_m` is then the side of the new cells.
+    window : str or sequence of float, optional
+        Two opposite corners of the part that is read: x, y of the map's CRS, or latitude, longitude. Of a GeoTIFF only
+        that part is read from the file.
     max_cells : int, optional
         Largest number of cells.
 
@@ -85,6 +92,13 @@ def read_heightmap(
     """
     scaling = Scaling(scale_m, offset_m, nodata, resolution_m)
     file = _opened(source, filename)
+    if window is not None and reproject is None and isinstance(file.place, Path):
+        reader = _format_of(file).open_windows(file.place, band=band)
+        if reader is not None:
+            part, frame = _part(reader, _frame(reader, resolution_m, west_m, north_m, crs), window)
+            check_cells(frame.rows, frame.cols, max_cells, what=f"the window of {file.name}")
+            heights = part.read(scaling, slice(0, frame.rows), slice(0, frame.cols))
+            return Heightmap(heights, frame, file.name, notes=(_window_note(frame),))
     if reproject is not None:
         warped, scaling = reproject_file(
             file,
@@ -96,6 +110,7 @@ def read_heightmap(
             north_m=north_m,
             crs=crs,
             band=band,
+            window=window,
             max_cells=max_cells,
             max_cells_whole=max_cells,
         )
@@ -103,8 +118,13 @@ def read_heightmap(
         heights = warped.read(scaling, slice(0, rows), slice(0, cols))
         return Heightmap(heights, _frame(warped, None, 0.0, None, None), file.name, notes=(warped.note,))
     decoded = _format_of(file).code.decode(file, scaling, max_cells=max_cells, band=band)
-    frame = _frame(decoded, resolution_m, west_m, north_m, crs)
-    return Heightmap(decoded.heights, frame, source=file.name, notes=decoded.notes)
+    whole = _frame(decoded, resolution_m, west_m, north_m, crs)
+    if window is None:
+        return Heightmap(decoded.heights, whole, source=file.name, notes=decoded.notes)
+    cells = cells_of(window, whole.crs, transform_of(whole), whole.shape)
+    frame = whole.window(cells.row0, cells.row1, cells.col0, cells.col1)
+    heights = decoded.heights[cells.row0 : cells.row1, cells.col0 : cells.col1]
+    return Heightmap(heights.copy(), frame, source=file.name, notes=(*decoded.notes, _window_note(frame)))
 
 
 def open_ground(
@@ -120,6 +140,7 @@ def open_ground(
     nodata: float | None = None,
     band: int | None = None,
     reproject: str | None = None,
+    window: WindowLike | None = None,
 ) -> Ground:
     """Open a heightmap of any size: read by windows where its format can, and as a whole otherwise.
 
@@ -129,7 +150,7 @@ def open_ground(
         The file.
     filename : str, optional
         What messages call it, if not by its own name.
-    resolution_m, west_m, north_m, crs, scale_m, offset_m, nodata, band, reproject : optional
+    resolution_m, west_m, north_m, crs, scale_m, offset_m, nodata, band, reproject, window : optional
         As in `read_heightmap`.
 
     Returns
@@ -158,6 +179,7 @@ def open_ground(
             north_m=north_m,
             crs=crs,
             band=band,
+            window=window,
             max_cells=MAX_SIDE * MAX_SIDE,
             max_cells_whole=MAX_CELLS,
         )
@@ -165,7 +187,10 @@ def open_ground(
     reader = _format_of(file).open_windows(file.place, band=band)
     if reader is not None:
         frame = _frame(reader, resolution_m, west_m, north_m, crs)
-        return HeightmapFile(reader, scaling, frame, file.name)
+        if window is None:
+            return HeightmapFile(reader, scaling, frame, file.name)
+        part, frame = _part(reader, frame, window)
+        return HeightmapFile(part, scaling, frame, file.name, notes=(_window_note(frame),))
     return read_heightmap(
         path,
         filename=filename,
@@ -177,12 +202,30 @@ def open_ground(
         offset_m=offset_m,
         nodata=nodata,
         band=band,
+        window=window,
     )
+
+
+def _part(reader: WindowReader, whole: GridFrame, window: WindowLike) -> tuple[PartReader, GridFrame]:
+    """The part of a file that a window holds, and its frame."""
+    cells = cells_of(window, whole.crs, transform_of(whole), whole.shape)
+    return PartReader(reader, cells), whole.window(cells.row0, cells.row1, cells.col0, cells.col1)
+
+
+def _window_note(frame: GridFrame) -> str:
+    west, south, east, north = frame.bounds
+    return f"a window of the file was read: x {west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}"
 
 
 def _opened(source: str | Path | bytes, filename: str | None) -> SourceFile:
     if isinstance(source, bytes):
         return SourceFile(source, filename or "bytes", source[:_HEAD_BYTES])
+    if _URL.match(str(source)):
+        raise HeightmapError(
+            f"{str(source)[:200]} is a URL: joulemap reads files and asks no other machine. Download it "
+            f"(curl -L -o dem.tif '{str(source)[:200]}'), and give the file; `window` (--window) reads a part of it",
+            url=str(source)[:200],
+        )
     place = Path(source).resolve()
     if not place.is_file():
         raise HeightmapError(f"there is no file {source}", path=str(source))

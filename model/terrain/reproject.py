@@ -25,6 +25,7 @@ from rasterio.windows import Window
 from joulemap.model.errors import HeightmapError
 from joulemap.model.source_file import SourceFile
 from joulemap.model.terrain.coordinate_systems import known_crs
+from joulemap.model.terrain.cut_out import WindowLike, cells_of
 from joulemap.model.terrain.decoded import Decoded, Scaling, check_cells
 from joulemap.model.terrain.formats.contract import HeightmapFormat
 from joulemap.model.terrain.formats.gdal import GDAL_OPTIONS, opened, read_band
@@ -194,6 +195,7 @@ def reproject_file(
     north_m: float | None,
     crs: str | None,
     band: int | None,
+    window: WindowLike | None,
     max_cells: int,
     max_cells_whole: int,
 ) -> tuple[Warped, Scaling]:
@@ -216,6 +218,8 @@ def reproject_file(
         As in `read_heightmap`: what the file does not say. Here `crs` may be in degrees or feet.
     band : int, optional
         As in `read_heightmap`.
+    window : str or sequence of float, optional
+        Two opposite corners of the part: x, y of the file's CRS, or latitude, longitude. The new grid lies around it.
     max_cells : int
         Largest number of cells of the new grid.
     max_cells_whole : int
@@ -259,10 +263,16 @@ def reproject_file(
                 f"{file.name} does not say where its cells lie, so that it cannot be reprojected: leave `reproject` out"
             )
         undeclared = dataset.nodatavals[number - 1] is None and scaling.nodata is None
-    target, why = choose_crs(source_crs, transform, rows, cols, to)
-    grid, shape, size = new_grid(source_crs, target, transform, rows, cols, resolution_m)
+    part = transform
+    if window is not None:
+        cells = cells_of(window, source_crs, transform, (rows, cols))
+        x, y = transform * (cells.col0, cells.row0)
+        part, (rows, cols) = Affine(transform.a, transform.b, x, transform.d, transform.e, y), cells.shape
+    target, why = choose_crs(source_crs, part, rows, cols, to)
+    grid, shape, size = new_grid(source_crs, target, part, rows, cols, resolution_m)
     check_cells(*shape, max_cells, what=f"{file.name}, reprojected to cells of {grid.a:g} m,")
-    note = f"reprojected from {short_name(source_crs)} to {short_name(target)}{why}, with cells of {grid.a:g} m"
+    what = "" if window is None else "a window of the file was "
+    note = f"{what}reprojected from {short_name(source_crs)} to {short_name(target)}{why}, with cells of {grid.a:g} m"
     if factor != 1.0:
         note += f"; its heights are in feet and were multiplied by {factor:.10g}"
     resampling = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear

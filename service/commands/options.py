@@ -132,6 +132,22 @@ Avoid = Annotated[
         "--avoid", metavar="FILE", callback=there, help="GeoJSON with areas (polygons) that no route may touch."
     ),
 ]
+ObjectiveName = Annotated[
+    str,
+    typer.Option(
+        "--objective",
+        metavar="NAME",
+        help="What the route is chosen by: mean (expected energy), quantile (energy that --quantile of drives do not "
+        "exceed) or arrival (most likely to arrive with the reserve; in `joulemap feasibility`).",
+    ),
+]
+Quantile = Annotated[
+    float, typer.Option(min=0.5, max=0.99, metavar="0..1", help="Share of drives for --objective quantile.")
+]
+MaxPower = Annotated[
+    float | None,
+    typer.Option("--max-power", metavar="W", help="Block what takes more power than this at the robot's speed [W]."),
+]
 Snap = Annotated[
     bool,
     typer.Option("--snap", help="Take the nearest free place for a point on blocked ground, with a warning."),
@@ -160,6 +176,7 @@ class Reading(TypedDict):
     nodata: float | None
     band: int | None
     reproject: str | None
+    window: str | None
 
 
 def _heightmap_option(help: str, **more: Any) -> Any:
@@ -213,6 +230,17 @@ _READING: dict[str, tuple[str, Any, Any]] = {  # option -> what the library call
         ],
         None,
     ),
+    "window": (
+        "window",
+        Annotated[
+            str | None,
+            _heightmap_option(
+                "Read a part of the map: two opposite corners, x,y of its CRS or latitude,longitude.",
+                metavar="X,Y,X,Y",
+            ),
+        ],
+        None,
+    ),
 }
 
 
@@ -228,7 +256,7 @@ def reads_heightmap(command: Callable[..., None]) -> Callable[..., None]:
     -------
     callable
         The command with `--resolution`, `--west`, `--north`, `--crs`, `--scale`, `--offset`, `--nodata`, `--band`,
-        `--reproject`.
+        `--reproject`, `--window`.
     """
     hints = get_type_hints(command, include_extras=True)
     parameters = []
@@ -289,6 +317,27 @@ def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
         raise ConflictError(
             f"{out} is there already: choose another folder, or replace it with --overwrite", path=str(out)
         )
+
+
+def weighed_options(objective: str, quantile: float, max_power_w: float | None) -> dict[str, Any]:
+    """Return what was said of choosing a route, as `CostMap.plan` takes it; nothing where nothing was said.
+
+    Parameters
+    ----------
+    objective : str
+        Of `--objective`.
+    quantile : float
+        Of `--quantile`.
+    max_power_w : float or None
+        Of `--max-power` [W].
+
+    Returns
+    -------
+    dict
+        Without what is as usual, so that older services understand it.
+    """
+    chosen: dict[str, Any] = {} if objective == "mean" else {"objective": objective, "quantile": quantile}
+    return chosen | ({} if max_power_w is None else {"max_power_w": max_power_w})
 
 
 def robot_of(file: Path | None) -> Robot:

@@ -66,6 +66,13 @@ class UploadOptions(ClosedModel):
         "`auto` (its UTM zone), EPSG:n or WKT; `resolution_m` is then the side of the new cells",
         examples=["auto"],
     )
+    window: str | None = Field(
+        default=None,
+        min_length=7,
+        max_length=200,
+        description="read a part of the map: two opposite corners, x,y of its CRS or latitude,longitude",
+        examples=["366990,4064300,367080,4064400"],
+    )
 
 
 class HeightmapOut(ResponseModel):

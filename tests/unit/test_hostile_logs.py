@@ -12,18 +12,8 @@ from joulemap.model.terrain.readers import read_heightmap
 from tests.fuzz.bombs import BOMBS
 from tests.fuzz.files import MAPS
 from tests.fuzz.inputs import changed
+from tests.fuzz.recordings import LIMITS, WRITERS
 from tests.reference import log_files as files
-
-LIMITS = TableLimits(rows=1_000_000, columns=2_000, cells=20_000_000, text_mb=200.0)
-WRITERS = {
-    "bag": files.write_bag,
-    "db3": files.write_db3,
-    "mcap": files.write_mcap,
-    "bin": files.write_dataflash,
-    "tlog": files.write_tlog,
-    "ulg": files.write_ulog,
-    "fit": files.write_fit,
-}
 
 
 def _read_all(kind, folder, truncated, mutated, capfd):
