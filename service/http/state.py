@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -449,17 +450,23 @@ class Service:
         try:
             for model in set(self.settings.warm_models).difference(MODEL_NAMES):  # the workers load them all
                 self.find_predictor(model)
-            seconds = warm_up(models=())
-            gc.collect()
-            gc.freeze()  # a million objects of libraries that stay: to go over them again stalls everything for 0.5 s
-            gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
-            self.warm_seconds = seconds
+            self.warm_seconds = _kernels_loaded()
             _LOG.info("kernels are loaded after %.1f s", self.warm_seconds)
         except JoulemapError as error:
             self._warm_failure = error.message
             _LOG.error("loading the kernels failed: %s", error.message)
         finally:
             self._warm.set()
+
+
+@cache
+def _kernels_loaded() -> float:
+    """Load the kernels, once for all services of a process; the time that it took [s]."""
+    seconds = warm_up(models=())
+    gc.collect()
+    gc.freeze()  # a million objects of libraries that stay: to go over them again stalls everything for 0.5 s
+    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
+    return seconds
 
 
 def _distinct(names: list[str]) -> list[str]:
