@@ -21,6 +21,8 @@ AUTO = "auto"
 MOST_SCALE_ERROR = 0.002
 """UTM stretches lengths by 0.9996 to 1.001; a CRS that stretches more at the middle of a map is not kept."""
 
+_SAID_SCALE_ERROR = 0.0005  # areas are then off by a thousandth, as near the edge of a zone at the equator
+
 EDGE_POINTS = 41
 """Of each edge of a grid, by which its bounds in another CRS are found."""
 
@@ -69,7 +71,9 @@ def choose_crs(crs: str | None, transform: Affine, rows: int, cols: int, to: str
         pass
     zone = utm_zone(float(lon[0]), float(lat[0]))
     if zone is not None:
-        return zone, f" (UTM zone {int(zone[-2:])}{'N' if zone[5:8] == '326' else 'S'})"
+        error = float(scale_errors(zone, lon, lat).max())
+        here = f", which stretches lengths by {100 * error:.2f} % here" if abs(error) > _SAID_SCALE_ERROR else ""
+        return zone, f" (UTM zone {int(zone[-2:])}{'N' if zone[5:8] == '326' else 'S'}{here})"
     pole = 90 if lat[0] > 0 else -90
     wkt = CRS.from_string(
         f"+proj=stere +lat_0={pole} +lat_ts={lat[0]:.4f} +lon_0={lon[0]:.4f} +datum=WGS84 +units=m +no_defs"
