@@ -61,6 +61,11 @@ export async function sendForOdds(path, body, options) {
 }
 
 export const send = (path, body, options) => ask(path, { method: "POST", body, ...options });
+/** What is kept: cost maps and heightmaps, and the names of these. */
+export async function kept() {
+  const [costmaps, heightmaps] = (await Promise.all(["costmaps", "heightmaps"].map(kind => ask(`v1/${kind}?limit=100`)))).map(({ items }) => items);
+  return { costmaps, heightmaps, names: new Map(heightmaps.map(one => [one.id, one.name])) };
+}
 export const blob = async (path, options) => (await request(path, options)).blob();
 
 /** Follows a job until it is over; `report` is called with each state. Connects again when the connection breaks. */

@@ -1,6 +1,6 @@
 // Areas to avoid: drawn corner by corner, blocked in every question.
 
-import { button, by, fill, make } from "./dom.js";
+import { button, by, fill, h2, make } from "./dom.js";
 import { inside, leaf, map } from "./map.js";
 import { hint, takers } from "./question.js";
 import { now, on, set } from "./state.js";
@@ -12,7 +12,7 @@ let corners = null;
 const SAYS = "Click the corners of the area; click the first corner again, or press Enter, to close it. Escape gives up.";
 
 export function panel() {
-  return make("div", {}, make("h2", {}, "Areas to avoid"), make("div", { class: "row", id: "areas" }));
+  return make("div", {}, h2("Areas to avoid"), make("div", { class: "row", id: "areas" }));
 }
 
 function list() {

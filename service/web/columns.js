@@ -1,6 +1,6 @@
 // When the columns of a log have other names: say which is which, and in which unit.
 
-import { alarm, button, fill, make, row } from "./dom.js";
+import { alarm, button, fill, h3, live, make, row } from "./dom.js";
 
 /** What a run needs, how a column of it is often called, and the units that it may be in. */
 const LENGTHS = ["m", "cm", "mm", "km", "ft"], ANGLES = ["deg", "rad", "degE7"];
@@ -27,11 +27,11 @@ export async function form(files, send) {
     const unit = make("select", { "aria-label": `unit of ${label}` }, make("option", { value: "" }, "auto"), units.map(one => make("option", { value: `:${one}` }, one)));
     return { name, label, list, unit };
   });
-  const said = make("div", { "aria-live": "polite" });
+  const said = live();
   const go = () => {
     const chosen = choices.filter(({ list }) => list.value), twice = chosen.find(({ list }, k) => chosen.slice(0, k).some(other => other.list.value === list.value));
     if (twice) fill(said, alarm(`The column ${twice.list.value} is chosen twice.`)); else send(chosen.map(({ name, list, unit }) => `${name}=${list.value}${unit.value}`));
   };
-  return make("div", { id: "columns" }, make("h3", {}, "Which column is which?"), choices.map(({ label, list, unit }) => make("div", { class: "column" }, make("span", {}, label), list, unit)),
+  return make("div", { id: "columns" }, h3("Which column is which?"), choices.map(({ label, list, unit }) => make("div", { class: "column" }, make("span", {}, label), list, unit)),
     row(button({ class: "main", onclick: go }, "Send with these columns")), said);
 }

@@ -6,8 +6,9 @@ export function make(tag, properties = {}, ...children) {
   for (const [name, value] of Object.entries(properties)) {
     if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
     else if (name === "class") node.className = value;
+    else if (value === undefined || value === null) continue;
     else if (name in node && typeof value !== "string") node[name] = value;
-    else if (value !== undefined && value !== null) node.setAttribute(name, value);
+    else node.setAttribute(name, value);
   }
   node.append(...children.flat().filter(child => child !== null && child !== undefined));
   return node;
@@ -18,6 +19,13 @@ export function draw(tag, properties = {}, ...children) {
   const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [name, value] of Object.entries(properties)) node.setAttribute(name, value);
   node.append(...children);
+  return node;
+}
+
+/** A small piece of a colour, for a legend. */
+export function patch(colour, kind = "box") {
+  const node = make("i", { class: kind });
+  node.style.background = colour;
   return node;
 }
 
@@ -47,8 +55,14 @@ export function minutes(seconds) {
 
 export const number = (value, digits = 1) => rounded(value, digits);
 
-const kind = (tag, own) => (...children) => make(tag, own, children.flat());
+const kind = (tag, own = {}) => (...children) => make(tag, own, children.flat());
+export const h2 = kind("h2"), h3 = kind("h3");
 export const note = kind("p", { class: "note" }), warn = kind("p", { class: "note warn" }), row = kind("div", { class: "row" });
+/** A place whose words a screen reader says when they change. */
+export const live = (id = null) => make("div", { id, "aria-live": "polite" });
+/** A labelled control, with its unit; or one that needs the width. */
+export const field = (label, control, unit) => make("label", { class: `field${unit === undefined ? " wide" : ""}` }, label, control, unit === undefined ? null : make("span", { class: "unit" }, unit));
+export const fold = (title, own, ...children) => make("details", own, make("summary", {}, title), ...children);
 export const alarm = kind("p", { class: "error", role: "alert" }), button = ({ ...own }, ...children) => make("button", { type: "button", ...own }, ...children);
 
 /** The words of an error, for a person. */

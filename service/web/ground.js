@@ -1,8 +1,8 @@
 // First steps: the sample, a heightmap of one's own, or a map that is kept.
 
-import { ask, blob, send } from "./api.js";
+import { ask, blob, kept } from "./api.js";
 import { check } from "./controls.js";
-import { alarm, button, by, errorNote, fill, make, metres, note } from "./dom.js";
+import { alarm, button, by, errorNote, field, fill, fold, h2, h3, live, make, metres, note } from "./dom.js";
 import { now } from "./state.js";
 
 /** What a file may not say itself. */
@@ -35,9 +35,9 @@ export function use(start, choose) { known = start; chosen = choose; }
 export function hide() { by("welcome").hidden = true; }
 
 export async function welcome(message) {
-  const here = by("welcome"), said = make("div", { "aria-live": "polite" }), kept = make("div", {}, note("Looking…"));
-  const extra = make("details", {}, make("summary", {}, "What the file does not say"), FIELDS.map(([name, label, unit]) => make("label", { class: "field" }, label, make("input", { type: "number", step: "any", name }), make("span", { class: "unit" }, unit))),
-    make("label", { class: "field wide" }, "CRS", make("input", { type: "text", name: "crs", placeholder: "EPSG:32630" })),
+  const here = by("welcome"), said = live(), list = make("div", {}, note("Looking…"));
+  const extra = fold("What the file does not say", {}, FIELDS.map(([name, label, unit]) => field(label, make("input", { type: "number", step: "any", name }), unit)),
+    field("CRS", make("input", { type: "text", name: "crs", placeholder: "EPSG:32630" })),
     check("Resample it to true metres (degrees, feet, Web Mercator, rotated)", false, () => {}, { name: "reproject", value: "auto" }), button({ onclick: () => waiting && upload(waiting) }, "Send again"));
   const upload = async file => {
     waiting = file;
@@ -58,8 +58,8 @@ export async function welcome(message) {
   const sample = async () => {
     fill(said, make("p", {}, "Sending the sample…"), make("progress", { "aria-label": "Sending the sample" }));
     try {
-      const [heightmaps, costmaps] = await Promise.all([ask("v1/heightmaps?limit=100"), ask("v1/costmaps?limit=100")]);
-      const before = heightmaps.items.find(one => one.name === known.sample.name), made = before && costmaps.items.find(one => one.heightmap_id === before.id && one.status === "done" && one.model === "default");
+      const { heightmaps, costmaps } = await kept();
+      const before = heightmaps.find(one => one.name === known.sample.name), made = before && costmaps.find(one => one.heightmap_id === before.id && one.status === "done" && one.model === "default");
       const query = new URLSearchParams({ name: known.sample.name });
       const heightmap = before ?? await ask(`v1/heightmaps?${query}`, { method: "POST", body: await blob("page/sample.tif"), headers: { "Content-Type": "application/octet-stream" } });
       hide();
@@ -67,21 +67,20 @@ export async function welcome(message) {
     } catch (error) { fill(said, errorNote(error)); }
   };
   fill(here, make("div", {},
-    make("h2", {}, "Where can the robot go, and does the battery last?"),
+    h2("Where can the robot go, and does the battery last?"),
     make("p", {}, "Heights of the ground go in. Out come what every metre costs in every heading, the way of least energy, and whether the battery lasts."),
-    message ? alarm(message) : null,
+    message ? alarm(message) : null, said,
     make("div", { class: "cards" },
-      make("div", { class: "card" }, make("h3", {}, "Look at the sample"), note("Rolling hills of 200 × 200 m with a steep knoll, and a route round it."), button({ class: "main", id: "sample", onclick: sample }, "Open the sample")),
-      make("div", { class: "card" }, make("h3", {}, "Your own ground"), dropZone(make("span", {}, make("b", {}, "Choose a heightmap"), make("br"), "or drop it here"), { id: "heightmap-file", "aria-label": "Heightmap file" }, ([file]) => upload(file)), note(known.formats), extra),
-      make("div", { class: "card" }, make("h3", {}, "What is kept"), kept)),
-    said, now.costmap ? make("p", {}, button({ onclick: hide }, "Back to the map")) : null));
+      make("div", { class: "card" }, h3("Look at the sample"), note("Rolling hills of 200 × 200 m with a steep knoll, and a route round it."), button({ class: "main", id: "sample", onclick: sample }, "Open the sample")),
+      make("div", { class: "card" }, h3("Your own ground"), dropZone(make("span", {}, make("b", {}, "Choose a heightmap"), make("br"), "or drop it here"), { id: "heightmap-file", "aria-label": "Heightmap file" }, ([file]) => upload(file)), note(known.formats), extra),
+      make("div", { class: "card" }, h3("What is kept"), list)),
+    now.costmap ? make("p", {}, button({ onclick: hide }, "Back to the map")) : null));
   here.hidden = false;
   try {
-    const [costmaps, heightmaps] = await Promise.all([ask("v1/costmaps?limit=100"), ask("v1/heightmaps?limit=100")]);
-    const names = new Map(heightmaps.items.map(one => [one.id, one.name]));
-    const done = costmaps.items.filter(one => ["done", "running", "queued"].includes(one.status)), bare = heightmaps.items.filter(one => one.rows && !done.some(map => map.heightmap_id === one.id));
-    fill(kept, done.length + bare.length ? make("ul", {},
+    const { costmaps, heightmaps, names } = await kept();
+    const done = costmaps.filter(one => ["done", "running", "queued"].includes(one.status)), bare = heightmaps.filter(one => one.rows && !done.some(map => map.heightmap_id === one.id));
+    fill(list, done.length + bare.length ? make("ul", {},
       done.map(one => make("li", {}, button({ onclick: () => { hide(); chosen({ costmap: one }); } }, `${names.get(one.heightmap_id) ?? one.heightmap_id}, ${one.robot.name}, model ${one.model}${one.status === "done" ? "" : " (being made)"}`))),
       bare.map(one => make("li", {}, button({ onclick: () => { hide(); chosen({ heightmap: one }); } }, `${one.name} (no cost map yet)`)))) : note("Nothing yet. What you send is kept here."));
-  } catch (error) { fill(kept, errorNote(error)); }
+  } catch (error) { fill(list, errorNote(error)); }
 }

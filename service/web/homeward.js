@@ -1,7 +1,7 @@
 // Point of no return: the last place of the route from which the battery still lasts for the way home to the start.
 
 import { Latest, sendForOdds, superseded } from "./api.js";
-import { by, errorNote, fill, make, note } from "./dom.js";
+import { by, errorNote, fill, live, make, note } from "./dom.js";
 import { check } from "./controls.js";
 import { leaf, map } from "./map.js";
 import { now, on } from "./state.js";
@@ -10,7 +10,7 @@ const latest = new Latest(), mark = L.layerGroup().addTo(map);
 let wanted = false;
 
 export function panel() {
-  return make("div", {}, check("Until where can it turn back? (point of no return)", wanted, on => { wanted = on; ask(); }), make("div", { id: "homeward", "aria-live": "polite" }));
+  return make("div", {}, check("Until where can it turn back? (point of no return)", wanted, on => { wanted = on; ask(); }), live("homeward"));
 }
 
 async function ask() {

@@ -1,7 +1,7 @@
 // The loop: send measured runs, see what was read of them, calibrate the model, compare before and after.
 
 import { ask, send } from "./api.js";
-import { alarm, button, by, errorNote, fill, joules, make, metres, note, number, percent, row, table, warn } from "./dom.js";
+import { alarm, button, by, errorNote, fill, h2, h3, joules, live, make, metres, note, number, patch, percent, row, table, warn } from "./dom.js";
 import { dropZone } from "./ground.js";
 import * as columns from "./columns.js";
 import { check, watched } from "./controls.js";
@@ -19,11 +19,11 @@ export function show() {
   const here = by("step-runs");
   if (!now.costmap) { fill(here, note("Make a cost map first: runs are compared with its ground, robot and model.")); return; }
   fill(here,
-    make("h2", {}, "Measured runs"),
+    h2("Measured runs"),
     note("Logs of this robot on this ground: time, position, voltage and current. What the model does not contain is found in them."),
     dropZone(make("span", {}, make("b", {}, "Choose runs"), " or drop them here"), { multiple: true, id: "runs-files", "aria-label": "Files of runs" }, upload),
-    make("div", { id: "sent", "aria-live": "polite" }), make("div", { id: "runs-list" }), make("div", { id: "calibrating", "aria-live": "polite" }),
-    make("h2", {}, "Calibrations"), make("div", { id: "calibrations" }), make("div", { id: "found", "aria-live": "polite" }));
+    live("sent"), make("div", { id: "runs-list" }), live("calibrating"),
+    h2("Calibrations"), make("div", { id: "calibrations" }), live("found"));
   listRuns();
   listCalibrations();
 }
@@ -38,7 +38,7 @@ async function upload(files, mapping = []) {
   for (const entry of mapping) query.append("map", entry);
   try {
     const sent = await ask(`v1/runs?${query}`, { method: "POST", body: form });
-    fill(here, make("h3", {}, "What was read"), readOf(sent), sent.runs.flatMap(run => run.warnings).map(one => warn(one)));
+    fill(here, h3("What was read"), readOf(sent), sent.runs.flatMap(run => run.warnings).map(one => warn(one)));
     listRuns(sent.id);
   } catch (error) {
     const naming = error.status === 422 ? await columns.form(files, mapping => upload(files, mapping)) : null;
@@ -96,11 +96,7 @@ const STATES = { before: "model before", corrected: "with base parameters fitted
 const interval = ({ value, ci95, unit, name }, alone) => `${alone ? "" : `${words(name)} `}${+value.toPrecision(3)} ${unit} (95 %: ${ci95.map(end => +end.toPrecision(3)).join(" to ")})`;
 const sure = p => (p < 0.001 ? "p < 0.001" : `p = ${p.toPrecision(2)}`);
 
-function swatch(colour) {
-  const node = make("i", { class: "swatch" });
-  node.style.background = colour;
-  return node;
-}
+const swatch = colour => patch(colour, "swatch");
 
 const line = (points, words, style) => L.polyline(points.map(leaf), style).bindTooltip(make("span", {}, words), { sticky: true }).addTo(drawn);
 
@@ -109,9 +105,9 @@ async function open(made) {
   const report = made.report, unit = report.target === "charge_as" ? "A s" : "J", route = report.route?.before ? report.route : null, drive = report.next_drive?.points ? report.next_drive : null;
   drawn.clearLayers();
   fill(by("found"),
-    make("h2", {}, report.effects.length ? `Found: ${report.effects.map(one => one.label).join(", ")}` : "No missing effect was found"),
+    h2(report.effects.length ? `Found: ${report.effects.map(one => one.label).join(", ")}` : "No missing effect was found"),
     report.effects.map(one => make("div", { class: "verdict likely" }, make("b", {}, one.label), one.meaning, make("br"), one.form === "curve" ? "" : one.coefficients.map(each => interval(each, one.coefficients.length === 1)).join("; "), ` · ${sure(one.p_value)} · explains ${percent(one.share_of_residual_variance)} of what the model missed`)),
-    make("h3", {}, "Error per metre"),
+    h3("Error per metre"),
     table([["", "mean relative", `RMSE [${unit}/m]`], ...Object.entries(STATES).filter(([state]) => report.error[state]).map(([state, name]) => [name, percent(report.error[state].mean_relative, 1), number(report.error[state].rmse, 1)])], "Error before and after"),
     report.validation.whole_procedure ? null : warn("Quick: these are errors of the fit. On new runs they are larger."),
     note(`${number(report.segments.fit, 0)} segments; left out: ${counted(report.runs.left_out)}; repaired: ${counted(report.runs.repairs)}`),
@@ -119,8 +115,8 @@ async function open(made) {
     make("div", { class: "row" },
       made.calibrated_model ? button({ class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
       make("a", { class: "button", href: `v1/calibrations/${made.id}/report.html`, target: "_blank", rel: "noopener" }, "Whole report")),
-    route ? make("div", {}, make("h3", {}, "A route before and after"), make("p", {}, `By the calibrated model the way before costs ${joules(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${joules(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
-    drive ? make("div", {}, make("h3", {}, "What to drive next"), make("p", {}, `${drive.kind}, ${metres(drive.total_length_m)} in all, at ${drive.speeds_mps.map(speed => number(speed, 2)).join(" and ")} m/s: it measures ${drive.label} more precisely${drive.expected_interval_share ? `; its interval shrinks to ${percent(drive.expected_interval_share)}` : ""}.`), drive.placed ? routeButtons("next-drive", format => [`v1/calibrations/${made.id}/next-drive?format=${format}`]) : null) : null,
+    route ? make("div", {}, h3("A route before and after"), make("p", {}, `By the calibrated model the way before costs ${joules(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${joules(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
+    drive ? make("div", {}, h3("What to drive next"), make("p", {}, `${drive.kind}, ${metres(drive.total_length_m)} in all, at ${drive.speeds_mps.map(speed => number(speed, 2)).join(" and ")} m/s: it measures ${drive.label} more precisely${drive.expected_interval_share ? `; its interval shrinks to ${percent(drive.expected_interval_share)}` : ""}.`), drive.placed ? routeButtons("next-drive", format => [`v1/calibrations/${made.id}/next-drive?format=${format}`]) : null) : null,
     route || drive?.placed ? note("On the map: ", route ? [swatch(BEFORE), "before ", swatch(AFTER), "after "] : "", drive?.placed ? [swatch(DRIVE), "next drive"] : "") : null,
     make("div", { id: "measured" }));
   if (route) {

@@ -1,6 +1,6 @@
 // Starts the page: asks what the service can do, opens what the link says, and joins the parts.
 
-import { ask, onConnection } from "./api.js";
+import { ask, kept, onConnection } from "./api.js";
 import { button, by, errorNote, fill, make } from "./dom.js";
 import * as ground from "./ground.js";
 import * as link from "./link.js";
@@ -14,7 +14,7 @@ import * as robots from "./robot.js";
 import "./roses.js";
 import * as routePanel from "./route_panel.js";
 import * as savePanel from "./save_panel.js";
-import { now, set } from "./state.js";
+import { now, on, set } from "./state.js";
 import { open as open3d } from "./three_d.js";
 
 const tabs = [...by("tabs").children];
@@ -45,8 +45,8 @@ onConnection(there => banner(there ? null : "The service does not answer. The pa
 window.addEventListener("unhandledrejection", ({ reason }) => { if (reason?.name !== "AbortError") banner(reason?.message ?? String(reason)); });
 
 async function listMaps() {
-  const [costmaps, heightmaps] = await Promise.all([ask("v1/costmaps?limit=100"), ask("v1/heightmaps?limit=100")]);
-  const names = new Map(heightmaps.items.map(one => [one.id, one.name])), done = costmaps.items.filter(one => one.status === "done");
+  const { costmaps, names } = await kept();
+  const done = costmaps.filter(one => one.status === "done");
   const grounds = [...new Set(done.map(one => one.heightmap_id))].sort((a, b) => (b === now.costmap?.heightmap_id) - (a === now.costmap?.heightmap_id)); // models of this ground first
   fill(by("maps"), now.costmap ? null : make("option", { value: "" }, "none chosen"), grounds.map(ground => make("optgroup", { label: names.get(ground) ?? ground },
     done.filter(one => one.heightmap_id === ground).map(one => make("option", { value: one.id, selected: one.id === now.costmap?.id }, `${names.get(ground) ?? ground} · ${one.robot.name} · ${one.model}`)))));
@@ -80,6 +80,9 @@ async function openGround({ heightmap, costmap, sample }) {
   } catch (error) { ground.welcome(error.message); }
 }
 
+let answered = null; // the first answer of a map is shown, wherever the question was asked from
+on("answer", () => { if (now.answer && answered !== now.costmap.id) { answered = now.costmap.id; choose(by("tab-route")); } });
+
 let about = null, sampleOpen = false;
 
 async function begin() {
@@ -88,7 +91,7 @@ async function begin() {
   savePanel.use(about.path_formats);
   robots.use(about.robot);
   routePanel.start(about.planners);
-  mapPanel.use(about.models, costmap => {
+  mapPanel.use(about, costmap => {
     const changes = sampleOpen ? { start: about.sample.start, goal: about.sample.goal } : {};
     sampleOpen = false;
     openCostmap(costmap, { changes }).catch(error => ground.welcome(error.message));

@@ -1,7 +1,7 @@
 // Measured against predicted: the residual of each segment on the map, and both along a run.
 
 import { ask } from "./api.js";
-import { draw, fill, make, note, number, row } from "./dom.js";
+import { draw, fill, h3, make, note, number, row } from "./dom.js";
 import { leaf, map } from "./map.js";
 
 /** Blue: less was measured than predicted; red: more. Both are seen with any colour vision. */
@@ -38,7 +38,7 @@ export async function show(here, calibration, layer) {
     fill(chart, svg);
   }
   const toggle = make("input", { type: "checkbox", onchange: () => { state.after = toggle.checked; places(); } });
-  fill(here, make("h3", {}, "Measured against predicted"), note("On the map: red took more energy than predicted, blue less."), make("label", { class: "check" }, toggle, "by the calibrated model"),
+  fill(here, h3("Measured against predicted"), note("On the map: red took more energy than predicted, blue less."), make("label", { class: "check" }, toggle, "by the calibrated model"),
     row(which), chart, note(`${found.unit} per segment: `, make("span", {}, "dark measured, "), make("i", { class: "swatch shortest" }), "before ", make("i", { class: "swatch optimal" }), "after"));
   places();
   along();

@@ -1,7 +1,7 @@
 // Reach: how far the battery takes the robot from the start, as shaded contours.
 
 import { Latest, sendForOdds, superseded } from "./api.js";
-import { by, errorNote, fill, make, note, number, percent, warn } from "./dom.js";
+import { by, errorNote, fill, fold, live, note, number, patch, percent, warn } from "./dom.js";
 import { leaf, map } from "./map.js";
 import { check, settled, slider } from "./controls.js";
 import { now, on } from "./state.js";
@@ -12,12 +12,11 @@ const wish = { shown: false, confidence: 0.95, back: true };
 
 export function panel() {
   const again = settled(ask, 250);
-  return make("details", { id: "reach", open: wish.shown, ontoggle: event => { wish.shown = event.target.open; ask(); } },
-    make("summary", {}, "How far can it go?"),
+  return fold("How far can it go?", { id: "reach", open: wish.shown, ontoggle: event => { wish.shown = event.target.open; ask(); } },
     note("From the start, with the charge and the reserve above."),
     check("and come back", wish.back, back => { wish.back = back; ask(); }),
     slider("Confidence", wish.confidence, { min: 0.5, max: 0.99, step: 0.01, words: value => percent(value) }, value => { wish.confidence = value; again(); }),
-    make("div", { id: "reach-said", "aria-live": "polite" }));
+    live("reach-said"));
 }
 
 const area = m2 => (m2 < 1e4 ? `${number(m2, 0)} m²` : m2 < 1e6 ? `${number(m2 / 1e4, 1)} hectares` : `${number(m2 / 1e6, 1)} km²`);
@@ -43,11 +42,7 @@ async function ask() {
       L.polygon(rings.map(polygon => polygon.map(ring => ring.map(leaf))), { pane: "reach", color: shade, weight: 2, fillColor: shade, fillOpacity: 0.16, smoothFactor: 0.5, interactive: false }).addTo(contours);
       properties.shade = shade;
     });
-    fill(said, order.length ? order.map(({ properties }) => {
-      const box = make("i", { class: "box" });
-      box.style.background = properties.shade;
-      return note(box, `starting at ${percent(properties.charge, 1)}${properties.round_trip ? ", there and back" : ""}: ${area(properties.area_m2)}`);
-    }).concat(odds ? [] : warn("This model gives no odds: the expected energy decides.")) : note("Nothing can be reached with this charge and reserve."));
+    fill(said, order.length ? order.map(({ properties }) => note(patch(properties.shade), `starting at ${percent(properties.charge, 1)}${properties.round_trip ? ", there and back" : ""}: ${area(properties.area_m2)}`)).concat(odds ? [] : warn("This model gives no odds: the expected energy decides."), order.length > 1 && order[0].properties.area_m2 === order.at(-1).properties.area_m2 ? note("Each of these charges is enough for all ground that can be reached: lower the charge to see where it ends.") : []) : note("Nothing can be reached with this charge and reserve."));
   } catch (error) {
     if (superseded(error)) return;
     contours.clearLayers();

@@ -1,6 +1,6 @@
 // The robot: a form with units and presets, or a TOML file.
 
-import { alarm, fill, make } from "./dom.js";
+import { alarm, field, fill, fold, make } from "./dom.js";
 
 const USUAL = ["mass_kg", "battery_wh", "speed_mps", "wheel_radius_m", "max_grade_deg", "max_cross_slope_deg"];
 /** Places to begin: no robot of any maker, so that its owner looks into its data sheet. */
@@ -45,7 +45,7 @@ export function form(said) {
       const value = text ? input.value.trim() : input.valueAsNumber;
       if (value === "" || Number.isNaN(value) || value === usual) delete values[name]; else values[name] = value;
     } });
-    return make("label", { class: text ? "field wide" : "field" }, label, input, text ? null : make("span", { class: "unit" }, unit));
+    return field(label, input, text ? undefined : unit);
   };
   const file = make("input", { type: "file", accept: ".toml", "aria-label": "Robot file (TOML)", onchange: async () => {
     try { set(fromToml(await file.files[0].text())); show(); preset.append(make("option", { selected: true, value: "" }, file.files[0].name)); said(`robot read from ${file.files[0].name}`); } catch (error) { said(error.message, true); }
@@ -54,8 +54,8 @@ export function form(said) {
   function show() {
     const unknown = Object.keys(values).filter(name => !(name in fields));
     fill(here, unknown.length ? alarm(`Not fields of a robot: ${unknown.join(", ")}`) : null, USUAL.map(one),
-      make("details", {}, make("summary", {}, "All fields"), Object.keys(fields).filter(name => !USUAL.includes(name)).map(one)));
+      fold("All fields", {}, Object.keys(fields).filter(name => !USUAL.includes(name)).map(one)));
   }
   show();
-  return make("div", {}, make("label", { class: "field wide" }, "Robot", preset), here, make("label", { class: "row note" }, "or a TOML file ", file));
+  return make("div", {}, field("Robot", preset), here, make("label", { class: "row note" }, "or a TOML file ", file));
 }

@@ -2,7 +2,7 @@
 
 import * as avoid from "./avoid.js";
 import { check, settled, slider } from "./controls.js";
-import { button, by, errorNote, fill, joules, make, metres, minutes, note, number, percent, row, warn } from "./dom.js";
+import { button, by, errorNote, field, fill, fold, h2, joules, live, make, metres, minutes, note, number, percent, row, warn } from "./dom.js";
 import * as homeward from "./homeward.js";
 import { askAgain, expect, expected, hint } from "./question.js";
 import * as reach from "./reach.js";
@@ -17,7 +17,7 @@ function placeField(name, label) {
     if (!input.reportValidity()) return;
     set({ [name]: good ? values : null });
   } });
-  return make("label", { class: "field wide" }, label, input);
+  return field(label, input);
 }
 
 const slow = settled(() => set({ battery: { ...now.battery } }));
@@ -33,14 +33,14 @@ function form() {
       button({ onclick: () => set({ start: now.goal, goal: now.start }), disabled: !now.start || !now.goal }, "Swap")));
   fill(by("step-route"),
     make("div", { id: "places" }),
-    make("div", { id: "answer", "aria-live": "polite" }),
-    make("h2", {}, "Battery"),
+    live("answer"),
+    h2("Battery"),
     slider("Charge at the start", now.battery.charge, { min: 0.05, max: 1, step: 0.01, words: value => percent(value) }, charge => { now.battery.charge = charge; slow(); }),
     slider("Reserve to keep", now.battery.reserve, { min: 0, max: 0.9, step: 0.01, words: value => percent(value) }, reserve => { now.battery.reserve = reserve; slow(); }),
     check("And back again", now.roundTrip, roundTrip => set({ roundTrip })),
     homeward.panel(),
     avoid.panel(), reach.panel(),
-    make("details", {}, make("summary", {}, "Search"), make("label", { class: "field" }, "Alternatives to show", others, make("span", { class: "unit" })), make("label", { class: "field wide" }, "Planner", choice)));
+    fold("Search", {}, field("Alternatives to show", others, ""), field("Planner", choice)));
   places();
   answer();
   return places;

@@ -1,7 +1,7 @@
 // The panel "Save": routes, the map and pictures as files, and a link that opens this view again.
 
 import { blob } from "./api.js";
-import { button, by, errorNote, fill, make, note, row } from "./dom.js";
+import { button, by, errorNote, fill, h2, live, make, note, row } from "./dom.js";
 import * as link from "./link.js";
 import { asPicture } from "./map.js";
 import { asked, lines } from "./question.js";
@@ -20,7 +20,7 @@ function keep(data, name) {
 
 /** Buttons that save something; `get` makes it. What becomes of it is said under them. */
 function files(...kinds) {
-  const said = make("div", { "aria-live": "polite" });
+  const said = live();
   const one = ([words, name, get]) => button({ onclick: async ({ target }) => {
     target.disabled = true;
     fill(said, note(`Making ${name}…`));
@@ -39,14 +39,14 @@ export const routeButtons = (name, question) => files(...formats.filter(format =
 export function show() {
   const here = by("step-save"), id = now.costmap?.id, { answer } = now;
   if (!id) { fill(here, note("Nothing to save yet: make a cost map first.")); return; }
-  const said = make("div", { "aria-live": "polite" }), [question, body] = asked(), address = new URL(link.address(), window.location.href).href;
+  const said = live(), [question, body] = asked(), address = new URL(link.address(), window.location.href).href;
   const text = make("input", { type: "text", readonly: "", "aria-label": "Link to this view", value: address });
   fill(here,
-    make("h2", {}, answer?.tour ? "The tour" : "The routes"),
+    h2(answer?.tour ? "The tour" : "The routes"),
     answer?.path ? routeButtons(answer.tour ? "tour" : "route", format => [`v1/costmaps/${id}/${question}?format=${format}`, { method: "POST", body }]) : note("Set a start and a goal first."),
-    make("h2", {}, "The map"),
+    h2("The map"),
     files(["Picture (PNG)", "map.png", () => asPicture(lines())], ["GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)], ["Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`)]),
-    make("h2", {}, "This view"),
+    h2("This view"),
     note("The link opens the same map, route and colours again, for whoever reaches this service."),
     row(text, button({ onclick: async () => {
       text.select();

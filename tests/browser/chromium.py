@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -78,6 +79,23 @@ class Opened:
         self.context.close()
         assert not self.wrong, self.wrong
         assert all(url.startswith(("http://127.0.0.1:", "blob:", "data:")) for url in self.asked), self.asked
+
+
+@cache
+def _axe() -> Any:
+    from axe_core_python.sync_playwright import Axe
+
+    return Axe()
+
+
+def inaccessible(page: Any) -> list[tuple[str, list[str]]]:
+    """What axe-core finds serious or critical in a page or a frame: the rule, and where.
+
+    The lines inside of figures are left out, not the figures: thousands of them take most of the time.
+    """
+    found = _axe().run(page, {"exclude": [["div.figures svg > *"], ["div.full svg > *"]]})["violations"]
+    bad = [one for one in found if one["impact"] in ("serious", "critical")]
+    return [(one["id"], [node["html"][:200] for node in one["nodes"]]) for one in bad]
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Long ways through the page on a real service: own ground and robot, slow jobs, the loop, files, keys."""
+"""Ways through the page on a real service: own ground and robot, a slow job, the loop with its report, files, keys."""
 
 from __future__ import annotations
 
@@ -17,11 +17,9 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.storage.keys import add_key
 from joulemap.service.storage.store import Store
-from tests.browser.chromium import PHONE, opened
+from tests.browser.chromium import PHONE, WIDE, inaccessible, opened
 from tests.browser.conftest import serving
 from tests.service.test_calibrations import ROBOT, hills, run_csv
-
-pytestmark = pytest.mark.slow
 
 
 def shot(tab: Any, name: str) -> None:
@@ -72,18 +70,30 @@ def calibrated_on(browser: Any, address: str, tmp_path_factory: pytest.TempPathF
 def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path) -> None:
     """Runs of which one has other names of columns; an effect is found; the route changes with the model."""
     plain, renamed = tmp_path / "run_01.csv", tmp_path / "run_02.csv"
-    plain.write_bytes(run_csv(1))
-    text = run_csv(2).decode().replace("t,x,y,voltage,current", "q1,q2,q3,q4,q5", 1)
-    renamed.write_text(text)
-    with opened(browser, address, hash=calibrated_on) as tab:
+    plain.write_bytes(run_csv(1, metres=70.0))
+    head, *rows = run_csv(2, metres=70.0).decode().splitlines()
+    assert head == "t,x,y,voltage,current"
+    amperes = [row.rpartition(",") for row in rows]
+    renamed.write_text(
+        "\n".join(["q1,q2,q3,q4,q5", *(f"{rest},{1000 * float(last):.1f}" for rest, _, last in amperes)])
+    )
+    with opened(browser, address, hash=calibrated_on, accept_downloads=True) as tab:
         tab.drawn()
         before = tab.page.evaluate("joulemap.now.answer.energy_j")
         tab.page.click("#tab-runs")
         tab.page.set_input_files("#runs-files", renamed)
         tab.page.wait_for_selector("#columns select")
-        for k, name in enumerate(("q1", "q2", "q3", "q4", "q5")):
-            tab.page.select_option(f"#columns select >> nth={k}", name)
+        for label, name in (
+            ("Time", "q1"),
+            ("x, east", "q2"),
+            ("y, north", "q3"),
+            ("Voltage", "q4"),
+            ("Current", "q5"),
+        ):
+            tab.page.select_option(f"#columns select[aria-label='{label}']", name)
+        tab.page.select_option("#columns select[aria-label='unit of Current']", "mA")
         shot(tab, "columns")
+        assert not inaccessible(tab.page)
         tab.page.click("#columns button")
         tab.page.wait_for_selector("#sent table")
         tab.page.set_input_files("#runs-files", plain)
@@ -96,6 +106,20 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
         assert "turning" in tab.text("#found h2")
         tab.page.wait_for_selector("#measured svg")
         shot(tab, "found")
+        assert not inaccessible(tab.page)
+        with tab.page.expect_download() as waiting:
+            tab.page.click("#found button:has-text('GPX')")
+        assert b"<gpx" in Path(waiting.value.path()).read_bytes()
+        with tab.context.expect_page() as waiting:
+            tab.page.click("text=Whole report")
+        report = waiting.value
+        report.wait_for_load_state()
+        for viewport in (WIDE, PHONE):
+            for look in ("light", "dark"):
+                report.set_viewport_size(viewport)
+                report.emulate_media(color_scheme=look)
+                assert not inaccessible(report), (viewport, look)
+        report.close()
         tab.page.click("#use-model")
         tab.page.wait_for_function("() => joulemap.now.before !== null", timeout=60_000)
         tab.page.wait_for_function("before => joulemap.now.answer?.energy_j > before", arg=before)  # turns cost
@@ -126,6 +150,7 @@ def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -
         tab.page.click("text=Add stop")
         tab.page.mouse.click(*tab.place(west + 25.0, north - 8.0))
         tab.page.wait_for_function("() => joulemap.now.answer?.tour === true")
+        tab.page.wait_for_selector("#profile svg")
         shot(tab, "stops")
 
 
@@ -195,6 +220,7 @@ def test_a_service_with_keys_asks_for_one(browser: Any, tmp_path: Path) -> None:
     store.close()
     with serving(tmp_path) as url, opened(browser, url) as tab:
         assert httpx.get(f"{url}/v1/costmaps").status_code == 401
+        assert not inaccessible(tab.page)
         tab.page.fill("dialog input", key)
         tab.page.click("dialog button")
         tab.page.wait_for_function("() => document.querySelector('#welcome')?.textContent.includes('Nothing yet')")

@@ -9,9 +9,12 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+import rasterio
 from PIL import Image
+from rasterio.transform import from_origin
 
-from tests.browser.chromium import PHONE, opened
+from joulemap.service import raster_shading
+from tests.browser.chromium import PHONE, WIDE, inaccessible, opened
 from tests.service.conftest import hill
 
 WEB = Path(__file__).resolve().parents[2] / "service" / "web"
@@ -130,24 +133,91 @@ def test_a_service_that_is_away_for_a_moment(browser: Any, address: str, sample:
         tab.drawn()
 
 
-@pytest.mark.parametrize("view", [{}, {"viewport": PHONE, "color_scheme": "dark"}], ids=["wide", "phone, dark"])
-def test_accessible(browser: Any, address: str, sample: str, view: dict[str, Any]) -> None:
-    """axe-core finds nothing serious on any step."""
-    from axe_core_python.sync_playwright import Axe
+@pytest.mark.parametrize(
+    ("viewport", "look"),
+    [
+        pytest.param(WIDE, "light", id="wide, light"),
+        pytest.param(PHONE, "dark", id="phone, dark"),
+        pytest.param(WIDE, "dark", id="wide, dark", marks=pytest.mark.slow),
+        pytest.param(PHONE, "light", id="phone, light", marks=pytest.mark.slow),
+    ],
+)
+def test_accessible(browser: Any, address: str, sample: str, viewport: dict[str, int], look: str) -> None:
+    """axe-core finds nothing serious: first steps, all panels with what they unfold, and the 3-D view."""
+    view = {"viewport": viewport, "color_scheme": look}
+    with opened(browser, address, **view) as tab:
+        tab.page.click("#welcome summary")
+        assert not inaccessible(tab.page)
+    with opened(browser, address, hash=f"{sample}&others=2&back=1", **view) as tab:
+        tab.drawn()
+        for step in ("route", "map", "runs", "save"):
+            tab.page.click(f"#tab-{step}")
+            tab.page.evaluate("document.querySelectorAll('#panel details').forEach(one => { one.open = true; })")
+            assert not inaccessible(tab.page), step
+        tab.page.click("#view-3d")
+        tab.page.frame_locator("iframe").locator("#view[data-drawn]").wait_for()
+        assert not inaccessible(tab.page)
+        assert not inaccessible(tab.page.frames[1])
 
-    axe = Axe()
-    for hash in ("", sample):
-        with opened(browser, address, hash=hash, **view) as tab:
-            steps = [None]
-            if hash:
-                tab.drawn()
-                steps = ["#tab-route", "#tab-map", "#tab-runs", "#tab-save"]
-            for step in steps:
-                if step is not None:
-                    tab.page.click(step)
-                found = axe.run(tab.page)["violations"]
-                serious = [one for one in found if one["impact"] in ("serious", "critical")]
-                assert not serious, [(one["id"], [node["html"][:200] for node in one["nodes"]]) for one in serious]
+
+def test_the_question_by_keyboard_alone(browser: Any, address: str, sample: str) -> None:
+    """Space sets a place in the middle of the map, under which the arrow keys move the map."""
+    with opened(browser, address, hash=sample.split("&from=")[0]) as tab:
+        tab.page.focus("#map")
+        tab.page.keyboard.press("ArrowLeft")
+        tab.page.wait_for_function("() => document.getElementById('readout').textContent.includes('J/m')")
+        tab.page.keyboard.press("Space")
+        tab.page.wait_for_selector(".pin.start")
+        (x, y), _ = ends(tab)
+        middle = tab.page.evaluate("(({ lng, lat }) => [lng, lat])(joulemap.map.getCenter())")
+        assert [x, y] == pytest.approx(middle, abs=0.01)
+        tab.page.keyboard.press("ArrowDown")
+        tab.page.wait_for_function("y => joulemap.map.getCenter().lat < y - 5", arg=y)
+        tab.page.keyboard.press("Space")
+        tab.drawn()
+        assert ends(tab)[1][1] < y - 5.0
+        assert tab.page.get_attribute("#tab-route", "aria-selected") == "true"
+
+
+def test_a_place_on_blocked_ground_is_moved_when_asked(browser: Any, address: str, sample: str) -> None:
+    with opened(browser, address, hash=sample) as tab:
+        tab.drawn()
+        tab.page.fill("#place-goal", "40, 84")
+        tab.page.press("#place-goal", "Enter")
+        tab.page.click("#snap")
+        tab.drawn()
+        assert ends(tab)[1] == pytest.approx([40.0, 84.0], abs=12.0)
+        assert ends(tab)[1] != [40, 84]
+
+
+def test_a_large_map_is_fine_where_it_is_near(
+    browser: Any, address: str, sample: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if the picture of the whole map had 64 pixels: pieces of it come, in the view that is chosen."""
+    monkeypatch.setattr(raster_shading, "MAX_PIXELS", 64)
+    with opened(browser, address, hash=f"{sample}&at=60,60,40") as tab:
+        tab.page.wait_for_selector(".leaflet-image-layer.piece", state="attached")
+        tab.page.click("#tab-map")
+        tab.page.check("text=Ground only")
+        tab.page.wait_for_function("() => document.querySelectorAll('.piece').length > 0")
+        assert any("/pieces/0/0/0.png?view=ground" in url for url in tab.asked)
+        tab.page.evaluate("joulemap.map.setZoom(-3)")
+        tab.page.wait_for_function("() => document.querySelectorAll('.piece').length === 0")
+
+
+def test_a_map_in_degrees_is_resampled(browser: Any, address: str, tmp_path: Path) -> None:
+    file = tmp_path / "degrees.tif"
+    heights = np.add.outer(np.linspace(0.0, 2.0, 40), np.linspace(0.0, 1.0, 50)).astype(np.float32)
+    shape = {"width": 50, "height": 40, "count": 1, "dtype": "float32", "driver": "GTiff"}
+    with rasterio.open(file, "w", crs="EPSG:4326", transform=from_origin(-3.0, 36.0, 1e-5, 1e-5), **shape) as made:
+        made.write(heights, 1)
+    with opened(browser, address) as tab:
+        tab.page.set_input_files("#heightmap-file", file)
+        tab.page.wait_for_selector("#welcome .error")
+        assert "in degrees (EPSG:4326)" in tab.text("#welcome .error")
+        tab.page.click("button#reproject")
+        tab.page.wait_for_selector("#make")
+        assert "UTM zone" in tab.text("#step-map")
 
 
 def test_policy_and_size(address: str) -> None:

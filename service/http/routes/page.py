@@ -85,6 +85,7 @@ def start(request: Request, service: ServiceDep) -> JSONResponse:
             "planners": fields["PathRequest"]["properties"]["planner"]["enum"],
             "path_formats": _formats(document["paths"]["/v1/costmaps/{costmap_id}/paths"]["post"]),
             "models": list(MODEL_NAMES),
+            "most_values": service.settings.max_lattice_values,
             "robot": fields["RobotIn"]["properties"],
             "formats": formats_in_words(),
             "sample": {"start": SAMPLE_START, "goal": SAMPLE_GOAL, "name": "joulemap sample"},
