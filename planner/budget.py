@@ -15,7 +15,7 @@ from joulemap.planner.course import Course, Place, course_of
 from joulemap.planner.odds import QUANTILES, SURE, UNSEEN_SHARE, EnergyOdds, class_of
 from joulemap.planner.route import Route
 from joulemap.planner.verdict_words import verdict_in_words
-from joulemap.planner.words import probability_words
+from joulemap.planner.words import probability_words, watt_words
 
 FloatArray = NDArray[np.float64]
 
@@ -108,8 +108,8 @@ class Verdict:
             return f"feasible: {need}, {spare}; charge at the end {self.charge_at_end:.1%}"
         if self.overload_at is not None:
             need += (
-                f", and the {self.overload_w:.0f} W at {self.overload_at.distance_m:.0f} m are more than the "
-                f"{self.most_power_w:.0f} W that the battery can give there"
+                f", and the {watt_words(self.overload_w)} at {self.overload_at.distance_m:.0f} m are more than the "
+                f"{watt_words(self.most_power_w)} that the battery can give there"
             )
             if self.shortfall_j == 0.0:
                 return f"not feasible: {need}"

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from joulemap.planner.course import Course, Stretch
-from joulemap.planner.words import probability_words
+from joulemap.planner.words import probability_words, watt_words
 
 if TYPE_CHECKING:
     from joulemap.planner.budget import Verdict
@@ -33,8 +33,8 @@ def verdict_in_words(verdict: Verdict, course: Course) -> str:
     parts = [_odds(verdict, course), _energy(verdict)]
     if verdict.overload_at is not None:
         parts.append(
-            f"the {verdict.overload_w:.0f} W at {verdict.overload_at.distance_m:.0f} m are more than the "
-            f"{verdict.most_power_w:.0f} W that the battery can give there"
+            f"the {watt_words(verdict.overload_w)} at {verdict.overload_at.distance_m:.0f} m are more than the "
+            f"{watt_words(verdict.most_power_w)} that the battery can give there"
         )
     if (stretch := course.dearest()) is not None:
         parts.append(_stretch(stretch, course))
@@ -84,7 +84,7 @@ def _stretch(stretch: Stretch, course: Course) -> str:
 def _advice(verdict: Verdict) -> str:
     """What would make it a yes."""
     if verdict.overload_at is not None:
-        return "a battery that gives more power, or a way around it, is needed"
+        return "a battery that gives more power, or a way around it (a limit of power finds one), is needed"
     if verdict.charge_for_yes is not None:
         if verdict.charge_for_yes > verdict.charge_at_start:
             return f"a charge of {math.ceil(100 * verdict.charge_for_yes - 1e-9)} % makes it a yes"

@@ -55,3 +55,21 @@ def probability_words(probability: float) -> str:
     if probability >= 0.99:
         return "more than 99 %"
     return "less than 1 %" if probability <= 0.01 else f"{100.0 * probability:.0f} %"
+
+
+def watt_words(power_w: float | None) -> str:
+    """Return a power with its unit.
+
+    Parameters
+    ----------
+    power_w : float or None
+        Power [W]; None where it is not known.
+
+    Returns
+    -------
+    str
+        Whole watts from 100 W on, three digits below.
+    """
+    if power_w is None:
+        return "unknown power"
+    return f"{power_w:.0f} W" if abs(power_w) >= 100.0 else f"{power_w:.3g} W"

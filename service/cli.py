@@ -23,6 +23,7 @@ from joulemap.service.commands import (
     reach,
     reproduction,
     services,
+    speeds,
     tours,
 )
 from joulemap.service.commands.arguments import Command
@@ -67,7 +68,19 @@ def joulemap(
 
 
 for _panel, _commands in (
-    ("Plan", (maps.costmap, maps.path, maps.feasibility, tours.tour, fields.field, reach.reach, exports.export)),
+    (
+        "Plan",
+        (
+            maps.costmap,
+            maps.path,
+            maps.feasibility,
+            tours.tour,
+            fields.field,
+            reach.reach,
+            speeds.speeds,
+            exports.export,
+        ),
+    ),
     ("Serve", (services.demo, services.serve, services.warmup, services.openapi)),
     ("Keep", (data_directory.check, data_directory.backup, data_directory.restore, doctor.doctor)),
     (

@@ -25,6 +25,7 @@ from joulemap.service.schemas.loop import CalibrationOut, RunsOut
 from joulemap.service.schemas.maps import AtOut, CostmapOut, HeightmapOut
 from joulemap.service.schemas.planning import FeasibilityOut, PathOut
 from joulemap.service.schemas.reach import ReachOut
+from joulemap.service.schemas.speeds import SpeedsOut
 from joulemap.service.schemas.tours import TourOut
 
 Answer = TypeVar("Answer", bound=BaseModel)
@@ -441,7 +442,7 @@ class ServedCostMap:
             Called with the share done, 0..1.
         **options
             Other fields of a path request: planner, neighbours, refine, alternatives, snap, bound,
-            time_limit_s, seed and battery.
+            time_limit_s, seed, battery, objective, quantile and max_power_w.
 
         Returns
         -------
@@ -630,6 +631,7 @@ class ServedCostMap:
         reserve: float = 0.0,
         capacity_wh: float | None = None,
         battery: Mapping[str, Any] | None = None,
+        **options: Any,
     ) -> FeasibilityOut:
         """Say whether the battery lasts for a route, or for the best one between two points.
 
@@ -653,6 +655,8 @@ class ServedCostMap:
             Energy of the full battery [Wh]; by default the robot's.
         battery : mapping, optional
             More that is known of the battery, as `joulemap.Battery` has it: `resistance_ohm`, `cutoff_v`, ...
+        **options
+            Other fields of the request: objective, quantile and max_power_w, with `start` and `goal`.
 
         Returns
         -------
@@ -668,6 +672,7 @@ class ServedCostMap:
             "round_trip": round_trip,
             "snap": snap,
             "avoid": [[_sent(corner) for corner in area] for area in avoid],
+            **options,
         }
         body["battery"] = {"charge": charge, "reserve": reserve, "capacity_wh": capacity_wh, **(battery or {})}
         points = route.path if isinstance(route, PathOut | TourOut) else route
@@ -678,6 +683,31 @@ class ServedCostMap:
             body |= {} if value is None else {name: _sent(value)}
         body |= {} if points is None else {"path": [_sent(point) for point in points]}
         return self._client._ask(FeasibilityOut, "POST", f"{self._place}/feasibility", json=body)
+
+    def speeds(self, points: Sequence[Point] | None = None, **asked: Any) -> SpeedsOut:
+        """Give the cheapest cruising speed of a route, and its energy against its time.
+
+        Parameters
+        ----------
+        points : sequence of points, optional
+            World x, y [m], in order.
+        **asked
+            `start` and `goal` in place of points, `snap`, `avoid`: see the HTTP reference.
+
+        Returns
+        -------
+        SpeedsOut
+            At the speeds that the model learned from.
+
+        Raises
+        ------
+        InputError
+            If the model does not know what speed costs.
+        """
+        body = {name: value for name, value in asked.items() if value is not None}
+        body |= {name: _sent(body[name]) for name in ("start", "goal") if name in body}
+        body |= {} if points is None else {"path": [_sent(point) for point in points]}
+        return self._client._ask(SpeedsOut, "POST", f"{self._place}/speeds", json=body)
 
     def homeward(self, position: Point, home: Point, **asked: Any) -> ReturnOut:
         """Say until where a robot may follow the rest of its path and still come home: the point of no return.

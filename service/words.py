@@ -61,11 +61,36 @@ def saving_words(route: Mapping[str, Any], shortest: Mapping[str, Any]) -> str:
     """
     saved = shortest["energy_j"] - route["energy_j"]
     longer = route["length_m"] - shortest["length_m"]
+    if saved < -0.0005 * abs(shortest["energy_j"]):  # chosen by something else
+        return f"nothing: it takes {energy_words(-saved)} more than the shortest path"
     if saved < 0.0005 * abs(shortest["energy_j"]):
         return "nothing: the shortest way is also the cheapest"
     share = f" ({saved / shortest['energy_j']:.1%})" if shortest["energy_j"] > 0 else ""
     detour = f", {longer:.1f} m longer" if longer >= 0.05 else ""
     return f"{energy_words(saved)} less than the shortest{share}{detour}"
+
+
+def objective_rows(weighed: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return how a route does by what it was chosen by, as a row of an answer.
+
+    Parameters
+    ----------
+    weighed : mapping or None
+        The fields of `Weighed`; None for the least expected energy.
+
+    Returns
+    -------
+    dict
+        None or one row.
+    """
+    if weighed is None:
+        return {}
+    if weighed["quantile_j"] is not None:
+        most, usual = weighed["quantile_j"], weighed["mean_quantile_j"]
+        less = f", {energy_words(usual - most)} less than on the cheapest path" if usual > most else ""
+        return {"chosen by": f"{weighed['quantile']:.0%} of drives take at most {energy_words(most)}{less}"}
+    likely, usual = weighed["probability"], weighed["mean_probability"]
+    return {"chosen by": f"{likely:.1%} likely to arrive with the reserve, {usual:.1%} on the cheapest path"}
 
 
 def verdict_words(verdict: Verdict) -> str:

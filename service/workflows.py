@@ -36,6 +36,7 @@ from joulemap.service.route_uncertainty import odds_along
 if TYPE_CHECKING:  # a cost map is made without them, and they take their time to load
     from joulemap.planner.plan import RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
+    from joulemap.service.objectives import Objective, Weighed
 
 
 def check_lattice(frame: GridFrame, *, spacing_m: float, headings: int, max_values: int | None = None) -> Tiling:
@@ -350,11 +351,14 @@ class Assessment:
         The way there.
     route_back : Route or None
         The way back of a round trip.
+    weighed : Weighed or None
+        How the routes do by their objective; None for the least expected energy, and for a given path.
     """
 
     verdict: Verdict
     route_out: Route
     route_back: Route | None = None
+    weighed: Weighed | None = None
 
     @property
     def routes(self) -> list[Route]:
@@ -371,6 +375,7 @@ def assess(
     goal: PlaceLike | None = None,
     round_trip: bool = False,
     snap: bool = False,
+    objective: Objective | None = None,
 ) -> Assessment:
     """Return whether a battery lasts for a given path, or for the best route from start to goal.
 
@@ -391,6 +396,8 @@ def assess(
         heading. From goal to start the best route is searched anew: on a slope it need not be the same.
     snap : bool, optional
         Move a start or goal on blocked ground to the nearest free place; the route's notes say where.
+    objective : Objective, optional
+        What the routes from start to goal and back are chosen by, together. By default their expected energy.
 
     Returns
     -------
@@ -400,7 +407,7 @@ def assess(
     Raises
     ------
     InputError
-        If not exactly one of `path`, and `start` with `goal`, is given.
+        If not exactly one of `path`, and `start` with `goal`, is given, or the objective cannot be weighed.
     PointError
         If a point lies outside the map.
     BlockedError
@@ -410,6 +417,7 @@ def assess(
     """
     from joulemap.planner.plan import RoutePlanner
     from joulemap.planner.stored_planner import StoredPlanner
+    from joulemap.service.objectives import MEAN, best_routes
 
     if (path is None) == (start is None and goal is None) or (start is None) != (goal is None):
         raise InputError("give either `path`, or `start` and `goal`")
@@ -433,8 +441,11 @@ def assess(
             if snap:  # back from where the way there ended, and to where it began
                 there, home = ((float(x), float(y)) for x, y in out.points[[0, -1], :2])
             back = router.plan(home, there).route
-    routes = [route for route in (out, back) if route is not None]
-    return Assessment(judge_routes(lattice, routes, battery), places.noted(out), back)
+    routes, weighed = tuple(route for route in (out, back) if route is not None), None
+    if path is None and objective is not None and objective.name != MEAN:
+        routes, weighed = best_routes(router, routes, objective, battery=battery)
+    verdict = judge_routes(lattice, routes, battery)
+    return Assessment(verdict, places.noted(routes[0]), routes[1] if round_trip else None, weighed)
 
 
 def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:

@@ -21,8 +21,11 @@ from joulemap.service.commands.console import (
 )
 from joulemap.service.commands.options import (
     Avoid,
+    MaxPower,
     ModelName,
+    ObjectiveName,
     Overwrite,
+    Quantile,
     Reading,
     Reserve,
     RobotFile,
@@ -32,10 +35,11 @@ from joulemap.service.commands.options import (
     refuse_to_replace,
     robot_of,
     there,
+    weighed_options,
 )
 from joulemap.service.commands.remote import Key, MapOrId, Server, refuse_local, served, service_at, unpack
 from joulemap.service.commands.route_files import PLACE, RouteCoordinates, RouteFiles, RouteFormatName, wanted_files
-from joulemap.service.words import duration_words, energy_words, route_words, saving_words
+from joulemap.service.words import duration_words, energy_words, objective_rows, route_words, saving_words
 
 if TYPE_CHECKING:
     from joulemap.model.frames import GridFrame
@@ -272,6 +276,9 @@ def path(
     alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
     snap: Snap = False,
     avoid: Avoid = None,
+    objective: ObjectiveName = "mean",
+    quantile: Quantile = 0.95,
+    max_power: MaxPower = None,
     bound: Annotated[
         bool,
         typer.Option(
@@ -301,11 +308,13 @@ def path(
 
     `joulemap path dem.zarr --start 36.7201,-4.4903 --goal 36.7215,-4.4871 --out path.gpx --out path.plan`
 
+    `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --objective quantile --quantile 0.95 --max-power 250`
+
     `joulemap path dem.zarr --start 12.5,40 --goal 180,95 --planner bitstar --time-limit 10 --json -`
     """
     from joulemap.service.commands.path_files import read_areas
     from joulemap.service.library.costmaps import open_costmap
-    from joulemap.service.schemas.answers import path_out
+    from joulemap.service.schemas.answers import path_values
 
     output, files = Output(json_file), wanted_files(out, format, coordinates, geojson)
     asked: dict[str, Any] = {
@@ -317,7 +326,10 @@ def path(
         "alternatives": alternatives,
         "snap": snap,
         "bound": bound,
+        **weighed_options(objective, quantile, max_power),
     }
+    if objective == "arrival":
+        raise typer.BadParameter("arriving depends on the battery: ask `joulemap feasibility --objective arrival`")
     if server is not None:
         refuse_local(memory=memory, picture=picture)
         with served(server, key, costmap) as map_there, progress_bar("Path") as report:
@@ -330,7 +342,8 @@ def path(
         output.warn(notes)
         _say_path(output, answer.model_dump(mode="json"), map_there.about.robot.name, bound=bound)
         return
-    in_parts = planner == "astar" and alternatives == 0 and picture is None and not bound
+    whole = bound or objective != "mean" or max_power is not None
+    in_parts = planner == "astar" and alternatives == 0 and picture is None and not whole
     ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if in_parts and memory is None else memory)
     for file in files:
         file.check(ground.crs)
@@ -339,7 +352,7 @@ def path(
     with progress_bar("Path") as report:
         route = ground.plan(start, goal, progress=report, **asked)
     plan = route.found
-    _say_path(output, path_out(plan, None, ground.warnings).model_dump(mode="json"), ground.robot.name, bound=bound)
+    _say_path(output, path_values(plan, None, ground.warnings), ground.robot.name, bound=bound)
     for file in files:
         write_file(file.path, file.content(route.track))
     if picture is not None:
@@ -359,6 +372,7 @@ def _say_path(output: Output, found: dict[str, Any], robot: str, *, bound: bool)
             **{f"alternative {k}": route_words(other) for k, other in enumerate(found["alternatives"], 1)},
             "shortest": route_words(found["shortest"]),
             "saved": saving_words(found, found["shortest"]),
+            **objective_rows(found["objective"]),
             **_proven(found, bound=bound),
         }
     )
@@ -382,6 +396,9 @@ def feasibility(
     round_trip: Annotated[bool, typer.Option("--round-trip", help="There and back.")] = False,
     snap: Snap = False,
     avoid: Avoid = None,
+    objective: ObjectiveName = "mean",
+    quantile: Quantile = 0.95,
+    max_power: MaxPower = None,
     memory: Memory = None,
     capacity_wh: Annotated[
         float | None,
@@ -406,15 +423,21 @@ def feasibility(
     `joulemap feasibility dem.zarr --path survey.geojson --charge 0.8`
 
     `joulemap feasibility dem.zarr --path survey.geojson --charge 0.8 --battery pack.toml`
+
+    `joulemap feasibility dem.zarr --start 12,40 --goal 180,95 --charge 0.3 --objective arrival`
     """
     from joulemap.model.battery import Battery
     from joulemap.service.commands.path_files import read_areas, read_path
     from joulemap.service.library.costmaps import open_costmap
-    from joulemap.service.schemas.answers import feasibility_out
+    from joulemap.service.objectives import Objective, limited
+    from joulemap.service.schemas.answers import feasibility_values
     from joulemap.service.workflows import assess
 
     output = Output(json_file)
     given = battery_values(battery_file, capacity_wh)
+    chosen_by = weighed_options(objective, quantile, max_power)
+    if path is not None and chosen_by:
+        raise typer.BadParameter("--objective and --max-power choose a route: give --start and --goal, not --path")
     if server is not None:
         refuse_local(memory=memory)
         with served(server, key, costmap) as map_there:
@@ -431,11 +454,12 @@ def feasibility(
                 reserve=reserve,
                 capacity_wh=capacity_wh,
                 battery=given,
+                **chosen_by,
             )
         output.warn(notes + more)
         _say_verdict(output, verdict.model_dump(mode="json"), round_trip=round_trip)
         return
-    ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if memory is None else memory)
+    ground = open_costmap(costmap, memory_gb=_memory_for(costmap) if memory is None and not chosen_by else memory)
     battery = Battery.from_mapping(
         {"capacity_wh": ground.robot.battery_wh, **given, "charge": charge, "reserve": reserve}
     )
@@ -443,9 +467,10 @@ def feasibility(
     points, notes = (None, []) if path is None else read_path(path, planner.lattice.frame)
     areas, more = read_areas(avoid, planner.lattice.frame)
     output.warn(notes + more)
-    planner = planner.avoiding(areas)
-    assessment = assess(planner, battery=battery, path=points, start=start, goal=goal, round_trip=round_trip, snap=snap)
-    _say_verdict(output, feasibility_out(assessment, ground.warnings).model_dump(mode="json"), round_trip=round_trip)
+    task: dict[str, Any] = {"path": points, "start": start, "goal": goal, "round_trip": round_trip, "snap": snap}
+    router = limited(planner.avoiding(areas), max_power)
+    assessment = assess(router, battery=battery, objective=Objective(objective, quantile), **task)
+    _say_verdict(output, feasibility_values(assessment, ground.warnings), round_trip=round_trip)
 
 
 def _say_verdict(output: Output, found: dict[str, Any], *, round_trip: bool) -> None:
@@ -457,6 +482,7 @@ def _say_verdict(output: Output, found: dict[str, Any], *, round_trip: bool) -> 
         rows["way back"] = route_words(found["back"])
     if (place := found["reserve_at"]) is not None:
         rows["reserve touched"] = f"after {place['distance_m']:.0f} m, {duration_words(place['time_s'])}"
+    rows |= objective_rows(found["objective"])
     if found["least_voltage_v"] is not None:
         rows["least voltage"] = f"{found['least_voltage_v']:.1f} V under load"
     output.table(rows)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from joulemap.service.commands.battery_file import BatteryFile, battery_values
 from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
 from joulemap.service.commands.options import Avoid, Reserve, Snap, StateOfCharge
 from joulemap.service.commands.remote import Key, MapOrId, Server, served
@@ -27,6 +28,11 @@ def tour(
     ] = 10.0,
     charge: StateOfCharge = 1.0,
     reserve: Reserve = 0.0,
+    capacity_wh: Annotated[
+        float | None,
+        typer.Option(metavar="WH", help="Energy of the full battery [Wh]. [default: the robot's battery_wh]"),
+    ] = None,
+    battery_file: BatteryFile = None,
     snap: Snap = False,
     avoid: Avoid = None,
     out: RouteFiles = None,
@@ -44,6 +50,8 @@ def tour(
     Example:
 
     `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --charge 0.8 --out tour.geojson`
+
+    `joulemap tour dem.zarr --stop 12,40 180,95 90,20 --charge 0.8 --reserve 0.2 --battery pack.toml`
     """
     from joulemap.model.battery import Battery
     from joulemap.service.commands.path_files import read_areas
@@ -52,6 +60,7 @@ def tour(
     from joulemap.service.workflows import judge_routes
 
     output, files = Output(json_file), wanted_files(out, format, coordinates, geojson)
+    given = {**battery_values(battery_file, capacity_wh), "charge": charge, "reserve": reserve}
     if server is not None:
         asked: dict[str, Any] = {"neighbours": neighbours, "refine": refine, "snap": snap, "time_limit_s": time_limit}
         with served(server, key, costmap) as map_there:
@@ -59,7 +68,7 @@ def tour(
                 file.check(map_there.crs)
             asked["avoid"], notes = read_areas(avoid, map_there.grid)
             output.warn(notes)
-            answer = map_there.tour(stop, **asked, battery={"charge": charge, "reserve": reserve})
+            answer = map_there.tour(stop, **asked, battery=given)
             for file in files:
                 write_file(file.path, map_there.tour_file(stop, **file.query, **asked))
         _say_tour(output, answer.model_dump(mode="json"), map_there.about.robot.name)
@@ -74,7 +83,7 @@ def tour(
             stop, neighbours=neighbours, refine=refine, snap=snap, time_limit_s=time_limit, avoid=areas, progress=report
         )
     trip = planned.found
-    battery = Battery(ground.robot.battery_wh, charge=charge, reserve=reserve)
+    battery = Battery.from_mapping({"capacity_wh": ground.robot.battery_wh, **given})
     found = tour_out(trip, judge_routes(ground.lattice, trip.legs, battery), ground.warnings).model_dump(mode="json")
     for file in files:
         write_file(file.path, file.content(planned.track))
@@ -89,6 +98,9 @@ def _say_tour(output: Output, found: dict[str, Any], robot: str) -> None:
         {f"{here} to {there}": route_words(leg) for (here, there), leg in zip(ends, found["legs"], strict=True)}
         | {"all": route_words(found)}
     )
-    output.say(f"[bold {'green' if found['battery']['feasible'] else 'red'}]{found['battery']['message']}[/]")
+    verdict = found["battery"]
+    colour = {"yes": "green", "likely": "green", "marginal": "yellow", "no": "red"}[verdict["verdict"]]
+    output.say(f"[bold {colour}]{verdict['message']}[/]")
+    output.say(verdict["verdict_text"])
     output.warn(found["warnings"])
     output.document(found)

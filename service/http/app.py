@@ -32,6 +32,7 @@ from joulemap.service.http.routes import (
     questions,
     reach,
     runs,
+    speeds,
 )
 from joulemap.service.http.state import Service
 from joulemap.service.http.watched import on_the_loop
@@ -89,6 +90,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         questions,
         reach,
         homeward,
+        speeds,
         runs,
         calibrations,
         job_progress,

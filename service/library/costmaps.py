@@ -20,18 +20,22 @@ from joulemap.planner.moves import move_table
 from joulemap.planner.places import end_point
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.reach_map import ReachMap
+from joulemap.planner.route import Route
 from joulemap.planner.stored_planner import StoredPlanner
 from joulemap.planner.tiled_search import DEFAULT_MEMORY
 from joulemap.service.coordinates import PlaceLike
+from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.exports.maps import save_map
 from joulemap.service.homeward import CONFIDENCE, Homeward, homeward
 from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
 from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
-from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.models import DEFAULT_MODEL, find_predictor
+from joulemap.service.objectives import Objective, limited, plan_by
 from joulemap.service.places import Places
 from joulemap.service.reach import reach_map
+from joulemap.service.speeds import Speeds, speeds_along
 from joulemap.service.workflows import PointCosts, assess, costs_at, judge_routes, make_cost_lattice, summarise
 
 if TYPE_CHECKING:
@@ -103,6 +107,10 @@ class CostMap:
         time_limit_s: float = 5.0,
         seed: int = 0,
         avoid: Sequence[Sequence[Point]] = (),
+        objective: str = "mean",
+        quantile: float = 0.95,
+        max_power_w: float | None = None,
+        battery: Battery | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> PlannedRoute:
         """Find the route of least energy, and the shortest one beside it.
@@ -130,16 +138,27 @@ class CostMap:
             For the sampling planners.
         avoid : sequence of sequence of points, optional
             Areas that no route may touch: the corners of each, world x, y [m].
+        objective : str, optional
+            What the route is chosen by: "mean" energy, energy at a "quantile", or probability of "arrival" with the
+            reserve of the battery.
+        quantile : float, optional
+            Share of drives that take no more than the energy that is made least, 0.5 to 0.99.
+        max_power_w : float, optional
+            Most power at the robot's speed [W]: what takes more is blocked.
+        battery : Battery, optional
+            For "arrival".
         progress : callable, optional
             Called with the share done, 0..1.
 
         Returns
         -------
         PlannedRoute
-            Energies in J.
+            Energies in J. Its `objective` says how well it does by another objective than the mean.
 
         Raises
         ------
+        InputError
+            If the model does not know its uncertainty, and the objective is not the mean.
         PointError
             If a point or an area lies outside the map.
         BlockedError
@@ -148,10 +167,13 @@ class CostMap:
             If no route joins the two.
         """
         places = Places(self.lattice.frame)
-        router = self.planner.avoiding(places.areas(avoid))
-        found = router.plan(
+        router = limited(self.planner.avoiding(places.areas(avoid)), max_power_w)
+        found = plan_by(
+            router,
             places(start, "start"),
             places(goal, "goal"),
+            Objective(objective, quantile),
+            battery=battery,
             planner=planner,
             neighbours=neighbours,
             refine=refine,
@@ -393,6 +415,40 @@ class CostMap:
             charging=[places(place, f"charging place {k}") for k, place in enumerate(charging)],
             confidence=confidence,
         )
+
+    def speeds(
+        self,
+        route: PlannedRoute | Route | Sequence[Point],
+        heightmap: GroundLike,
+        *,
+        model: ModelLike = DEFAULT_MODEL,
+    ) -> Speeds:
+        """Give the cheapest cruising speed of a route, and its energy against its time.
+
+        Parameters
+        ----------
+        route : PlannedRoute, Route or sequence of points
+            What is driven; points are world x, y [m]. It stays the same at every speed.
+        heightmap : Heightmap, str or Path
+            What the cost map was made of.
+        model : str, Path or Model, optional
+            Of the cost map.
+
+        Returns
+        -------
+        Speeds
+            At the speeds that the model learned from, and no others.
+
+        Raises
+        ------
+        InputError
+            If the heightmap is another one, or the model does not know what speed costs.
+        """
+        if isinstance(route, PlannedRoute):
+            route = route.route
+        if not isinstance(route, Route):
+            route = price_given_path(self.lattice, Places(self.lattice.frame).path(list(route)))
+        return speeds_along(route, self.lattice, ground_of(heightmap), find_predictor(model_folder(model)))
 
     def field(
         self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False

@@ -20,6 +20,7 @@ from joulemap.service.exports.geojson import geojson_document
 from joulemap.service.exports.routes import route_file, route_format_of
 from joulemap.service.exports.track import Track, track_of_plan, track_of_tour
 from joulemap.service.library.html import html_table, text_table
+from joulemap.service.objectives import Weighed
 from joulemap.service.words import duration_words, energy_words, route_words, saving_words, verdict_words
 
 if TYPE_CHECKING:
@@ -100,6 +101,12 @@ class PlannedRoute:
     def gap(self) -> float | None:
         """By which share of the bound the route may cost more than the best one; None without a bound above 0."""
         return self.found.gap
+
+    @property
+    def objective(self) -> Weighed | None:
+        """How well the route does by what it was chosen by; None for the least expected energy."""
+        found = self.found.details.get("objective")
+        return None if found is None else Weighed(**found)
 
     @property
     def warnings(self) -> list[str]:

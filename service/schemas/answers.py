@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -16,17 +17,17 @@ from joulemap.planner.course import Course
 from joulemap.planner.plan import Plan
 from joulemap.planner.route import Route
 from joulemap.service.problems import jsonable
-from joulemap.service.route_uncertainty import quantiles_of_route
+from joulemap.service.route_uncertainty import odds_along, quantiles_of_route
 from joulemap.service.schemas.planning import (
     BatteryIn,
-    FeasibilityOut,
-    PathOut,
-    RouteOut,
-    ShortestOut,
+    PieceOut,
     VerdictOut,
 )
 from joulemap.service.words import verdict_words
 from joulemap.service.workflows import Assessment
+
+BAND = 0.05, 0.95
+"""Nine of ten drives end between these quantiles."""
 
 
 def battery_of(request: BatteryIn | None, robot: Robot) -> Battery:
@@ -90,6 +91,34 @@ def route_values(route: Route) -> dict[str, Any]:
     }
 
 
+def profile_pieces(routes: Sequence[Route]) -> list[Any]:
+    """Return the profile of routes that are driven one after another.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        In the order of driving, priced on one lattice.
+
+    Returns
+    -------
+    list of dict
+        The values of `PieceOut`.
+    """
+    odds = odds_along(routes)
+    profiles = [route.profile for route in routes]
+    x, y, z, heading, energy = (
+        np.concatenate([getattr(p, name) for p in profiles]) for name in ("x", "y", "z", "heading_rad", "energy_j")
+    )
+    driven = np.cumsum([0.0, *(route.length_m for route in routes)])
+    distance = np.concatenate([p.distance_m + before for p, before in zip(profiles, driven, strict=False)])
+    columns = [c.tolist() for c in (distance, x, y, z, np.rad2deg(heading), energy, np.cumsum(energy))]
+    if not np.isfinite(z).all():
+        columns[3] = [number(height) for height in columns[3]]
+    columns += [[None] * energy.size if odds is None else odds.quantile(share).tolist() for share in BAND]
+    names = tuple(PieceOut.model_fields)
+    return [dict(zip(names, piece, strict=True)) for piece in zip(*columns, strict=True)]
+
+
 def path_points(route: Route) -> list[list[float | None]]:
     """Return the points of a route.
 
@@ -124,7 +153,7 @@ def number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOut:
+def path_values(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> dict[str, Any]:
     """Return the answer to the question for a path.
 
     Parameters
@@ -138,36 +167,32 @@ def path_out(plan: Plan, verdict: Verdict | None, warnings: list[str]) -> PathOu
 
     Returns
     -------
-    PathOut
-        With the shortest path beside.
+    dict
+        The values of `PathOut`, with the shortest path beside, JSON-able; a model of so many numbers takes longer to
+        make than to write.
     """
     route, shortest = plan.route, plan.shortest
-    p = route.profile
-    columns = (p.distance_m, p.x, p.y, p.z, np.rad2deg(p.heading_rad), p.energy_j, p.cumulative_j)
-    pieces: list[Any] = [  # checked all at once below, which takes a third of the time
-        {"distance_m": d, "x": x, "y": y, "z": number(z), "heading_deg": h, "energy_j": e, "cumulative_j": c}
-        for d, x, y, z, h, e, c in zip(*(column.tolist() for column in columns), strict=True)
-    ]
-    return PathOut(
+    return {
         **route_values(route),
-        profile=pieces,
-        shortest=ShortestOut(energy_j=shortest.energy_j, length_m=shortest.length_m, path=path_points(shortest)),
-        alternatives=[RouteOut(**route_values(other)) for other in plan.others],
-        saving_j=plan.saving_j,
-        saving_percent=_percent(plan.saving_j, shortest.energy_j),
-        battery=verdict_out(verdict) if verdict is not None else None,
-        bound_j=plan.bound_j,
-        gap=plan.gap,
-        planner=plan.planner,
-        details=jsonable(plan.details),
-        warnings=[*warnings, *route.notes],
-        crs=route.crs,
-    )
+        "profile": profile_pieces([route]),
+        "shortest": {"energy_j": shortest.energy_j, "length_m": shortest.length_m, "path": path_points(shortest)},
+        "alternatives": [route_values(other) for other in plan.others],
+        "saving_j": plan.saving_j,
+        "saving_percent": _percent(plan.saving_j, shortest.energy_j),
+        "battery": verdict_out(verdict).model_dump() if verdict is not None else None,
+        "bound_j": plan.bound_j,
+        "gap": plan.gap,
+        "objective": plan.details.get("objective"),
+        "planner": plan.planner,
+        "details": jsonable({name: value for name, value in plan.details.items() if name != "objective"}),
+        "warnings": [*warnings, *route.notes],
+        "crs": route.crs,
+    }
 
 
-def feasibility_out(
+def feasibility_values(
     assessment: Assessment, warnings: list[str], *, along: tuple[Course, BatteryTrace] | None = None
-) -> FeasibilityOut:
+) -> dict[str, Any]:
     """Return the answer to the question whether the battery lasts.
 
     Parameters
@@ -176,25 +201,25 @@ def feasibility_out(
         Verdict and routes.
     warnings : list of str
         Of the cost map.
-
     along : tuple of (Course, BatteryTrace), optional
         The battery piece by piece.
 
     Returns
     -------
-    FeasibilityOut
-        The verdict with its routes.
+    dict
+        The values of `FeasibilityOut`, the verdict with its routes, JSON-able.
     """
     routes = [r for r in (assessment.route_out, assessment.route_back) if r is not None]
-    return FeasibilityOut(
+    return {
         **verdict_out(assessment.verdict).model_dump(),
-        length_m=sum(r.length_m for r in routes),
-        duration_s=sum(r.duration_s for r in routes),
-        out=RouteOut(**route_values(assessment.route_out)),
-        back=RouteOut(**route_values(routes[1])) if len(routes) == 2 else None,
-        profile=None if along is None else _battery_pieces(*along),
-        warnings=[*warnings, *(note for r in routes for note in r.notes)],
-    )
+        "length_m": sum(r.length_m for r in routes),
+        "duration_s": sum(r.duration_s for r in routes),
+        "out": route_values(assessment.route_out),
+        "back": route_values(routes[1]) if len(routes) == 2 else None,
+        "objective": None if assessment.weighed is None else asdict(assessment.weighed),
+        "profile": None if along is None else _battery_pieces(*along),
+        "warnings": [*warnings, *(note for r in routes for note in r.notes)],
+    }
 
 
 def _battery_pieces(course: Course, trace: BatteryTrace) -> list[Any]:

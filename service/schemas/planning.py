@@ -19,6 +19,7 @@ from joulemap.service.schemas.base import (
     quick_points,
     within,
 )
+from joulemap.service.schemas.objectives import ObjectiveOut, WeighedRequest
 
 _UNKNOWN = "null where the model does not know its uncertainty"
 _STD = Field(description=f"standard deviation of energy_j [J]; {_UNKNOWN}", examples=[1234.5])
@@ -101,7 +102,7 @@ class BatteryIn(Request):
         return value
 
 
-class PathRequest(Request):
+class PathRequest(WeighedRequest):
     """From where to where, and how to search."""
 
     start: Place = Field(examples=[[12.5, 40.5]])
@@ -138,6 +139,10 @@ class PieceOut(ResponseModel):
     heading_deg: float = Field(description="clockwise from north [deg]")
     energy_j: float = Field(description="energy of the piece, including the turn at its beginning [J]")
     cumulative_j: float = Field(description="energy from the start to the end of the piece [J]")
+    cumulative_p05_j: float | None = Field(
+        description="5 % of such drives take less up to there [J]; null where the model does not know its uncertainty"
+    )
+    cumulative_p95_j: float | None = Field(description="95 % of such drives take less up to there [J]; null as above")
 
 
 class PlaceOut(ResponseModel):
@@ -224,7 +229,7 @@ class RouteOut(ResponseModel):
 class PathOut(RouteOut):
     """The energy-optimal path, and the shortest path for comparison."""
 
-    profile: list[PieceOut]
+    profile: list[PieceOut] = Field(description="energy and height along the path")
     shortest: ShortestOut
     alternatives: list[RouteOut] = Field(
         description="other good paths, the one of least energy first; empty unless asked for"
@@ -236,13 +241,16 @@ class PathOut(RouteOut):
         description="no path between the two places takes less energy than this, proven [J]; null if unknown"
     )
     gap: float | None = Field(description="by which share the path may cost more than the best one: energy / bound - 1")
+    objective: ObjectiveOut | None = Field(
+        description="what the path was chosen by, and how well it does; null for the least expected energy"
+    )
     planner: str = Field(examples=["astar"])
     details: dict[str, Any] = Field(description="how the path was found")
     warnings: list[str]
     crs: str | None
 
 
-class FeasibilityRequest(Request):
+class FeasibilityRequest(WeighedRequest):
     """A task, either a path or start and goal, and a battery."""
 
     path: Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
@@ -268,6 +276,8 @@ class FeasibilityRequest(Request):
         ends = (self.start is not None) + (self.goal is not None)
         if (self.path is None and ends < 2) or (self.path is not None and ends > 0):
             raise ValueError("give either `path`, or `start` and `goal`")
+        if self.path is not None and (self.objective != "mean" or self.max_power_w is not None):
+            raise ValueError("`objective` and `max_power_w` choose a path: give `start` and `goal` in place of `path`")
         return self
 
 
@@ -288,6 +298,9 @@ class FeasibilityOut(VerdictOut):
     duration_s: float = Field(description="time for all routes at the robot's speed [s]")
     out: RouteOut
     back: RouteOut | None = Field(description="the way back; null unless a round trip was asked for")
+    objective: ObjectiveOut | None = Field(
+        description="what both ways were chosen by together; null for the least expected energy"
+    )
     profile: list[BatteryPieceOut] | None = Field(
         description="charge and voltage along the way, of a plain lithium-ion pack where the battery does not say; "
         "null unless asked for"

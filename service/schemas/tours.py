@@ -11,9 +11,9 @@ from joulemap.planner.budget import Verdict
 from joulemap.planner.plan import RoundTrip
 from joulemap.planner.tours import MAX_STOPS
 from joulemap.service.route_uncertainty import quantiles_of_route
-from joulemap.service.schemas.answers import route_values, verdict_out
+from joulemap.service.schemas.answers import profile_pieces, route_values, verdict_out
 from joulemap.service.schemas.base import Areas, Place, Request, RobotIn, within
-from joulemap.service.schemas.planning import BatteryIn, RouteOut, VerdictOut
+from joulemap.service.schemas.planning import BatteryIn, PieceOut, RouteOut, VerdictOut
 
 
 class TourRequest(Request):
@@ -46,6 +46,7 @@ class TourOut(RouteOut):
     order: list[int] = Field(
         description="numbers of the stops in the order of the visit, 0 first", examples=[[0, 2, 1]]
     )
+    profile: list[PieceOut] = Field(description="energy and height along the whole tour")
     legs: list[RouteOut] = Field(description="from each stop to the next, and from the last back to the first")
     grid_energy_j: float = Field(description="energy of the tour along the grid, before `refine` [J]")
     bound_j: float = Field(description="lower bound of the energy of any order along the grid [J]")
@@ -80,6 +81,7 @@ def tour_out(trip: RoundTrip, verdict: Verdict | None, warnings: list[str]) -> T
         **of_all,
         path=[*legs[0].path, *(point for leg in legs[1:] for point in leg.path[1:])],
         order=list(trip.order),
+        profile=profile_pieces(trip.legs),
         legs=legs,
         grid_energy_j=trip.grid_energy_j,
         bound_j=trip.bound_j,

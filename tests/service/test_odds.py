@@ -15,9 +15,13 @@ import joulemap as jm
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.calibrated import CalibratedPredictor, Correction
+from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice_build import build_lattice
+from joulemap.planner.plan import RoutePlanner
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import CostMap
+from joulemap.service.route_uncertainty import quantiles_of_route
+from joulemap.service.schemas.answers import profile_pieces
 from tests.service.conftest import GOAL, START, hill
 
 FEW = Spread(run_share=0.08, freedom=12.0, run_freedom=4.0)
@@ -107,6 +111,27 @@ def test_odd_batteries_are_refused(client: TestClient, costmap_id: str, battery:
     assert words in answer.text
 
 
+def test_the_band_of_the_profile_ends_in_the_quantiles_of_the_route(known: CostMap) -> None:
+    plan = RoutePlanner(known.lattice).plan(START, GOAL)
+    pieces, whole = profile_pieces([plan.route]), quantiles_of_route(plan.route)
+    assert pieces[-1]["cumulative_p05_j"] == pytest.approx(whole["energy_p05_j"])
+    assert pieces[-1]["cumulative_p95_j"] == pytest.approx(whole["energy_p95_j"])
+    wide = np.array([one["cumulative_p95_j"] - one["cumulative_p05_j"] for one in pieces])
+    assert wide[0] < 0.2 * wide[-1]
+    assert (np.diff(wide) > -1e-6).all()  # it never grows narrower, also where energy comes back
+    both = profile_pieces([plan.route, plan.route])
+    assert both[-1]["distance_m"] == pytest.approx(2.0 * plan.route.length_m)
+    assert both[-1]["cumulative_p95_j"] == pytest.approx(quantiles_of_route(plan.route, plan.route)["energy_p95_j"])
+
+
+def test_a_profile_without_odds(client: TestClient, costmap_id: str) -> None:
+    path = ask(client, costmap_id, "paths", start=START, goal=GOAL)
+    assert {one["cumulative_p95_j"] for one in path["profile"]} == {None}
+    tour = ask(client, costmap_id, "tours", stops=[START, GOAL])
+    assert tour["profile"][-1]["cumulative_j"] == pytest.approx(tour["energy_j"])
+    assert tour["profile"][-1]["distance_m"] == pytest.approx(tour["length_m"])
+
+
 def test_the_point_of_no_return_is_where_the_way_home_takes_what_is_left(client: TestClient, costmap_id: str) -> None:
     """At the place that is named, the path so far and the way home take what there is; a metre on they take more."""
     path = ask(client, costmap_id, "paths", start=START, goal=GOAL)
@@ -182,3 +207,77 @@ def test_python_and_the_command_line_say_the_same(known: CostMap, tmp_path: Path
     pack.write_text("charge = 0.5\n")
     refused = CliRunner().invoke(app, asked)
     assert refused.exit_code == 3
+
+
+def test_a_model_that_knows_no_speed_is_refused_over_http(client: TestClient, costmap_id: str) -> None:
+    place = f"/v1/costmaps/{costmap_id}/speeds"
+    refused = client.post(place, json={"start": START, "goal": GOAL})
+    assert refused.status_code == 422
+    assert "physics does not know what speed costs" in refused.json()["detail"]
+    assert client.post(place, json={"start": START}).status_code == 422
+
+
+@pytest.fixture(scope="module")
+def learned(client: TestClient, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """A cost map of the shipped network, which knows its errors and what speed costs, and its heightmap."""
+    ground = tmp_path_factory.mktemp("learned") / "hill.tif"
+    write_geotiff(ground, hill())
+    sent = client.post("/v1/heightmaps", files={"file": ("hill.tif", ground.read_bytes())})
+    body = {"heightmap_id": sent.json()["id"], "model": "default"}
+    made = client.post("/v1/costmaps", json=body, headers={"Prefer": "wait=120"})
+    assert made.status_code == 201, made.text
+    return made.json()["id"], ground
+
+
+def test_speeds_over_http_and_on_the_command_line(client: TestClient, learned: tuple[str, Path]) -> None:
+    costmap_id, ground = learned
+    over_http = ask(client, costmap_id, "speeds", start=START, goal=GOAL)
+    path = ask(client, costmap_id, "paths", start=START, goal=GOAL)
+    assert over_http["declared"]["energy_j"] == pytest.approx(path["energy_j"], rel=0.03)
+    folder = jm.costmap(ground).save(ground.with_suffix(".zarr"))
+    ends = [f"{x},{y}" for x, y in (START, GOAL)]
+    command = ["speeds", str(folder), str(ground), "--start", ends[0], "--goal", ends[1], "--json", "-"]
+    said = CliRunner().invoke(app, command)
+    assert said.exit_code == 0, said.output
+    assert json.loads(said.stdout)["cheapest"] == pytest.approx(over_http["cheapest"], rel=1e-3)
+    missing = CliRunner().invoke(app, ["speeds", str(folder), "--start", ends[0], "--goal", ends[1]])
+    assert missing.exit_code == 2
+    assert "name the heightmap" in missing.output
+
+
+def test_routes_are_chosen_by_more_than_their_mean(
+    known: CostMap, client: TestClient, learned: tuple[str, Path]
+) -> None:
+    costmap_id = learned[0]
+    careful = known.plan(START, GOAL, objective="quantile", quantile=0.9)
+    assert careful.objective is not None
+    assert careful.objective.quantile_j <= careful.objective.mean_quantile_j
+    assert known.plan(START, GOAL).objective is None
+    place = f"/v1/costmaps/{costmap_id}"
+    ends = {"start": START, "goal": GOAL}
+    usual = ask(client, costmap_id, "paths", **ends)
+    assert usual["objective"] is None
+    found = ask(client, costmap_id, "paths", **ends, objective="quantile")
+    assert found["objective"]["quantile_j"] == pytest.approx(found["energy_p95_j"])
+    assert "objective" not in found["details"]
+    battery = {"charge": 1.3 * 2.0 * usual["energy_j"] / 3600.0 / 280.0}
+    both = ask(client, costmap_id, "feasibility", **ends, round_trip=True, battery=battery, objective="arrival")
+    assert both["objective"]["probability"] == pytest.approx(both["probability"])
+    power = max(piece["energy_j"] / step for piece, step in zip(usual["profile"], steps(usual), strict=True)) * 0.5
+    limited = ask(client, costmap_id, "paths", **ends, max_power_w=0.97 * power)
+    most = max(piece["energy_j"] / step for piece, step in zip(limited["profile"], steps(limited), strict=True)) * 0.5
+    assert most <= 0.97 * power + 1e-6
+    for wrong, words in (
+        ({"objective": "arrival"}, "needs a battery"),
+        ({"objective": "fast"}, "mean"),
+        ({"quantile": 0.999}, "quantile"),
+        ({"max_power_w": 5.0}, "while it stands"),
+    ):
+        refused = client.post(f"{place}/paths", json=ends | wrong)
+        assert refused.status_code == 422
+        assert words in refused.text
+
+
+def steps(path: dict[str, Any]) -> list[float]:
+    """Length of each piece [m]."""
+    return np.diff([piece["distance_m"] for piece in path["profile"]], prepend=0.0).tolist()

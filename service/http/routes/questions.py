@@ -18,8 +18,9 @@ from joulemap.service.http.long_questions import EVENTS, Report, events, while_c
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, route_file_wanted
 from joulemap.service.http.state import KernelsDep
+from joulemap.service.objectives import limited, plan_by
 from joulemap.service.places import Places
-from joulemap.service.schemas.answers import battery_of, feasibility_out, path_out, verdict_out
+from joulemap.service.schemas.answers import battery_of, feasibility_values, path_values, verdict_out
 from joulemap.service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
 from joulemap.service.schemas.tours import TourOut, TourRequest, tour_out
 from joulemap.service.workflows import assess, judge_routes
@@ -64,10 +65,13 @@ async def find_path(
         with service.maps.for_routes(costmap_id) as planner:
             places = Places(planner.lattice.frame)
             file.check(places.frame)
-            planner = planner.avoiding(places.areas(wanted.avoid))
-            plan = planner.plan(
+            planner = limited(planner.avoiding(places.areas(wanted.avoid)), wanted.max_power_w)
+            plan = plan_by(
+                planner,
                 places(wanted.start, "start"),
                 places(wanted.goal, "goal"),
+                wanted.chosen_by,
+                battery=battery if wanted.battery is not None else None,
                 planner=wanted.planner,
                 neighbours=wanted.neighbours,
                 refine=wanted.refine,
@@ -84,7 +88,7 @@ async def find_path(
                 battery_out = None if verdict is None else verdict_out(verdict).model_dump()
                 track = track_of_plan(plan, planner.lattice, warnings=warnings_of(row), battery=battery_out)
                 return file.response(track, f"{costmap_id}-path")
-        return answer_of(path_out(plan, verdict, warnings_of(row)))
+        return answer_of(path_values(plan, verdict, warnings_of(row)))
 
     async def _found(report: Report) -> Response:
         return await service.plans.do(costmap_id, lambda: _find(report))
@@ -147,18 +151,20 @@ async def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: 
         robot = same_robot(row, wanted.robot)
         battery, along = battery_of(wanted.battery, robot), None
         with lend(costmap_id) as planner:
+            planner = planner.avoiding(Places(planner.lattice.frame).areas(wanted.avoid))
             assessment = assess(
-                planner.avoiding(Places(planner.lattice.frame).areas(wanted.avoid)),
+                limited(planner, wanted.max_power_w),
                 battery=battery,
                 path=given,
                 start=wanted.start,
                 goal=wanted.goal,
                 round_trip=wanted.round_trip,
                 snap=wanted.snap,
+                objective=wanted.chosen_by,
             )
         if wanted.profile:
             along = battery_along(assessment.routes, battery, robot.nominal_voltage_v)
-        return answer_of(feasibility_out(assessment, warnings_of(row), along=along))
+        return answer_of(feasibility_values(assessment, warnings_of(row), along=along))
 
     return await while_connected(request, queue.do(costmap_id, _judge))
 

@@ -1,0 +1,83 @@
+"""What a route costs at other speeds: the question and its answer."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Literal
+
+from pydantic import Field, WrapValidator, model_validator
+
+from joulemap.planner.route import Route
+from joulemap.service.schemas.answers import path_points
+from joulemap.service.schemas.base import Areas, PathPlace, Place, Point3, Request, ResponseModel, RobotIn, quick_points
+from joulemap.service.speeds import Speeds
+
+
+class SpeedsRequest(Request):
+    """A route: either a path, or start and goal."""
+
+    path: Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
+        default=None, min_length=2, max_length=20_000, description="world points [m], in order"
+    )
+    start: Place | None = Field(default=None, examples=[[12.5, 40.5]])
+    goal: Place | None = Field(default=None, examples=[[80.0, 15.0]])
+    snap: bool = Field(default=False, description="move a start or goal on blocked ground to the nearest free place")
+    avoid: Areas = Field(default=[])
+    robot: RobotIn | None = Field(default=None, description="refused where it differs from the cost map's robot")
+
+    @model_validator(mode="after")
+    def _one_task(self) -> SpeedsRequest:
+        ends = (self.start is not None) + (self.goal is not None)
+        if (self.path is None and ends < 2) or (self.path is not None and ends > 0):
+            raise ValueError("give either `path`, or `start` and `goal`")
+        return self
+
+
+class AtSpeedOut(ResponseModel):
+    """The route at one speed."""
+
+    speed_mps: float = Field(description="cruising speed [m/s]")
+    energy_j: float = Field(description="energy of the route, idle power and turns included [J]")
+    duration_s: float = Field(description="time, turns on the spot not counted [s]")
+
+
+class SpeedsOut(ResponseModel):
+    """Energy against time along one route, at the speeds that the model learned from."""
+
+    text: str = Field(description="the answer in one sentence")
+    cheapest: AtSpeedOut = Field(description="the speed of least energy")
+    declared: AtSpeedOut | None = Field(description="the robot's own speed; null where the model does not know it")
+    curve: list[AtSpeedOut] = Field(description="from the slowest to the fastest speed that the model knows")
+    at_border: Literal["slowest", "fastest"] | None = Field(
+        description="where the cheapest speed is at the border of what the model knows"
+    )
+    source: str = Field(description="where the range of speeds comes from")
+    length_m: float = Field(description="horizontal length of the route [m]")
+    path: list[Point3]
+    warnings: list[str]
+
+
+def speeds_out(found: Speeds, route: Route, warnings: list[str]) -> SpeedsOut:
+    """Return the answer to the question for speeds.
+
+    Parameters
+    ----------
+    found : Speeds
+        What was found.
+    route : Route
+        Along which.
+    warnings : list of str
+        Of the cost map.
+
+    Returns
+    -------
+    SpeedsOut
+        As it is sent.
+    """
+    return SpeedsOut(
+        text=f"{found}.",
+        **asdict(found),
+        length_m=route.length_m,
+        path=path_points(route),
+        warnings=[*warnings, *route.notes],
+    )

@@ -1,0 +1,221 @@
+"""What a route costs at other speeds: the cheapest cruising speed, and energy against time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.energy.domain import Learned
+from joulemap.model.energy.predictor import Predictor
+from joulemap.model.errors import InputError
+from joulemap.model.frames import GridFrame
+from joulemap.model.loop.calibrated import CalibratedPredictor
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.windows import Ground
+from joulemap.planner.course import Course, course_of
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.route import Route
+from joulemap.planner.tiles import ground_of
+from joulemap.planner.words import duration_words, energy_words
+
+SPEEDS = 25
+"""Speeds of the curve."""
+_CLOSER = 9  # speeds that are tried between the two beside the cheapest of the curve
+_NARROW = 1.05  # a range whose ends differ by less says nothing of speed
+_KEY = "speed_mps"
+
+
+@dataclass(frozen=True)
+class AtSpeed:
+    """A route at one speed.
+
+    Attributes
+    ----------
+    speed_mps : float
+        Cruising speed [m/s].
+    energy_j : float
+        Energy of the route, idle power and turns included [J].
+    duration_s : float
+        Time, turns on the spot not counted [s].
+    """
+
+    speed_mps: float
+    energy_j: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """Energy against time along one route.
+
+    Attributes
+    ----------
+    curve : tuple of AtSpeed
+        From the slowest to the fastest speed that the model knows.
+    cheapest : AtSpeed
+        The speed of least energy.
+    declared : AtSpeed or None
+        The robot's own speed; None where the model does not know it.
+    source : str
+        Where the range of speeds comes from.
+    at_border : str or None
+        "slowest" or "fastest" where the cheapest speed is at the border of what the model knows.
+    """
+
+    curve: tuple[AtSpeed, ...]
+    cheapest: AtSpeed
+    declared: AtSpeed | None
+    source: str
+    at_border: str | None
+
+    def __str__(self) -> str:
+        best = self.cheapest
+        words = (
+            f"cheapest at {best.speed_mps:.2f} m/s: {energy_words(best.energy_j)}, {duration_words(best.duration_s)}"
+        )
+        if self.at_border is not None:
+            words += f" (the {self.at_border} speed that the model knows: {self.source})"
+        if self.declared is None:
+            return words
+        own = self.declared
+        more = own.energy_j / best.energy_j - 1.0 if best.energy_j > 0.0 else 0.0
+        return (
+            f"{words}; at the declared {own.speed_mps:.2f} m/s it takes {energy_words(own.energy_j)} ({more:.1%} more) "
+            f"and {duration_words(own.duration_s)}"
+        )
+
+
+def known_speeds(predictor: Predictor, robot: Robot) -> tuple[float, float, str]:
+    """Return the speeds that a model learned from.
+
+    Parameters
+    ----------
+    predictor : Predictor
+        The model.
+    robot : Robot
+        Whose idle power over its weight must be known at these speeds too.
+
+    Returns
+    -------
+    low, high : float
+        Slowest and fastest [m/s].
+    source : str
+        Where they were driven, in words.
+
+    Raises
+    ------
+    InputError
+        If the model does not know what speed costs, or knows one speed only.
+    """
+    low, high, source = 0.0, math.inf, ""
+    base = predictor.base if isinstance(predictor, CalibratedPredictor) else predictor
+    if isinstance(base, Learned):
+        low, high = base.domain.robot.get(_KEY, (0.0, 0.0))
+        source = "robots that the network learned from"
+        if _KEY in base.domain.driven:
+            low, high = base.domain.driven[_KEY]
+            source = "runs that the network was trained with"
+        least, most = base.domain.robot.get("hotel_over_weight", (0.0, math.inf))
+        idle = robot.idle_power_w / robot.weight_n
+        low, high = max(low, idle / most), min(high, idle / least if least > 0.0 else math.inf)
+    if isinstance(predictor, CalibratedPredictor) and "speed" in predictor.correction.ranges:
+        driven = predictor.correction.ranges["speed"]
+        low, high = max(low, driven[0]), min(high, driven[1])
+        source = "runs of the calibration"
+    if not source:
+        raise InputError(
+            f"the model {predictor.name} does not know what speed costs: use the model default, or calibrate this one "
+            "with runs at several speeds",
+            model=predictor.name,
+        )
+    if not high > _NARROW * low:
+        raise InputError(
+            f"the model {predictor.name} knows one speed only, {high:.3g} m/s of the {source}: give it runs at several "
+            "speeds",
+            model=predictor.name,
+            low=low,
+            high=high,
+        )
+    return low, high, source
+
+
+def speeds_along(route: Route, lattice: CostLattice, ground: Ground, predictor: Predictor) -> Speeds:
+    """Return what a route costs at the speeds that a model knows.
+
+    Parameters
+    ----------
+    route : Route
+        Of the cost map; it stays the same at every speed.
+    lattice : CostLattice
+        The cost map, for its robot.
+    ground : Ground
+        The heightmap that the cost map was made of.
+    predictor : Predictor
+        Its model.
+
+    Returns
+    -------
+    Speeds
+        Never outside the speeds that the model learned from.
+
+    Raises
+    ------
+    InputError
+        If the heightmap is another one, or the model does not know what speed costs.
+
+    Notes
+    -----
+    E(v) = sum over the metres of the route of price(traction(v), idle / v), and the turns: what a cost map for a robot
+    of this speed would say, but for its interpolation between cells.
+    """
+    made_of = lattice.provenance.get("heightmap", {}).get("hash")
+    if made_of is not None and made_of != ground.data_hash:
+        raise InputError("this is not the heightmap that the cost map was made of", expected=made_of)
+    robot = lattice.robot
+    low, high, source = known_speeds(predictor, robot)
+    course = course_of([route])
+    metres = _Metres(course, route, lattice, ground, predictor)
+    curve = [metres.at(v) for v in np.linspace(low, high, SPEEDS)]
+    k = int(np.argmin([one.energy_j for one in curve]))
+    near = np.linspace(curve[max(k - 1, 0)].speed_mps, curve[min(k + 1, SPEEDS - 1)].speed_mps, _CLOSER)
+    best = min([curve[k], *(metres.at(v) for v in near)], key=lambda one: one.energy_j)
+    border = "slowest" if best.speed_mps == curve[0].speed_mps else "fastest"
+    at_border = border if best.speed_mps in (curve[0].speed_mps, curve[-1].speed_mps) else None
+    own = metres.at(robot.speed_mps) if low <= robot.speed_mps <= high else None
+    return Speeds(tuple(curve), best, own, source, at_border)
+
+
+class _Metres:
+    """The pieces of a route, priced by the model at any speed."""
+
+    def __init__(
+        self, course: Course, route: Route, lattice: CostLattice, ground: Ground, predictor: Predictor
+    ) -> None:
+        self._robot, self._predictor, self._driven = lattice.robot, predictor, course.driven_m
+        ends = np.column_stack([np.append(course.start[0], course.x), np.append(course.start[1], course.y)])
+        self._x, self._y = (0.5 * (ends[1:] + ends[:-1])).T
+        self._heading = route.profile.heading_rad
+        self._heights = ground_of(ground, _window(lattice, ends), lattice.robot)
+        change = np.abs(np.angle(np.exp(1j * np.diff(self._heading)))) if self._heading.size > 1 else np.zeros(0)
+        self._turning_j = lattice.robot.turn_j_per_rad * float(change.sum())
+
+    def at(self, speed_mps: float) -> AtSpeed:
+        robot = replace(self._robot, speed_mps=float(speed_mps))
+        traction = self._predictor.segment_traction(self._heights, robot, self._x, self._y, self._heading)
+        price = robot.price_per_m(traction)
+        known = np.isfinite(price)  # the model may know less right at an edge than the lattice between its cells
+        if not known.any():
+            raise InputError("the model knows nothing of the ground along this route")
+        energy = float((price * self._driven)[known].sum() / self._driven[known].sum() * self._driven.sum())
+        return AtSpeed(float(speed_mps), energy + self._turning_j, float(self._driven.sum()) / float(speed_mps))
+
+
+def _window(lattice: CostLattice, ends: NDArray[np.float64]) -> GridFrame:
+    """The cells around a route."""
+    row, col = (np.asarray(v) for v in lattice.frame.rowcol(ends[:, 0], ends[:, 1]))
+    rows, cols = lattice.frame.shape
+    row0, col0 = max(int(row.min()) - 1, 0), max(int(col.min()) - 1, 0)
+    return lattice.frame.window(row0, min(int(row.max()) + 3, rows), col0, min(int(col.max()) + 3, cols))
