@@ -170,6 +170,16 @@ def world_point(frame: GridFrame, place: Any, *, name: str = "point") -> WorldPo
             x=x,
             y=y,
         )
+    west, south, east, north = frame.bounds
+    far = west > 180.0 or east < -180.0 or south > 180.0 or north < -180.0  # else small numbers are metres
+    if abs(x) <= 90.0 and abs(y) <= 180.0 and far:
+        raise PointError(
+            f"{name} ({x:g}, {y:g}) lies outside the map, also as latitude,longitude: the map spans {_span(frame)}, or "
+            f"x {west:.2f}..{east:.2f}, y {south:.2f}..{north:.2f}",
+            x=x,
+            y=y,
+            bounds=[west, south, east, north],
+        )
     return WorldPoint(x, y)
 
 
@@ -220,15 +230,19 @@ def _of_object(frame: GridFrame, place: Mapping[str, Any], name: str) -> WorldPo
     lat, lon = degrees(place, name)
     x, y = _projected(known_crs(frame.crs), lat, lon)
     if not on_map(frame, x, y):
-        west, south, east, north = frame.bounds
-        low, high = (to_wgs84(frame.crs, [corner])[0] for corner in ((west, south), (east, north)))
         raise PointError(
-            f"{name} (latitude {lat:g}, longitude {lon:g}) lies outside the map, which spans latitude "
-            f"{low[1]:.5f}..{high[1]:.5f}, longitude {low[0]:.5f}..{high[0]:.5f}",
+            f"{name} (latitude {lat:g}, longitude {lon:g}) lies outside the map, which spans {_span(frame)}",
             lat=lat,
             lon=lon,
         )
     return WorldPoint(x, y)
+
+
+def _span(frame: GridFrame) -> str:
+    """Where a map lies, in degrees."""
+    west, south, east, north = frame.bounds
+    lon, lat = to_wgs84(frame.crs, [(west, south), (east, south), (west, north), (east, north)]).T
+    return f"latitude {lat.min():.5f}..{lat.max():.5f}, longitude {lon.min():.5f}..{lon.max():.5f}"
 
 
 def on_map(frame: GridFrame, x: float, y: float) -> bool:

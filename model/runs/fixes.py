@@ -22,6 +22,7 @@ _LONGEST_JUMP_S = 5.0
 _LEAST_GPS_LIMIT_M = 0.05
 _LONGEST_HOLD_S = 1.5
 _LEAST_E7 = 1e6  # a tenth of a degree in 1e-7 degrees
+_PAIRS = (("x", "y"), ("lat", "lon"))
 _GREATEST_DEG = {"lat": 90.0, "lon": 360.0}  # a longitude may count from 0 to 360 or from -180 to 180
 
 
@@ -54,16 +55,23 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
         hint = (
             "`odometry` with the track in metres integrates its wheel speeds"
             if wheels
-            else ("a mapping says which they are, like lat=latitude,lon=longitude")
+            else "a mapping says which they are, like lat=latitude,lon=longitude"
         )
+        half = next(((one, other) for one, other in _PAIRS if (one in numbers) != (other in numbers)), None)
+        lack = "neither 'x' and 'y' nor 'lat' and 'lon'"
+        if half is not None:
+            known, missing = half if half[0] in numbers else half[::-1]
+            lack = f"a position {known!r} and no {missing!r}"
         raise RunsError(
-            f"run {name}: there is neither 'x' and 'y' nor 'lat' and 'lon'{columns_there(numbers)}; {hint}",
+            f"run {name}: there is {lack}{columns_there(numbers)}; {hint}",
             run=name,
             column="x",
         )
-    if crs is None:
-        raise RunsError(f"run {name}: 'lat' and 'lon' need the heightmap's CRS", run=name, column="lat")
     lat, lon = numbers["lat"], numbers["lon"]
+    if crs is None:
+        zone = _zone_of(lat, lon)
+        advice = f": give `crs`, such as {zone}, the UTM zone of these positions" if zone else ""
+        raise RunsError(f"run {name}: 'lat' and 'lon' need the heightmap's CRS{advice}", run=name, column="lat")
     written = np.isfinite(lat) & np.isfinite(lon)
     known = written & _on_earth(lat, lon)
     if known.sum() < 0.5 * written.sum():
@@ -134,6 +142,16 @@ def _belongs_to(lat: FloatArray, lon: FloatArray, crs: str) -> bool:
     west, south, east, north = area.bounds  # may cross the 180th meridian
     width = (east - west) % 360.0 or 360.0
     return bool(((lat >= south) & (lat <= north) & ((lon - west) % 360.0 <= width)).any())
+
+
+def _zone_of(lat: FloatArray, lon: FloatArray) -> str | None:
+    """The UTM zone of positions, None where there is none."""
+    from joulemap.model.terrain.coordinate_systems import utm_zone
+
+    known = np.isfinite(lat) & np.isfinite(lon) & _on_earth(lat, lon)
+    if not known.any():
+        return None
+    return utm_zone((float(np.median(lon[known])) + 180.0) % 360.0 - 180.0, float(np.median(lat[known])))
 
 
 def _on_earth(lat: FloatArray, lon: FloatArray) -> BoolArray:

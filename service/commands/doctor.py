@@ -27,6 +27,7 @@ _FOR = {
     "geo": "routes as GeoDataFrame",
     "objects": "JOULEMAP_STORE, an object store",
     "logs": "ROS bags, MCAP and other logs",
+    "clouds": "LAS and LAZ point clouds as heightmaps",
     "cluster": "PostgreSQL under several workers",
 }
 """What an optional part of the installation is for."""

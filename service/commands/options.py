@@ -38,7 +38,9 @@ def there(path: Path | None) -> Path | None:
         If nothing is there.
     """
     if path is not None and not path.exists():
-        raise NotFoundError(f"there is no file {path}", path=str(path))
+        url = ":/" in str(path)  # a path has lost one of the slashes
+        advice = ": joulemap reads files and asks no other machine; download it, and give the file" if url else ""
+        raise NotFoundError(f"there is no file {path}{advice}", path=str(path))
     return path
 
 

@@ -155,7 +155,9 @@ def test_written_legs_may_be_driven_when_they_are_read_again() -> None:
     assert survived >= 0.9 * total  # the others lead through passages of one cell, which have no width
 
 
-PLAN_SCHEMA = {  # required fields of docs.qgroundcontrol.com, Developer Guide, Plan File Format
+# QGroundControl publishes its format as this page, and no schema of it as a file:
+# docs.qgroundcontrol.com/v4.4.3/en/qgc-dev-guide/file_formats/plan.html. These are its required fields and their types.
+PLAN_SCHEMA = {
     "type": "object",
     "required": ["fileType", "groundStation", "mission", "version", "geoFence", "rallyPoints"],
     "properties": {

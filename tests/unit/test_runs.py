@@ -216,7 +216,7 @@ def test_latitude_and_longitude_need_the_maps_crs():
     run = parse(columns, crs="EPSG:32615")
     np.testing.assert_allclose(run.x, 500000.0, atol=1e-3)
     assert run.y[-1] - run.y[0] == pytest.approx(59 * 5e-7 * 111132 * 0.9996, rel=1e-3)
-    with pytest.raises(RunsError, match="heightmap's CRS"):
+    with pytest.raises(RunsError, match=r"heightmap's CRS: give `crs`, such as EPSG:\d+, the UTM zone of these"):
         parse(columns)
     with pytest.raises(RunsError, match="EPSG:99999"):
         parse(columns, crs="EPSG:99999")
@@ -286,7 +286,8 @@ def test_stamps_before_zero_are_stamps_and_other_columns_may_hold_anything():
     ("columns", "message"),
     [
         (log(t=None), "no column 't'"),
-        (log(x=None), "neither 'x' and 'y' nor 'lat' and 'lon'"),
+        (log(x=None), "there is a position 'y' and no 'x'; its other columns"),
+        (log(x=None, y=None), "neither 'x' and 'y' nor 'lat' and 'lon'"),
         (log(current=None), "neither a column 'current', nor any 'current_"),
         (log(current=["2.0"] * 7 + ["two"] + ["2.0"] * 52), "column 'current', row 9: 'two' is not a number"),
         (log(current=[""] * 60), "60 of 60 cells are blank"),
