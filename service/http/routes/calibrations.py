@@ -93,7 +93,7 @@ def get_segments(calibration_id: str, service: ServiceDep) -> Response:
 @router.get(
     "/{calibration_id}/next-drive",
     response_model=dict[str, Any],
-    responses={200: {"content": {k: v for k, v in FILES.items() if not k.endswith("json")}}, **problems(404, 409)},
+    responses={200: {"content": dict(FILES)}, **problems(404, 409)},
 )
 def get_next_drive(
     calibration_id: str, service: ServiceDep, format: FileFormat = None, coordinates: Coordinates = None

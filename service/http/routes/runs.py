@@ -50,10 +50,10 @@ async def send_runs(
         bool, Query(description="with odometry_track_m: the file snow_02.csv was driven on snow")
     ] = False,
     entries: Annotated[
-        list[Annotated[str, Query(max_length=2_000)]] | None,
+        list[Annotated[str, Query(max_length=120)]] | None,  # all in a URL of at most 64 kB, 12 for a character
         Query(
             alias="map",
-            max_length=200,
+            max_length=30,
             description="where a column is taken from, with a unit or factor: `t=timestamp_ms:ms`, "
             "`current=left+right`, `voltage=/battery.voltage`; usual names, units and message types are recognised",
             examples=[["t=timestamp_ms:ms", "current=batt_current_mA:mA"]],
