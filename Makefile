@@ -13,8 +13,9 @@ help: ## this list
 demo: $(INSTALLED) ## start the service, ask it everything, draw a picture (ARGS=--exit ends by itself)
 	$(BIN)/joulemap demo $(ARGS)
 
-# A process for each core; the tests of a file stay together, because they share what is made for them.
-PARALLEL := -n logical --maxprocesses 8 --dist loadfile --max-worker-restart 0
+# A process for each core; the tests of a file stay together, because they share what is made for them, and the files
+# that take long come first (tests/conftest.py).
+PARALLEL := -n logical --maxprocesses 8 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 test: lint ## what must pass before a change is taken: linters, types, layers, documentation, tests
 	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(ARGS)

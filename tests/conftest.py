@@ -9,6 +9,28 @@ import pytest
 
 os.environ.setdefault("JOULEMAP_ALLOWED_HOSTS", "testserver")  # how Starlette's TestClient calls a service
 
+LONGEST = (
+    "docs/test_code_blocks.py",
+    "loop/test_nulls.py",
+    "service/test_contract.py",
+    "service/test_restart.py",
+    "service/test_object_store.py",
+    "service/test_calibrations.py",
+    "service/test_access.py",
+    "service/test_data_directory.py",
+    "service/test_workers.py",
+    "service/test_scheduled_commands.py",
+    "browser/test_page.py",
+    "property/test_tiled_search.py",
+)
+"""Files that take long, the longest first: one that begins last is waited for while the other processes have nothing."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take long; the rest keeps its order."""
+    order = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path, len(order)))
+
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
