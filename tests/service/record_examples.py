@@ -12,10 +12,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from fastapi.testclient import TestClient
 
+from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
+from joulemap.service.raster_shading import MAX_PIXELS
 from tests.service.conftest import GOAL, START, hill, settings_for
 from tests.service.test_calibrations import ROBOT, hills, run_csv
 
@@ -23,6 +27,15 @@ FILE = Path(__file__).resolve().parents[2] / "service" / "http" / "examples.json
 IDS = {"hm": "hm-5f0c2a9d41be", "cm": "cm-0d4b8f6a2c17", "runs": "runs-3b9d0c1e77aa", "cal": "cal-2f7719c0be04"}
 _PLACE = re.compile(r"/v1/(\w+)/([^/]+)")
 _LONG, _KEPT = 8, 3  # items of a list
+
+
+def _strip(client: TestClient) -> str:
+    """The id of a cost map with more cells along a side than a picture has pixels."""
+    cols = MAX_PIXELS + 200
+    strip = Heightmap(np.zeros((8, cols), dtype=np.float32), GridFrame(0.0, 8.0, 1.0, 8, cols))
+    ground = client.post("/v1/heightmaps", content=write_geotiff(None, strip)).json()["id"]
+    wanted = {"heightmap_id": ground, "model": "physics", "headings": 4}
+    return str(client.post("/v1/costmaps", json=wanted, headers={"Prefer": "wait=60"}).json()["id"])
 
 
 def record(client: TestClient) -> dict[str, Any]:
@@ -93,6 +106,7 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_ground", "GET", f"/v1/heightmaps/{heightmap}/ground.png")
     ask("get_layers", "GET", f"{here}/layers")
     ask("get_layer", "GET", f"{here}/layer.png", query={"layer": "energy", "view": "mean"})
+    ask("get_piece", "GET", f"/v1/costmaps/{_strip(client)}/pieces/0/0/1.png", query={"view": "mean"})
     ask("get_contours", "GET", f"{here}/contours")
     around = {"west": START[0] - 2.0, "south": START[1] - 2.0, "east": START[0] + 2.0, "north": START[1] + 2.0}
     ask("get_roses", "GET", f"{here}/roses", query={**around, "across": 2})
@@ -111,6 +125,8 @@ def record(client: TestClient) -> dict[str, Any]:
     reached = {"start": START, "charges": [0.001, 0.002]}
     ask("find_reach", "POST", f"{here}/reach", body=reached, query={"format": "geojson"})
     ask("find_reach", "POST", f"{here}/reach", body=reached)
+    learned = client.post("/v1/costmaps", json={**asked, "model": "default"}, headers={"Prefer": "wait=300"}).json()
+    ask("find_speeds", "POST", f"/v1/costmaps/{learned['id']}/speeds", body={"start": START, "goal": GOAL})
     large = client.post("/v1/costmaps", json={**asked, "spacing_m": 0.1, "headings": 360}).json()["id"]
     ask("cancel_costmap", "POST", f"/v1/costmaps/{large}/cancel")
     for name in ("follow_costmap", "delete_costmap"):
