@@ -27,6 +27,9 @@ PIECE_PIXELS = 512
 MOST_LEVELS = 3
 """A pixel of the coarsest pieces is 4 x 4 cells, so that a piece never needs more than 4.2 million cells."""
 
+MOST_PIECES = 1_000_000
+"""Along a side of a map: more than any map has."""
+
 
 @dataclass(frozen=True)
 class Look:

@@ -64,6 +64,7 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   by("view-3d").hidden = !about.plotly;
   choose(by(now.start && now.goal ? "tab-route" : "tab-map"));
   hint();
+  window.scrollTo(0, 0); // on a phone the map may be above what is seen
   await Promise.all([showCostmap(costmap, layers, same ? link.read().seen : seen), listMaps()]);
 }
 

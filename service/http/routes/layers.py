@@ -34,7 +34,7 @@ from joulemap.service.map_layers import (
     roses,
     scale_colours,
 )
-from joulemap.service.map_pieces import MOST_LEVELS, PIECE_PIXELS, Look, draw_piece, levels_of, look_of
+from joulemap.service.map_pieces import MOST_LEVELS, MOST_PIECES, PIECE_PIXELS, Look, draw_piece, levels_of, look_of
 from joulemap.service.raster_shading import centres, thinned
 from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate, within
@@ -221,9 +221,11 @@ async def get_surface(costmap_id: str, service: KernelsDep, request: Request) ->
 )
 async def get_piece(
     costmap_id: str,
-    level: Annotated[int, PathParameter(ge=0, le=MOST_LEVELS - 1, description="a pixel is 2^level x 2^level cells")],
-    row: Annotated[int, PathParameter(ge=0, le=1_000_000, description="of the pieces of this level, from the north")],
-    col: Annotated[int, PathParameter(ge=0, le=1_000_000, description="of the pieces of this level, from the west")],
+    level: Annotated[
+        int, PathParameter(ge=0, le=MOST_LEVELS - 1, description="a pixel is 2^level x 2^level cells", examples=[0])
+    ],
+    row: Annotated[int, PathParameter(ge=0, le=MOST_PIECES, description="of the pieces, from the north", examples=[1])],
+    col: Annotated[int, PathParameter(ge=0, le=MOST_PIECES, description="of the pieces, from the west", examples=[2])],
     service: KernelsDep,
     request: Request,
     view: Annotated[
