@@ -38,14 +38,14 @@ def within_power(planner: RoutePlanner, max_power_w: float | None) -> RoutePlann
     Raises
     ------
     InputError
-        If standing takes as much already.
+        If it takes as much without moving.
     """
     if max_power_w is None:
         return planner
     robot = planner.lattice.robot
     if not max_power_w > robot.idle_power_w:  # false for NaN
         raise InputError(
-            f"max_power_w is {max_power_w:g}; {robot.name} takes {robot.idle_power_w:g} W while it stands: give more",
+            f"max_power_w is {max_power_w:g}; {robot.name} takes {robot.idle_power_w:g} W without moving: give more",
             max_power_w=float(max_power_w),
         )
     with _MAKING:

@@ -112,7 +112,7 @@ def limited(planner: RoutePlanner | StoredPlanner, max_power_w: float | None) ->
     Raises
     ------
     InputError
-        If standing takes as much already, or the map is not in memory.
+        If it takes as much without moving, or the map is not in memory.
     """
     if max_power_w is None:
         return planner

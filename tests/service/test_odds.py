@@ -271,7 +271,7 @@ def test_routes_are_chosen_by_more_than_their_mean(
         ({"objective": "arrival"}, "needs a battery"),
         ({"objective": "fast"}, "mean"),
         ({"quantile": 0.999}, "quantile"),
-        ({"max_power_w": 5.0}, "while it stands"),
+        ({"max_power_w": 5.0}, "without moving"),
     ):
         refused = client.post(f"{place}/paths", json=ends | wrong)
         assert refused.status_code == 422

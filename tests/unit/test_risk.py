@@ -167,7 +167,7 @@ def test_no_metre_of_a_route_takes_more_than_the_power() -> None:
     assert codes[8] == Blocked.FREE
     with pytest.raises(NoRouteError, match="at most 13 W"):
         within_power(planner, 13.0).plan(*ends)
-    with pytest.raises(InputError, match="12 W while it stands"):
+    with pytest.raises(InputError, match="12 W without moving"):
         within_power(planner, 12.0)
 
 
