@@ -266,7 +266,7 @@ def reproject_file(
     part = transform
     if window is not None:
         cells = cells_of(window, source_crs, transform, (rows, cols))
-        x, y = transform * (cells.col0, cells.row0)
+        (x,), (y,) = moved(None, None, transform, np.array([cells.col0]), np.array([cells.row0]))
         part, (rows, cols) = Affine(transform.a, transform.b, x, transform.d, transform.e, y), cells.shape
     target, why = choose_crs(source_crs, part, rows, cols, to)
     grid, shape, size = new_grid(source_crs, target, part, rows, cols, resolution_m)
