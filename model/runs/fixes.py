@@ -60,8 +60,8 @@ def positions(numbers: dict[str, FloatArray], *, name: str, crs: str | None) -> 
         half = next(((one, other) for one, other in _PAIRS if (one in numbers) != (other in numbers)), None)
         lack = "neither 'x' and 'y' nor 'lat' and 'lon'"
         if half is not None:
-            known, missing = half if half[0] in numbers else half[::-1]
-            lack = f"a position {known!r} and no {missing!r}"
+            there, missing = half if half[0] in numbers else half[::-1]
+            lack = f"a position {there!r} and no {missing!r}"
         raise RunsError(
             f"run {name}: there is {lack}{columns_there(numbers)}; {hint}",
             run=name,
