@@ -21,6 +21,7 @@ from tests.bench.calibration import bench_calibration
 from tests.bench.homeward import compare_return
 from tests.bench.large_maps import bench_large, bench_start_up
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
+from tests.bench.objectives import compare_objectives
 from tests.bench.quality import compare_options, compare_peers, compare_planners
 from tests.bench.reach import compare_reach
 from tests.bench.searches import bench_searches
@@ -47,9 +48,10 @@ def main() -> None:
     only.add_argument("--quality", action="store_true", help="set the default answer beside every other option of ours")
     only.add_argument("--reach", action="store_true", help="set reach beside planning to one goal after another")
     only.add_argument("--return", action="store_true", dest="homeward", help="ask a service until where one comes home")
-    parser.add_argument("--tasks", type=int, default=10, help="random tasks a map with --quality or --reach")
+    only.add_argument("--objectives", action="store_true", help="set routes that weigh odds beside the cheapest ones")
+    parser.add_argument("--tasks", type=int, default=10, help="random tasks a map: --quality, --reach, --objectives")
     parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
-    parser.add_argument("--real", type=Path, help="a heightmap for --quality and --reach")
+    parser.add_argument("--real", type=Path, help="a heightmap for --quality, --reach and --objectives")
     options = parser.parse_args()
     console = Console(width=140)
     if options.heightmap:
@@ -59,6 +61,9 @@ def main() -> None:
         console.print(compare_options(real, options.tasks, options.sampling))
     elif options.reach:
         for found in compare_reach(read_heightmap(options.real) if options.real else None, options.tasks):
+            console.print(found)
+    elif options.objectives:
+        for found in compare_objectives(read_heightmap(options.real) if options.real else None, options.tasks):
             console.print(found)
     elif options.homeward:
         console.print(compare_return())
