@@ -13,7 +13,7 @@ import pytest
 import joulemap as jm
 from joulemap.model import errors
 from joulemap.service.cli import app
-from joulemap.service.client import _error_of, _tree
+from joulemap.service.client.connection import error_of, tree_of
 from joulemap.service.http.app import create_app
 from joulemap.service.problems import problem_of
 from joulemap.service.storage.keys import add_key
@@ -138,11 +138,11 @@ def test_a_calibration(client: jm.Client, tmp_path: Path) -> None:
         client.delete(thing)
 
 
-@pytest.mark.parametrize("cls", _tree(errors.JoulemapError))
+@pytest.mark.parametrize("cls", tree_of(errors.JoulemapError))
 def test_every_error_comes_back_as_itself(cls: type[errors.JoulemapError]) -> None:
     if cls.__module__ != "joulemap.model.errors":
         pytest.skip("an error inside joulemap")
-    error = _error_of(json.loads(json.dumps(problem_of(cls("words", limit=3), "abc"))))
+    error = error_of(json.loads(json.dumps(problem_of(cls("words", limit=3), "abc"))))
     assert (type(error), error.message) == (cls, "words")
     assert error.context == {"limit": 3, "request_id": "abc"}
 
