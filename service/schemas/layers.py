@@ -38,7 +38,7 @@ class LayersOut(ResponseModel):
         description="latitude and longitude [deg] of the map's corners, middles of its edges and its middle: three "
         "rows from north to south, each from west to east; null where the CRS is unknown"
     )
-    piece_levels: int = Field(description="how many levels `pieces` has; 0 where `layer.png` shows every cell")
+    piece_levels: int = Field(description="how many levels `piece.png` has; 0 where `layer.png` shows every cell")
     piece_pixels: int = Field(description="longest side of a piece [pixels]; smaller at the east and south edge")
 
 

@@ -28,7 +28,7 @@ function seen() {
   for (let row = top; row < bottom; row += 1) for (let col = left; col < right; col += 1) {
     const [tall, wide] = [rows - row * side, cols - col * side].map(rest => Math.min(layers.piece_pixels, Math.floor(rest / step)) * step * cell);
     const x = west + col * side * cell, y = north - row * side * cell;
-    if (tall && wide) found.push({ path: `v1/costmaps/${costmap.id}/pieces/${level}/${row}/${col}.png?${look}`, look, box: [[y - tall, x], [y, x + wide]], far: Math.hypot(x + wide / 2 - middle.lng, y - tall / 2 - middle.lat) });
+    if (tall && wide) found.push({ path: `v1/costmaps/${costmap.id}/piece.png?level=${level}&row=${row}&col=${col}&${look}`, look, box: [[y - tall, x], [y, x + wide]], far: Math.hypot(x + wide / 2 - middle.lng, y - tall / 2 - middle.lat) });
   }
   return found.sort((a, b) => a.far - b.far);
 }
@@ -36,7 +36,7 @@ function seen() {
 async function show() {
   latest.stop();
   const wanted = seen(), paths = new Set(wanted.map(({ path }) => path)), look = `${now.costmap?.id}`, style = wanted[0]?.look;
-  for (const path of [...shown.keys()]) if (!path.includes(look) || !path.endsWith(`?${style}`)) drop(path);
+  for (const path of [...shown.keys()]) if (!path.includes(look) || !path.endsWith(`&${style}`)) drop(path);
   const queue = wanted.filter(({ path }) => !shown.has(path));
   async function load(signal) {
     for (let next; (next = queue.shift());) {

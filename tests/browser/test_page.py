@@ -200,7 +200,7 @@ def test_a_large_map_is_fine_where_it_is_near(
         tab.page.click("#tab-map")
         tab.page.check("text=Ground only")
         tab.page.wait_for_function("() => document.querySelectorAll('.piece').length > 0")
-        assert any("/pieces/0/0/0.png?view=ground" in url for url in tab.asked)
+        assert any("/piece.png?level=0&row=0&col=0&view=ground" in url for url in tab.asked)
         tab.page.evaluate("joulemap.map.setZoom(-3)")
         tab.page.wait_for_function("() => document.querySelectorAll('.piece').length === 0")
 

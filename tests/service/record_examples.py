@@ -106,7 +106,7 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_ground", "GET", f"/v1/heightmaps/{heightmap}/ground.png")
     ask("get_layers", "GET", f"{here}/layers")
     ask("get_layer", "GET", f"{here}/layer.png", query={"layer": "energy", "view": "mean"})
-    ask("get_piece", "GET", f"/v1/costmaps/{_strip(client)}/pieces/0/0/1.png", query={"view": "mean"})
+    ask("get_piece", "GET", f"/v1/costmaps/{_strip(client)}/piece.png", query={"level": 0, "row": 0, "col": 1})
     ask("get_contours", "GET", f"{here}/contours")
     around = {"west": START[0] - 2.0, "south": START[1] - 2.0, "east": START[0] + 2.0, "north": START[1] + 2.0}
     ask("get_roses", "GET", f"{here}/roses", query={**around, "across": 2})

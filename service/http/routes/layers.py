@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Query, Request, Response
-from fastapi import Path as PathParameter
 from fastapi.responses import JSONResponse
 
 from joulemap.model.ranges import HEADING_DEG
@@ -214,20 +213,18 @@ async def get_surface(costmap_id: str, service: KernelsDep, request: Request) ->
 
 
 @router.get(
-    "/costmaps/{costmap_id}/pieces/{level}/{row}/{col}.png",
+    "/costmaps/{costmap_id}/piece.png",
     tags=_MAPS,
     response_class=Response,
     responses={**_PICTURE, **problems(404, 409, 503)},
 )
 async def get_piece(
     costmap_id: str,
-    level: Annotated[
-        int, PathParameter(ge=0, le=MOST_LEVELS - 1, description="a pixel is 2^level x 2^level cells", examples=[0])
-    ],
-    row: Annotated[int, PathParameter(ge=0, le=MOST_PIECES, description="of the pieces, from the north", examples=[1])],
-    col: Annotated[int, PathParameter(ge=0, le=MOST_PIECES, description="of the pieces, from the west", examples=[2])],
     service: KernelsDep,
     request: Request,
+    level: Annotated[int, Query(ge=0, lt=MOST_LEVELS, description="a pixel is 2^level x 2^level cells")] = 0,
+    row: Annotated[int, Query(ge=0, le=MOST_PIECES, description="of the pieces of this level, from the north")] = 0,
+    col: Annotated[int, Query(ge=0, le=MOST_PIECES, description="of the pieces of this level, from the west")] = 0,
     view: Annotated[
         Literal["mean", "directionality", "heading", "ground"], Query(description="as of `layer.png`; or ground alone")
     ] = "mean",
