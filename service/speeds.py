@@ -11,19 +11,23 @@ from numpy.typing import NDArray
 from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError
-from joulemap.model.frames import GridFrame
+from joulemap.model.frames import GridFrame, wrap_angle
 from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.windows import Ground
-from joulemap.planner.course import Course, course_of
+from joulemap.planner.course import course_of
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Route
+from joulemap.planner.stopping import check_stop
 from joulemap.planner.tiles import ground_of
 from joulemap.planner.words import duration_words, energy_words
 
-SPEEDS = 25
+SPEEDS = 15
 """Speeds of the curve."""
 _CLOSER = 9  # speeds that are tried between the two beside the cheapest of the curve
+MOST_M = 5_000.0
+"""Longest route that is looked at [m]: the model prices every metre at every speed."""
+_STRETCH = 256  # metres whose ground is read at a time
 _NARROW = 1.05  # a range whose ends differ by less says nothing of speed
 _KEY = "speed_mps"
 
@@ -176,41 +180,57 @@ def speeds_along(route: Route, lattice: CostLattice, ground: Ground, predictor: 
         raise InputError("this is not the heightmap that the cost map was made of", expected=made_of)
     robot = lattice.robot
     low, high, source = known_speeds(predictor, robot)
-    course = course_of([route])
-    metres = _Metres(course, route, lattice, ground, predictor)
-    curve = [metres.at(v) for v in np.linspace(low, high, SPEEDS)]
+    if route.length_m > MOST_M:
+        raise InputError(
+            f"the route is {route.length_m:.0f} m long, at most {MOST_M:.0f} m can be looked at: ask for a part of it",
+            length_m=route.length_m,
+            limit=MOST_M,
+        )
+    metres = _Metres(route, lattice, ground, predictor)
+    curve = metres.at(np.linspace(low, high, SPEEDS))
     k = int(np.argmin([one.energy_j for one in curve]))
-    near = np.linspace(curve[max(k - 1, 0)].speed_mps, curve[min(k + 1, SPEEDS - 1)].speed_mps, _CLOSER)
-    best = min([curve[k], *(metres.at(v) for v in near)], key=lambda one: one.energy_j)
+    beside = curve[max(k - 1, 0)].speed_mps, curve[min(k + 1, SPEEDS - 1)].speed_mps
+    near = np.linspace(*beside, _CLOSER)[1:-1]
+    *closer, own = metres.at(np.append(near, robot.speed_mps))
+    best = min([curve[k], *closer], key=lambda one: one.energy_j)
     border = "slowest" if best.speed_mps == curve[0].speed_mps else "fastest"
     at_border = border if best.speed_mps in (curve[0].speed_mps, curve[-1].speed_mps) else None
-    own = metres.at(robot.speed_mps) if low <= robot.speed_mps <= high else None
-    return Speeds(tuple(curve), best, own, source, at_border)
+    declared = own if low <= robot.speed_mps <= high else None
+    return Speeds(tuple(curve), best, declared, source, at_border)
 
 
 class _Metres:
-    """The pieces of a route, priced by the model at any speed."""
+    """The pieces of a route, priced by the model at any speeds, in stretches whose ground is read one after another."""
 
-    def __init__(
-        self, course: Course, route: Route, lattice: CostLattice, ground: Ground, predictor: Predictor
-    ) -> None:
-        self._robot, self._predictor, self._driven = lattice.robot, predictor, course.driven_m
-        ends = np.column_stack([np.append(course.start[0], course.x), np.append(course.start[1], course.y)])
-        self._x, self._y = (0.5 * (ends[1:] + ends[:-1])).T
-        self._heading = route.profile.heading_rad
-        self._heights = ground_of(ground, _window(lattice, ends), lattice.robot)
-        change = np.abs(np.angle(np.exp(1j * np.diff(self._heading)))) if self._heading.size > 1 else np.zeros(0)
+    def __init__(self, route: Route, lattice: CostLattice, ground: Ground, predictor: Predictor) -> None:
+        self._lattice, self._ground, self._predictor = lattice, ground, predictor
+        course = course_of([route])
+        self._ends = np.column_stack([np.append(course.start[0], course.x), np.append(course.start[1], course.y)])
+        self._driven, self._heading = course.driven_m, route.profile.heading_rad
+        change = np.abs(wrap_angle(np.diff(self._heading)))
         self._turning_j = lattice.robot.turn_j_per_rad * float(change.sum())
 
-    def at(self, speed_mps: float) -> AtSpeed:
-        robot = replace(self._robot, speed_mps=float(speed_mps))
-        traction = self._predictor.segment_traction(self._heights, robot, self._x, self._y, self._heading)
-        price = robot.price_per_m(traction)
-        known = np.isfinite(price)  # the model may know less right at an edge than the lattice between its cells
-        if not known.any():
-            raise InputError("the model knows nothing of the ground along this route")
-        energy = float((price * self._driven)[known].sum() / self._driven[known].sum() * self._driven.sum())
-        return AtSpeed(float(speed_mps), energy + self._turning_j, float(self._driven.sum()) / float(speed_mps))
+    def at(self, speeds_mps: NDArray[np.float64]) -> list[AtSpeed]:
+        """The route at each of some speeds."""
+        robots = [replace(self._lattice.robot, speed_mps=float(v)) for v in speeds_mps]
+        energy, known_m = np.zeros(len(robots)), np.zeros(len(robots))
+        for first in range(0, self._driven.size, _STRETCH):
+            check_stop()
+            part = slice(first, first + _STRETCH)
+            ends = self._ends[first : first + _STRETCH + 1]
+            heights = ground_of(self._ground, _window(self._lattice, ends), self._lattice.robot)
+            x, y = (0.5 * (ends[1:] + ends[:-1])).T
+            for k, robot in enumerate(robots):
+                traction = self._predictor.segment_traction(heights, robot, x, y, self._heading[part])
+                price = robot.price_per_m(traction)
+                known = np.isfinite(price)  # at an edge the lattice may know more, between its cells
+                energy[k] += float((price * self._driven[part])[known].sum())
+                known_m[k] += float(self._driven[part][known].sum())
+        length = float(self._driven.sum())
+        if not known_m.all():
+            raise InputError("the model knows nothing of the ground along this route", length_m=length)
+        energy = energy / known_m * length + self._turning_j
+        return [AtSpeed(float(v), float(e), length / float(v)) for v, e in zip(speeds_mps, energy, strict=True)]
 
 
 def _window(lattice: CostLattice, ends: NDArray[np.float64]) -> GridFrame:

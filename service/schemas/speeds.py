@@ -17,7 +17,7 @@ class SpeedsRequest(Request):
     """A route: either a path, or start and goal."""
 
     path: Annotated[list[PathPlace], Field(fail_fast=True), WrapValidator(quick_points)] | None = Field(
-        default=None, min_length=2, max_length=20_000, description="world points [m], in order"
+        default=None, min_length=2, max_length=5_000, description="world points [m], in order"
     )
     start: Place | None = Field(default=None, examples=[[12.5, 40.5]])
     goal: Place | None = Field(default=None, examples=[[80.0, 15.0]])
