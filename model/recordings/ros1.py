@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import bz2
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from joulemap.model.recordings.contract import Recording, Topic, Wanted
 from joulemap.model.recordings.places import on_disk
+from joulemap.model.recordings.ros1_records import UnindexedBag, has_index, unpacked_chunk
 from joulemap.model.recordings.types import types_of
 from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"#ROSBAG V"
-_LARGEST_CHUNK = 1 << 28
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -36,7 +36,7 @@ def recognise(head: bytes, name: str) -> bool:
 
 @contextmanager
 def open_ros1(source: SourceFile) -> Iterator[Recording]:
-    """Open a bag, which must have its index.
+    """Open a bag. One without an index is read from start to end.
 
     Parameters
     ----------
@@ -48,30 +48,21 @@ def open_ros1(source: SourceFile) -> Iterator[Recording]:
     Recording
         With its topics.
     """
+    with source.open() as stream:
+        if not has_index(stream, source.size_bytes):
+            yield UnindexedBag(stream, source.size_bytes)
+            return
     from rosbags.rosbag1 import Reader
-
-    with on_disk(source, ".bag") as path, Reader(path) as bag:
-        bag.chunks = {at: chunk._replace(decompressor=_bounded(chunk.decompressor)) for at, chunk in bag.chunks.items()}
-        yield _Bag(bag)
-
-
-def _bounded(unpack: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-    """The same, but of limited size: a chunk of kilobytes may hold gigabytes."""
-    import lz4.frame
     from rosbags.rosbag1.reader import decompressors
 
-    if unpack is decompressors["bz2"]:
-        return lambda data: _unpacked(bz2.BZ2Decompressor(), data)
-    if unpack is decompressors["lz4"]:
-        return lambda data: _unpacked(lz4.frame.LZ4FrameDecompressor(), data)
-    return unpack
-
-
-def _unpacked(unpacker: Any, data: bytes) -> bytes:
-    found: bytes = unpacker.decompress(data, _LARGEST_CHUNK)
-    if not unpacker.eof:
-        raise ValueError(f"a chunk of {len(data):,} bytes is cut off, or unpacks to more than {_LARGEST_CHUNK:,}")
-    return found
+    names = {unpack: name for name, unpack in decompressors.items()}
+    with on_disk(source, ".bag") as path, Reader(path) as bag:
+        # a chunk of kilobytes may hold gigabytes: rosbags would unpack all of them
+        bag.chunks = {
+            at: chunk._replace(decompressor=partial(unpacked_chunk, names[chunk.decompressor]))
+            for at, chunk in bag.chunks.items()
+        }
+        yield _Bag(bag)
 
 
 class _Bag:

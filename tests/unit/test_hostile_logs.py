@@ -52,6 +52,7 @@ CUT = {
     "tlog": "in the middle of a record that begins at byte",
     "ulg": "in the middle of a record that begins at byte",
     "fit": "it ends",
+    "bag": "in the middle of a record that begins at byte",
 }
 
 
@@ -75,7 +76,18 @@ def test_a_recording_without_its_summary_has_all_its_messages(tmp_path):
     assert len(run) == 201
 
 
-def test_a_bag_that_was_cut_off_says_where_and_how_to_repair_it(tmp_path):
+def test_a_bag_that_was_not_closed_is_read_without_its_index(tmp_path):
+    content = bytearray(files.write_bag(tmp_path / "a.bag", files.drive(20.0), compression="LZ4").read_bytes())
+    whole = parse_run(bytes(content), name="run", crs=files.CRS)
+    at = content.index(b"index_pos=") + len(b"index_pos=")
+    content[at : at + 8] = bytes(8)
+    run = parse_run(bytes(content), name="run", crs=files.CRS)
+    assert run.notes == ("the ROS 1 bag was not closed and has no index: it was read from start to end",)
+    np.testing.assert_array_equal(run.drawn(), whole.drawn())
+    np.testing.assert_array_equal(run.x, whole.x)
+
+
+def test_a_database_that_was_cut_off_says_where_and_how_to_repair_it(tmp_path):
     content = files.write_db3(tmp_path / "a.db3", files.drive(20.0)).read_bytes()
     with pytest.raises(RunsError, match=r"ends at byte 126,976 of 253,952\. `sqlite3 BAG .recover \| sqlite3 OUT`"):
         parse_run(content[: len(content) // 2], name="run", crs=files.CRS)

@@ -124,6 +124,8 @@ def read_parts(
         with reading(kind, name, _place, repair=repair), _opened(part, topics, notes) as recording:
             for topic, last, message in recording.messages(_wanted):
                 collect(collector, topic, last, message, whole=mentioned(mapping, topic.name))
+    if not collector.messages and not topics and notes:
+        raise RunsError(f"run {name}: {notes[0]}, and that is nothing", run=name)
     if not collector.messages:
         raise _nothing(name, topics, _wanted)
     return ros_log(collector.streams(), {topic.name: topic.kind for topic in topics.values()}, notes=notes)
