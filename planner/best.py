@@ -1,8 +1,8 @@
 """The best route that we find between two places: one function, which every question goes through.
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`),
-stage by stage; after each stage only those stay that may still win, and of
-those near one local optimum only the best.
+stage by stage; after each stage only those stay that may still win, and of those near one local optimum only the best.
+Where limits close moves, the path through `passages` is improved beside them.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.threads import share_out
-from joulemap.planner.corridors import corridor_paths, mark_around
+from joulemap.planner.corridors import corridor_paths
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
+from joulemap.planner.passages import mark_around
 from joulemap.planner.refine import STAGES, subdivided
 
 LAGS = (0.15, 0.12, 0.1, 0.03, 0.0)
@@ -80,9 +81,14 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
         If the goal cannot be reached.
     """
     margin = LAGS[0] / math.sqrt(max(math.dist(start, goal), 1.0))
-    found = corridor_paths(lattice, table, start, goal, margin=margin)
+    found, through = corridor_paths(lattice, table, start, goal, margin=margin)
     points = best_of(lattice, [path.points for path in found])
-    return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
+    energy_j = path_price(lattice, points)
+    if through is not None:  # its stages gain less, so that it does not compete with the others before the end
+        other = best_of(lattice, [through])
+        if path_price(lattice, other) < energy_j:
+            points, energy_j = other, path_price(lattice, other)
+    return BestPath(points, energy_j, found[0].energy_j, found[0].expanded, len(found))
 
 
 def best_of(lattice: CostLattice, paths: list[Points]) -> Points:

@@ -21,7 +21,8 @@ from joulemap.planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_bef
 from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals
+from joulemap.planner.passages import mark_around, path_through_passages
+from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals, without_repeats
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
 COUNT = 4
@@ -41,7 +42,7 @@ def corridor_paths(
     *,
     margin: float = 0.01,
     count: int = COUNT,
-) -> list[GridPath]:
+) -> tuple[list[GridPath], Points | None]:
     """Return the cheapest path over grid moves, and the best of every other corridor that is nearly as good.
 
     Parameters
@@ -59,8 +60,10 @@ def corridor_paths(
 
     Returns
     -------
-    list of GridPath
+    paths : list of GridPath
         The paths, cheapest first; the first is that of `search.grid_search`.
+    through : ndarray of float, (n, 2), or None
+        (row, col) of the cheapest path between half-cell points, where limits close moves, see `passages`.
 
     Raises
     ------
@@ -83,13 +86,13 @@ def corridor_paths(
     last, total, expanded = run_search(ahead, table, np.unique(cells), guide, targets, rest, margin=margin)
     direct = direct_energy(lattice, start, goal)
     if direct < math.inf and direct <= total:
-        return [GridPath(np.vstack([start, goal]), direct, expanded)]
+        return [GridPath(np.vstack([start, goal]), direct, expanded)], None
     if last == _NONE:
         raise no_route(lattice, expanded)
     first = ahead.trace(table, last)[::-1] // layers
     found = [GridPath(joined_points(lattice, start, first, goal), float(total), expanded)]
     if count == 1:
-        return found
+        return found, None
     most = float(total) + margin * abs(float(total))
     behind = _back(ahead, table, targets, rest, most)
     states, via, length, middle = plateaus(ahead, behind, table)
@@ -112,7 +115,11 @@ def corridor_paths(
         found.append(GridPath(joined_points(lattice, start, way, goal), float(via[k]), 0))
         if len(found) == count:
             break
-    return found
+    usual = np.flatnonzero((behind.energy_j < math.inf).reshape(-1, layers).any(axis=1))
+    through = path_through_passages(lattice, table, usual, (cells, cost.min(axis=1)), (targets, rest.min(axis=1)))
+    if through is None:
+        return found, None
+    return found, without_repeats(np.vstack([start, through, goal]))
 
 
 def _back(
@@ -124,27 +131,6 @@ def _back(
     behind = new_search(table, ahead.layers, targets, rest, backward=True)
     run_search(behind, table, np.unique(targets), guide_everywhere(table, backward=True), ceiling=ceiling)
     return behind
-
-
-@njit(cache=True, nogil=True)
-def mark_around(taken, way, cols, apart):
-    """Mark the squares around the cells of a path.
-
-    Parameters
-    ----------
-    taken : ndarray of bool, (rows, cols)
-        Is set there.
-    way : ndarray of int64, (n,)
-        Flat cell indices, row * cols + col.
-    cols : int
-        Columns of the map.
-    apart : int
-        Half the side of a square [cells].
-    """
-    rows = taken.shape[0]
-    for cell in way:
-        i, j = cell // cols, cell % cols
-        taken[max(i - apart, 0) : min(i + apart + 1, rows), max(j - apart, 0) : min(j + apart + 1, cols)] = True
 
 
 def plateaus(

@@ -190,7 +190,22 @@ def joined_points(lattice: CostLattice, start: Points, cells: NDArray[np.int64],
         (row, col) polyline.
     """
     cols = lattice.frame.cols
-    points = np.vstack([start, np.column_stack([cells // cols, cells % cols]).astype(np.float64), goal])
+    return without_repeats(np.vstack([start, np.column_stack([cells // cols, cells % cols]).astype(np.float64), goal]))
+
+
+def without_repeats(points: Points) -> Points:
+    """Return a polyline without points that repeat the one before them.
+
+    Parameters
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline.
+    """
     keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-12)
     return np.ascontiguousarray(points[keep])
 

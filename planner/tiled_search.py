@@ -22,7 +22,7 @@ from joulemap.planner.edges import Points
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lower_bound import Potential, fill_bounds, potentials_towards
 from joulemap.planner.move_prices import MovePrices
-from joulemap.planner.search import direct_energy, joining_legs
+from joulemap.planner.search import direct_energy, joining_legs, without_repeats
 from joulemap.planner.stored_lattice import StoredLattice
 
 TILE_CELLS = 128
@@ -260,10 +260,9 @@ class TiledSearch:
             return None
         cells = kernels.traced(pred, int(state[kernels.LAST]), self._shift, self._tile_cols, self._moves.offsets)
         points = np.vstack([start, cells[::-1].astype(np.float64), goal])
-        keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-12)
         rounding = 2.0 * _EPS * max(abs(whole), abs(float(energies[kernels.TOTAL])))
         return TiledPath(
-            np.ascontiguousarray(points[keep]),
+            without_repeats(points),
             float(energies[kernels.TOTAL]),
             float(energies[kernels.TOTAL]) - rounding,
             self._expanded,

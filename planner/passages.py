@@ -1,0 +1,199 @@
+"""The cheapest path through passages that are too narrow for moves between cell centres.
+
+A move touches up to ten cells, and is closed where one of them is blocked or too steep in its heading. A shorter piece
+of the same heading touches fewer. So around closed moves, the cells that a nearly best path may use are searched once
+more, among points half a cell apart, each piece priced by the one integrator. Elsewhere the moves between centres stay.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from joulemap.planner.edges import Points, price_arrays
+from joulemap.planner.kernels import heading_memory, leg_energy_with
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+
+AROUND = 2
+"""How far beside the cells of nearly best grid paths, and beside closed moves, the points lie [cells]: on a real
+hillside no cheapest path between points a quarter of a cell apart was further away."""
+
+
+def path_through_passages(
+    lattice: CostLattice,
+    table: MoveTable,
+    usual: NDArray[np.int64],
+    seeds: tuple[NDArray[np.int64], NDArray[np.float64]],
+    targets: tuple[NDArray[np.int64], NDArray[np.float64]],
+) -> Points | None:
+    """Return the cheapest path among cell centres and the points half-way between them near closed moves.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    table : MoveTable
+        Priced moves of the lattice.
+    usual : ndarray of int64, (n,)
+        Flat indices of the cells of nearly best grid paths.
+    seeds, targets : tuple of (ndarray of int64, (S,), ndarray of float64, (S,))
+        Flat cells that are joined to the start and to the goal, and the energy of joining each [J].
+
+    Returns
+    -------
+    ndarray of float, (k, 2), or None
+        (row, col) of the path from a seed to a target; None where no move is closed near those cells, or there is no
+        path.
+
+    Notes
+    -----
+    Points that are settled stay settled, so with negative prices the path may not be the cheapest.
+    """
+    rows, cols = lattice.frame.shape
+    near = _around(usual, lattice.frame.shape)
+    closed = _closed(table.energy, table.offsets, near)
+    if not closed.size:
+        return None
+    cells = np.flatnonzero(near)
+    fine = _around(closed, lattice.frame.shape).ravel()[cells]
+    slot = np.full(rows * cols, -1, dtype=np.int64)
+    slot[cells] = np.arange(cells.size)
+    begins, ends = slot[seeds[0]], slot[targets[0]]
+    least = max(float(table.bound_per_m[0]), 0.0) if table.never_pays else -math.inf
+    place = _cheapest(
+        *price_arrays(lattice), table.energy, table.offsets, slot.reshape(rows, cols), cells, fine,
+        begins[begins >= 0], seeds[1][begins >= 0], ends[ends >= 0], targets[1][ends >= 0],
+        least * lattice.frame.resolution_m,
+    )  # fmt: skip
+    return 0.5 * place if len(place) else None
+
+
+def _around(cells: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    out = np.zeros(shape, dtype=np.bool_)
+    mark_around(out, cells, shape[1], AROUND)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def mark_around(taken, way, cols, apart):
+    """Mark the squares around the cells of a path.
+
+    Parameters
+    ----------
+    taken : ndarray of bool, (rows, cols)
+        Is set there.
+    way : ndarray of int64, (n,)
+        Flat cell indices, row * cols + col.
+    cols : int
+        Columns of the map.
+    apart : int
+        Half the side of a square [cells].
+    """
+    rows = taken.shape[0]
+    for cell in way:
+        i, j = cell // cols, cell % cols
+        taken[max(i - apart, 0) : min(i + apart + 1, rows), max(j - apart, 0) : min(j + apart + 1, cols)] = True
+
+
+@njit(cache=True, nogil=True)
+def _closed(energy, offsets, near):
+    """Flat indices of the cells near the path of which a move is closed that does not leave the map."""
+    rows, cols = near.shape
+    out = np.empty(near.sum(), dtype=np.int64)
+    count = 0
+    for i in range(rows):
+        for j in range(cols):
+            if not near[i, j]:
+                continue
+            for n in range(offsets.shape[0]):
+                r, c = i + offsets[n, 0], j + offsets[n, 1]
+                if 0 <= r < rows and 0 <= c < cols and math.isnan(energy[i, j, n]):
+                    out[count] = i * cols + j
+                    count += 1
+                    break
+    return out[:count]
+
+
+@njit(cache=True, nogil=True)
+def _cheapest(
+    traction, gradient, blocked, terms, energy, offsets, slot, cells, fine, begins, cost, ends, rest, least_per_cell
+):
+    """The cheapest path as (k, 2) twice the (row, col), k = 0 where there is none. Turns are not counted.
+
+    A point has the number 4 slot + 2 (half a cell down) + (half a cell right). slot : (rows, cols) number of each cell
+    in `cells`, -1 where it takes no part; fine : (S,) whether its points between centres take part; least_per_cell :
+    what a way of one cell costs at least [J].
+    """
+    rows, cols = slot.shape
+    label = np.full(4 * cells.size, np.inf)
+    came = np.full(4 * cells.size, -1, dtype=np.int64)
+    settled = np.zeros(4 * cells.size, dtype=np.bool_)
+    joined = np.full(cells.size, np.inf)  # energy from a target to the goal
+    for k in range(ends.size):
+        joined[ends[k]] = min(joined[ends[k]], rest[k])
+    memory = heading_memory(traction.shape[2])
+    heap = [(np.inf, np.int64(-1))]
+    for k in range(begins.size):
+        if cost[k] < label[4 * begins[k]]:
+            label[4 * begins[k]] = cost[k]
+            heapq.heappush(heap, (cost[k], 4 * begins[k]))
+    total, last = np.inf, np.int64(-1)
+    while True:
+        so_far, point = heapq.heappop(heap)
+        if not so_far < total:
+            break
+        if settled[point]:
+            continue
+        settled[point] = True
+        here, part = point >> 2, point & 3
+        row, col = cells[here] // cols, cells[here] % cols
+        if part == 0 and so_far + joined[here] < total:
+            total, last = so_far + joined[here], point
+        down, right = 2 * row + (part >> 1), 2 * col + (part & 1)
+        for n in range(offsets.shape[0]):
+            if part == 0:  # a move between centres
+                r, c = row + offsets[n, 0], col + offsets[n, 1]
+                if 0 <= r < rows and 0 <= c < cols and slot[r, c] >= 0:
+                    other = 4 * slot[r, c]
+                    reached = so_far + energy[row, col, n]
+                    if reached < label[other] and not settled[other]:
+                        label[other], came[other] = reached, point
+                        heapq.heappush(heap, (reached, other))
+            if not fine[here]:
+                continue
+            a, b = down + offsets[n, 0], right + offsets[n, 1]
+            if not (0 <= a < 2 * rows - 1 and 0 <= b < 2 * cols - 1):
+                continue
+            beside = slot[a >> 1, b >> 1]
+            if beside < 0:
+                continue
+            other = 4 * beside + 2 * (a & 1) + (b & 1)
+            if settled[other] or not (fine[beside] or other & 3 == 0):
+                continue
+            most = label[other] - so_far
+            if 0.5 * math.hypot(offsets[n, 0], offsets[n, 1]) * least_per_cell >= most:
+                continue
+            limit = most if least_per_cell >= 0.0 else np.inf
+            price = leg_energy_with(
+                memory, traction, gradient, blocked, terms, 0.5 * down, 0.5 * right, 0.5 * a, 0.5 * b, limit
+            )
+            if price < most:
+                label[other], came[other] = so_far + price, point
+                heapq.heappush(heap, (so_far + price, other))
+    count = 0
+    at = last
+    while at >= 0:
+        count += 1
+        at = came[at]
+    place = np.empty((count, 2))
+    at = last
+    for k in range(count - 1, -1, -1):
+        cell = cells[at >> 2]
+        place[k, 0], place[k, 1] = 2 * (cell // cols) + ((at & 3) >> 1), 2 * (cell % cols) + (at & 1)
+        at = came[at]
+    return place
