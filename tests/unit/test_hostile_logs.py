@@ -112,6 +112,15 @@ def test_what_is_huge_inside_endless_or_defined_by_itself_is_refused_soon(make, 
     assert capfd.readouterr() == ("", "")
 
 
+def test_messages_without_a_length_do_not_hold_the_reader_up(tmp_path):
+    content = files.write_dataflash(tmp_path / "a.bin", files.drive(5.0)).read_bytes()
+    at = content.index(b"\xa3\x95\x80\x02") + 4  # the length in the format of BAT
+    with pytest.raises(
+        RunsError, match=r"ArduPilot log is truncated or corrupt at byte [\d,]+ of [\d,]+: ends too early"
+    ):
+        parse_run(content[:at] + b"\0" + content[at + 1 :], name="run", crs=files.CRS)
+
+
 def test_more_messages_than_the_limit_are_too_many(tmp_path):
     path = files.write_tlog(tmp_path / "a.tlog", files.drive(20.0))
     with pytest.raises(TooLargeError, match=r"more than 50 messages of .* split it"):

@@ -11,6 +11,7 @@ from typing import Any
 from joulemap.model.errors import RunsError
 from joulemap.model.recordings.places import on_disk
 from joulemap.model.runs.formats.contract import Log, mentioned
+from joulemap.model.runs.formats.finite import FiniteMap
 from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
@@ -78,13 +79,16 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         """Lists the messages in Python: the compiled way writes a line to the terminal for each bad byte."""
 
         def init_arrays_fast(self, progress_callback: Any = None) -> None:
+            self.data_map = FiniteMap(self.data_map)
+            seen.append(self.data_map)
             self.init_arrays(progress_callback)
 
     collector = Collector(source.name, limits)
     log = None
+    seen: list[FiniteMap] = []
 
     def _place() -> str:
-        return f"at byte {log.offset:,} of {log.data_len:,}" if log is not None else "in its list of messages"
+        return f"at byte {seen[0].at:,} of {source.size_bytes:,}" if seen else "at its begin"
 
     with on_disk(source) as path, reading("ArduPilot log", source.name, _place):
         try:

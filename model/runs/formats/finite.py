@@ -1,10 +1,11 @@
-"""A file for libraries that do not notice its end: reading beyond it again and again is an error."""
+"""Files for libraries that do not notice their end, or that they do not come further: what has no end is an error."""
 
 from __future__ import annotations
 
 from typing import Any, BinaryIO
 
 _MOST_ENDS = 100
+_LOOKS_PER_BYTE, _LOOKS = 5, 10_000
 
 
 class FiniteStream:
@@ -71,3 +72,33 @@ class FiniteStream:
         self._ended += ended
         if self._ended > _MOST_ENDS:
             raise EOFError("its end was reached again and again")
+
+
+class FiniteMap:
+    """Bytes that a library cannot look at for ever, as a message of length zero would have it.
+
+    Parameters
+    ----------
+    data : mmap
+        The file.
+
+    Attributes
+    ----------
+    at : int
+        Where it was looked at last [bytes].
+    """
+
+    def __init__(self, data: Any) -> None:
+        self._data = data
+        self._left = _LOOKS_PER_BYTE * len(data) + _LOOKS
+        self.at = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._data, name)
+
+    def __getitem__(self, part: Any) -> Any:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError("a message has no length, so that reading comes no further")
+        self.at = part.start if isinstance(part, slice) else part
+        return self._data[part]
