@@ -55,7 +55,7 @@ class Jobs:
         self._store, self._settings, self._on_done = store, settings, on_done
         self._at_work = settings.scheduler is not None or settings.workers > 0
         self._failures: dict[str, int] = {}
-        self._wake, self._stop = asyncio.Event(), asyncio.Event()
+        self._wake, self._stopping = asyncio.Event(), False
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
         self.trouble: str | None = "the workers are starting" if self._at_work else None
@@ -69,19 +69,17 @@ class Jobs:
     def stop(self) -> None:
         """Stop the cluster of this process; what is not finished waits for the next start, or for another service."""
         if self._thread is not None:
-            self._call(self._stop)
+            self._stopping = True
+            self.submit()
             self._thread.join(_STOP_S)
 
     def submit(self) -> None:
         """Look for a new job now, not at the next regular time."""
-        self._call(self._wake)
-
-    def _call(self, event: asyncio.Event) -> None:
         if self._loop is None:
-            event.set()
+            self._wake.set()
         else:
             with suppress(RuntimeError):  # it has ended
-                self._loop.call_soon_threadsafe(event.set)
+                self._loop.call_soon_threadsafe(self._wake.set)
 
     def check_room(self, kind: str = COSTMAP) -> None:
         """Check that one more job may be added.
@@ -111,7 +109,7 @@ class Jobs:
         from joulemap.service.work.warm import Warm
 
         self._loop, settings = asyncio.get_running_loop(), self._settings
-        while not self._stop.is_set():
+        while not self._stopping:
             try:
                 async with connected(settings.scheduler, workers=settings.workers) as client:
                     nice = 0 if settings.scheduler else NICE
@@ -134,8 +132,7 @@ class Jobs:
         claims = self._store.claims()
         slots = asyncio.Semaphore(self._settings.calibrations_at_once)
         try:
-            while not self._stop.is_set():
-                self._wake.clear()
+            while not self._stopping:
                 if client.status != "running":
                     raise ConnectionError("the connection is lost")
                 try:
@@ -158,13 +155,10 @@ class Jobs:
 
     async def _pause(self) -> None:
         """Until there may be something to do."""
-        for event in (self._wake, self._stop):
-            if event.is_set():
-                return
-        waiting = [asyncio.create_task(event.wait()) for event in (self._wake, self._stop)]
-        await asyncio.wait(waiting, timeout=_LOOK_S, return_when=asyncio.FIRST_COMPLETED)
-        for task in waiting:
-            task.cancel()
+        if not self._stopping:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._wake.wait(), _LOOK_S)
+        self._wake.clear()
 
     async def _make(self, client: Client, job_id: str, priority: float, slots: asyncio.Semaphore) -> None:
         """Make one job, and note how it ended; what may end otherwise later is left for the next look."""

@@ -116,7 +116,8 @@ def main() -> int:
     parser.add_argument("--requests", type=int, default=20_000, help="at least so many; the run is repeated until then")
     parser.add_argument("--examples", type=int, default=100, help="most generated requests of an operation in one run")
     parser.add_argument("--paths", nargs="*", default=[], metavar="REGEX", help="these paths only")
-    parser.add_argument("--workers", type=int, default=2, help="requests at a time")
+    # more than one thread in CPython 3.11's parser at a time ends some of Schemathesis' own work
+    parser.add_argument("--workers", type=int, default=1, help="requests at a time")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path, help="where data, log and reports stay")
     options = parser.parse_args()

@@ -138,7 +138,7 @@ def test_a_calibration(client: jm.Client, tmp_path: Path) -> None:
         client.delete(thing)
 
 
-@pytest.mark.parametrize("cls", tree_of(errors.JoulemapError))
+@pytest.mark.parametrize("cls", list(tree_of(errors.JoulemapError)))
 def test_every_error_comes_back_as_itself(cls: type[errors.JoulemapError]) -> None:
     if cls.__module__ != "joulemap.model.errors":
         pytest.skip("an error inside joulemap")
