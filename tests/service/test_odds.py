@@ -204,6 +204,10 @@ def test_python_and_the_command_line_say_the_same(known: CostMap, tmp_path: Path
     assert judged.exit_code == 0, judged.output
     strong = known.feasibility(route, battery=jm.Battery(280.0, resistance_ohm=2.0, cutoff_v=27.0)).verdict
     assert json.loads(judged.stdout)["least_voltage_v"] == pytest.approx(strong.least_voltage_v)
+    stops = [home, ",".join(map(str, GOAL))]
+    tour = CliRunner().invoke(app, ["tour", str(folder), "--stop", *stops, "--battery", str(pack), "--json", "-"])
+    assert tour.exit_code == 0, tour.output
+    assert 27.0 < json.loads(tour.stdout)["battery"]["least_voltage_v"] < 33.5
     pack.write_text("charge = 0.5\n")
     refused = CliRunner().invoke(app, asked)
     assert refused.exit_code == 3
