@@ -148,7 +148,7 @@ def homeward(
     row, col = lattice.frame.cell_of(*position, name="position")
     xy = np.array([position]) if path is None else np.vstack([position, np.asarray(path, dtype=np.float64)[:, :2]])
     apart = np.append(True, np.abs(np.diff(xy, axis=0)).max(axis=1) > 1e-9)
-    points = world_points(lattice, xy[apart])
+    points = world_points(lattice, xy)[apart]
     cut = pieces_of(lattice, points)
     if np.isnan(cut.energy_j).any():
         price_route(lattice, xy[apart])  # says which leg it is, or which point is outside

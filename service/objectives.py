@@ -215,6 +215,11 @@ def best_routes(
     assert odds is not None
     assert means[0].spread is not None
     spread = Spread.from_dict(means[0].spread)
+    if not odds.mean_j.size:  # from a place to itself
+        if objective.name == QUANTILE:
+            return means, Weighed(objective.name, objective.quantile, 0.0, 0.0, gap=0.0)
+        sure = float(battery is not None and battery.available_j >= 0.0)
+        return means, Weighed(objective.name, probability=sure, mean_probability=sure, gap=0.0)
     aim = _aim(objective, odds, spread, battery)
     weighing = Weighing(planner, spread.correlation_m)
     ends = [world_points(planner.lattice, route.points[[0, -1]]) for route in means]

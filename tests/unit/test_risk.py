@@ -182,3 +182,13 @@ def test_what_cannot_be_weighed_is_refused() -> None:
         Objective("fastest")
     with pytest.raises(InputError, match="share of drives"):
         Objective("quantile", math.nan)
+
+
+def test_from_a_place_to_itself_takes_nothing() -> None:
+    planner = RoutePlanner(known(plane_lattice(9, 9, robot=Robot()), np.ones((9, 9))))
+    here = (4.5, 4.5)
+    assert plan_by(planner, here, here, Objective("quantile")).details["objective"]["quantile_j"] == 0.0
+    for charge, likely in ((0.5, 1.0), (0.1, 0.0)):
+        battery = Battery(280.0, charge=charge, reserve=0.2)
+        said = plan_by(planner, here, here, Objective("arrival"), battery=battery).details["objective"]
+        assert said["probability"] == likely
