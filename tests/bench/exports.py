@@ -2,9 +2,9 @@
 
 python -m tests.bench.exports --maps 20 --seed 0
 
-"Read as free" is what joulemap itself says of the file, as `joulemap feasibility --path FILE` does: corners that rounding
-put onto blocked ground are moved by 1 cm at most. "As written" counts the paths for which no corner has to be moved; a
-passage of a single cell is as narrow as a line, which no rounded position meets.
+"Read as free" is what joulemap itself says of the file, as `joulemap feasibility --path FILE` does: corners that
+rounding put onto blocked ground are moved by 1 cm at most. "As written" counts the paths for which no corner has to be
+moved; a passage of a single cell is as narrow as a line, which no rounded position meets.
 """
 
 from __future__ import annotations

@@ -79,8 +79,8 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         """Lists the messages in Python: the compiled way writes a line to the terminal for each bad byte."""
 
         def init_arrays_fast(self, progress_callback: Any = None) -> None:
-            self.data_map = FiniteMap(self.data_map)
-            seen.append(self.data_map)
+            seen.append(FiniteMap(vars(self)["data_map"]))
+            self.data_map = seen[0]
             self.init_arrays(progress_callback)
 
     collector = Collector(source.name, limits)
