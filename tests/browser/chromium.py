@@ -34,7 +34,7 @@ class Opened:
     def __init__(self, browser: Any, address: str, *, hash: str = "", **options: Any) -> None:
         self.context = browser.new_context(viewport=options.pop("viewport", WIDE), **options)
         self.page = self.context.new_page()
-        self.page.set_default_timeout(30_000)
+        self.page.set_default_timeout(60_000)
         self.asked: list[str] = []
         self.wrong: list[str] = []
         self.page.on("request", lambda request: self.asked.append(request.url))

@@ -22,12 +22,15 @@ def main() -> None:
         while httpx.get(f"{url}/readyz").status_code != 200:
             time.sleep(0.2)
         with opened(browser, url) as tab:
+            tab.page.set_default_timeout(200_000)  # on a busy machine too
             tab.page.click("#sample")
             tab.drawn()
             tab.page.wait_for_function("() => location.hash.includes('to=')")
             link = tab.page.evaluate("location.hash").split("&at=")[0].replace("battery=1", "battery=0.5")
         for name, options in (("page", {}), ("page-phone", {"viewport": PHONE, "color_scheme": "dark"})):
             with opened(browser, url, hash=f"{link}&back=1", **options) as tab:
+                tab.page.set_default_timeout(200_000)
+                tab.page.wait_for_function("() => joulemap.now.answer?.back")
                 tab.drawn()
                 tab.page.wait_for_timeout(2500)
                 picture = Image.open(io.BytesIO(tab.page.screenshot())).convert("RGB")

@@ -95,6 +95,8 @@ def record(client: TestClient) -> dict[str, Any]:
     ask("get_calibration", "GET", f"/v1/calibrations/{calibration}")
     ask("get_segments", "GET", f"/v1/calibrations/{calibration}/segments")
     ask("get_next_drive", "GET", f"/v1/calibrations/{calibration}/next-drive")
+    for kind in ("qgc-plan", "ros-path", "geojson"):
+        ask("get_next_drive", "GET", f"/v1/calibrations/{calibration}/next-drive", query={"format": kind})
     here = f"/v1/costmaps/{costmap}"
     ask("get_costmap", "GET", here)
     ask("get_provenance", "GET", f"{here}/provenance")
