@@ -23,7 +23,7 @@ LONGEST = (
     "browser/test_page.py",
     "property/test_tiled_search.py",
 )
-"""Files that take long, the longest first: one that begins last is waited for while the other processes have nothing."""
+"""Files that take long, the longest first: what begins last is waited for by processes that have nothing to do."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
