@@ -173,17 +173,6 @@ def test_files(browser: Any, address: str, calibrated_on: str) -> None:
         assert saved("Zarr").startswith(b"PK")
 
 
-def test_three_dimensions(browser: Any, address: str, calibrated_on: str) -> None:
-    with opened(browser, address, hash=calibrated_on) as tab:
-        tab.drawn()
-        assert not any("plotly.min.js" in url for url in tab.asked)
-        tab.page.click("#view-3d")
-        frame = tab.page.frame_locator("iframe")
-        frame.locator("#view[data-drawn]").wait_for()
-        shot(tab, "3d")
-        tab.page.click("dialog button")
-
-
 def test_a_slow_cost_map_shows_its_progress_and_is_cancelled(browser: Any, address: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rough = Heightmap(rng.random((600, 600)).astype(np.float32) * 0.05, GridFrame(0.0, 150.0, 0.25, 600, 600))

@@ -154,6 +154,7 @@ def test_accessible(browser: Any, address: str, sample: str, viewport: dict[str,
             tab.page.click(f"#tab-{step}")
             tab.page.evaluate("document.querySelectorAll('#panel details').forEach(one => { one.open = true; })")
             assert not inaccessible(tab.page), step
+        assert not any("plotly.min.js" in url for url in tab.asked)  # several megabytes, only when somebody wants them
         tab.page.click("#view-3d")
         tab.page.frame_locator("iframe").locator("#view[data-drawn]").wait_for()
         assert not inaccessible(tab.page)
