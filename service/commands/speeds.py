@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, parse_point
@@ -48,6 +47,8 @@ def speeds(
 
     `joulemap speeds dem.zarr dem.tif --path survey.geojson --model calibrated/ --json -`
     """
+    import numpy as np
+
     from joulemap.model.terrain.readers import open_ground
     from joulemap.service.commands.path_files import read_path
     from joulemap.service.exports.clearance import price_given_path

@@ -52,7 +52,9 @@ class RunOut(ResponseModel):
         description="by column that the log has under another name, in another unit or in messages: what was taken",
         examples=[{"current": "batt_current_mA [mA]"}],
     )
-    warnings: list[str] = Field(default=[], description="what is implausible and was accepted, and where a log was cut off")
+    warnings: list[str] = Field(
+        default=[], description="what is implausible and was accepted, and where a log was cut off"
+    )
     metres: float | None = Field(default=None, description="length of all segments [m]", examples=[142.6])
     per_m: float | None = Field(
         default=None, description="median of the energy [J/m] or charge [A s/m] of a metre", examples=[124.6]

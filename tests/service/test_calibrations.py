@@ -333,7 +333,12 @@ def test_bad_questions(service: TestClient, ground_id: str, runs_id: str) -> Non
         ({"model": "../physics"}, 422, "invalid_model", "known are physics"),
         ({"robot": {"mass_kg": -1.0}}, 422, "invalid_request", "mass_kg"),
         ({"start": [1.0, 2.0]}, 422, "invalid_request", "goal"),
-        ({"start": [1.0, 2.0], "goal": [3.0, 4.0]}, 422, "invalid_point", "start (1, 2) lies outside the map, also as lat"),
+        (
+            {"start": [1.0, 2.0], "goal": [3.0, 4.0]},
+            422,
+            "invalid_point",
+            "start (1, 2) lies outside the map, also as lat",
+        ),
         ({"start": {"lat": 1.0, "lon": 2.0}, "goal": [3.0, 4.0]}, 422, "invalid_point", "start"),
         ({"speed": 1.0}, 422, "invalid_request", "speed"),
         ({"campaigns": True}, 422, "invalid_input", "all 4 runs belong to the campaign 'run'"),

@@ -114,7 +114,9 @@ def test_fields_over_http(client, costmap_id):
     assert client.get(place).status_code == 422
     assert client.get(place, params={"start_x": 1.0}).status_code == 422
     assert told["warnings"] == []
-    (lon,), (lat,) = Transformer.from_crs("EPSG:32630", "EPSG:4326", always_xy=True).transform([HTTP_START[0]], [HTTP_START[1]])
+    (lon,), (lat,) = Transformer.from_crs("EPSG:32630", "EPSG:4326", always_xy=True).transform(
+        [HTTP_START[0]], [HTTP_START[1]]
+    )
     here = client.get(place, params={"start_x": lat, "start_y": lon}).json()
     assert here["reached"] > 0
     assert "was read as latitude,longitude" in here["warnings"][0]
