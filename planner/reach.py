@@ -24,6 +24,7 @@ from joulemap.planner.headings import SEED, state_before
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.places import free_places
+from joulemap.planner.potential import parts_of
 from joulemap.planner.refine import STAGES, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.search import joined_points
@@ -118,7 +119,13 @@ class ReachField:
         unit, out = self.out.table.typical_j, np.ones(self.base_j.shape)
         if available_j <= 0.0:
             return out
-        nearest = np.rint(np.log(np.maximum(self.base_j, 1e-300) / unit) / _STEP)
+        nearest = np.empty(self.base_j.shape, dtype=np.float32)
+        parts = parts_of(*self.lattice.frame.shape)
+
+        def _number(part: slice) -> None:
+            nearest[part] = np.rint(np.log(np.maximum(self.base_j[part], 1e-300) / unit) / _STEP)
+
+        share_out(_number, parts)
         border = math.log(available_j / unit) / _STEP
         known: dict[int, NDArray[np.float64]] = {}
         low = high = max(round(border), _FIRST)
@@ -131,11 +138,15 @@ class ReachField:
                 break
             low, high = min(low, first), max(high, last)
         rings = sorted(k for k, ratio in known.items() if ratio.size)
-        for k in rings:
-            inside = (nearest >= k if k > rings[0] else True) & (
-                nearest <= k if k < rings[-1] else np.isfinite(nearest)
-            )
-            _interpolate(self._rings[k].cells, known[k], np.broadcast_to(inside, out.shape), out)
+
+        def _fill(part: slice) -> None:
+            for k in rings:
+                low = k if k > rings[0] else -np.inf
+                high = k if k < rings[-1] else np.finfo(np.float32).max
+                inside = (nearest[part] >= low) & (nearest[part] <= high)
+                _interpolate(self._rings[k].cells, known[k], inside, part.start, out[part])
+
+        share_out(_fill, parts)
         return out
 
     def _needs(self, k: int, need: Need) -> NDArray[np.float64]:
@@ -270,8 +281,9 @@ def _between(cells: NDArray[np.int64], taken: list[int], values: NDArray[np.floa
 
 
 @njit(cache=True, nogil=True)
-def _interpolate(cells, values, where, out):
-    """Fill out (rows, cols) by values at cells, weighted by the inverse fourth power of the distance (Shepard 1968)."""
+def _interpolate(cells, values, where, first, out):
+    """Fill rows `first` and after by values at cells, weighted by the inverse fourth power of the distance (Shepard
+    1968)."""
     rows, cols = out.shape
     for i in range(rows):
         for j in range(cols):
@@ -279,7 +291,7 @@ def _interpolate(cells, values, where, out):
                 continue
             total, weight = 0.0, 0.0
             for k in range(values.size):
-                square = (cells[k, 0] - i) ** 2 + (cells[k, 1] - j) ** 2 + 1.0
+                square = (cells[k, 0] - first - i) ** 2 + (cells[k, 1] - j) ** 2 + 1.0
                 share = 1.0 / (square * square)
                 total += share * values[k]
                 weight += share
