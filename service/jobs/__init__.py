@@ -1,1 +1,1 @@
-"""Jobs that take a while: their steps in the database, the workers, and what a step of each kind does."""
+"""Jobs that take a while: how each kind is sent off to the engine, and what becomes of it."""
