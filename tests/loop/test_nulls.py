@@ -43,6 +43,7 @@ def test_a_large_effect_is_named_first(kind):
     assert row["after"] <= 1.2 * row["clean"]
 
 
+@pytest.mark.slow
 def test_a_heater_under_another_name_is_named():
     """A change of the idle power is near it, and may be named before it."""
     row = try_blind(f"heater:0:{SEED + 1}")

@@ -39,7 +39,7 @@ def searched(lattice, folder, start, goal, *, neighbours=16):
     return TiledSearch(stored, moves, level, tile_cells=8, memory_bytes=2_000_000).run(start, goal)
 
 
-@settings(max_examples=120, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     seed=st.integers(0, 10**6),
     neighbours=st.sampled_from([8, 16, 32]),

@@ -318,6 +318,7 @@ BODIES = {
     "/feasibility": {"start": START, "goal": GOAL},
     "/reach": {"start": START},
     "/return": {"position": START, "home": GOAL},
+    "/speeds": {"start": START, "goal": GOAL},
 }
 
 

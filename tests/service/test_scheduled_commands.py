@@ -37,6 +37,7 @@ def field(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
 MEASURED = ("--heightmap", "dem.tif", "--robot", "robot.toml", "--runs", "run*.csv", "--epochs", "1")
 
 
+@pytest.mark.slow
 def test_a_model_is_trained_and_taught_on_a_worker(field: tuple[Path, list[Path]]) -> None:
     folder, runs = field
     there(folder, "train", *MEASURED, "--arch", "resnet18", "--patch-size", "32", "--out", "teacher")
