@@ -158,7 +158,7 @@ class BusyError(JoulemapError):
 
 
 def error_of(code: str, message: str, context: dict[str, Any]) -> JoulemapError:
-    """Return an error that another process told of.
+    """Return an error that another process reported.
 
     Parameters
     ----------

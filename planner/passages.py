@@ -2,7 +2,8 @@
 
 A move touches up to ten cells, and is closed where one of them is blocked or too steep in its heading. A shorter piece
 of the same heading touches fewer. So around closed moves, the cells that a nearly best path may use are searched once
-more, among points half a cell apart, each piece priced by the one integrator. Elsewhere the moves between centres stay.
+more, among points at half the spacing, each piece priced by the one integrator. Elsewhere the moves between centres
+stay.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from joulemap.planner.moves import MoveTable
 
 AROUND = 2
 """How far beside the cells of nearly best grid paths, and beside closed moves, the points lie [cells]: on a real
-hillside no cheapest path between points a quarter of a cell apart was further away."""
+hillside no cheapest path between points at a quarter of the spacing was further away."""
 
 
 def path_through_passages(
@@ -80,7 +81,7 @@ def _around(cells: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.bool
 
 
 @njit(cache=True, nogil=True)
-def mark_around(taken, way, cols, apart):
+def mark_around(taken, way, cols, half_side):
     """Mark the squares around the cells of a path.
 
     Parameters
@@ -91,13 +92,15 @@ def mark_around(taken, way, cols, apart):
         Flat cell indices, row * cols + col.
     cols : int
         Columns of the map.
-    apart : int
+    half_side : int
         Half the side of a square [cells].
     """
     rows = taken.shape[0]
     for cell in way:
         i, j = cell // cols, cell % cols
-        taken[max(i - apart, 0) : min(i + apart + 1, rows), max(j - apart, 0) : min(j + apart + 1, cols)] = True
+        taken[
+            max(i - half_side, 0) : min(i + half_side + 1, rows), max(j - half_side, 0) : min(j + half_side + 1, cols)
+        ] = True
 
 
 @njit(cache=True, nogil=True)
