@@ -49,6 +49,7 @@ class Predictor(TractionSource, Protocol):
         ndarray of float32, (rows, cols, K)
             Traction demand [J/m]; NaN where the map is unknown.
         """
+        return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
 
     def segment_traction(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
@@ -71,6 +72,7 @@ class Predictor(TractionSource, Protocol):
         ndarray of float64, (n,)
             Traction demand [J/m]; NaN where the map is unknown.
         """
+        return self.segment_traction_and_std(heightmap, robot, x, y, heading_rad)[0]
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

@@ -16,7 +16,7 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.prediction import predict_segments
+from joulemap.model.loop.prediction import Prediction, predict_segments
 from joulemap.model.loop.terms import Term, prepared, total_energy
 from joulemap.model.loop.words import quantity_name, quantity_value
 from joulemap.model.robot import Robot
@@ -61,7 +61,7 @@ class Correction:
     evidence : sequence of mapping
         The report's effects, JSON-able.
     spread : Spread, optional
-        Error of the calibrated model on left-out runs. Its factor is that on `assumed_std`.
+        Error of the calibrated model on left-out runs. Its factor is that on `std_of_segments`.
     """
 
     terms: tuple[Term, ...]
@@ -151,22 +151,29 @@ class Correction:
         return out
 
 
-def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
-    """Return the standard deviation of 1 m segments before a calibration.
+def std_of_segments(said: Prediction, robot: Robot, segments: Segments) -> FloatArray:
+    """Return the standard deviation of measured segments before a calibration.
 
     Parameters
     ----------
-    std_j : ndarray of float, optional
-        As the base model gives it [J]; without it a usual share of the price is taken.
-    traction_per_m : ndarray of float
-        Of the base model [J/m].
+    said : Prediction
+        Of the base model.
     robot : Robot
         As declared.
+    segments : Segments
+        Measured.
 
     Returns
     -------
-    ndarray of float
-        Standard deviation [J], shaped as `traction_per_m`.
+    ndarray of float, (n,)
+        Standard deviation [J]: the model's own, or a usual share of the price.
+    """
+    return _assumed_std(None, said.traction_per_m, robot) * segments.driven_m if said.std_j is None else said.std_j
+
+
+def _assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
+    """Standard deviation of 1 m segments before a calibration [J]; a usual share of the price where the base model
+    gives none.
     """
     if std_j is not None:
         return std_j
@@ -174,7 +181,7 @@ def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot:
     return segment_std(robot.price_per_m(traction_per_m), USUAL_SPREAD, level, factor=1.0).astype(traction_per_m.dtype)
 
 
-class CalibratedPredictor:
+class CalibratedPredictor(Predictor):
     """A base model with a correction, used like any other model.
 
     Parameters
@@ -190,36 +197,27 @@ class CalibratedPredictor:
     """
 
     def __init__(self, base: Predictor, correction: Correction, *, name: str, version: str) -> None:
-        self.base, self.correction, self.name, self.version = base, correction, name, version
-        self.spread = correction.spread or base.spread
+        self.base, self.correction, self.version, self._name = base, correction, version, name
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def spread(self) -> Spread:
+        return self.correction.spread or self.base.spread
 
     def provenance(self) -> dict[str, Any]:
-        """Return what the model is and what it was made of, as a JSON-able mapping."""
-        effects = [t.as_dict() for t in self.correction.terms]
         return {
             "name": self.name,
             "kind": "calibrated",
             "version": self.version,
             "base": self.base.provenance(),
-            "effects": effects,
+            "effects": [t.as_dict() for t in self.correction.terms],
             "spread": self.spread.as_dict(),
         }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Return warnings about the use of the model on a map, for a person.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            To plan on.
-        robot : Robot
-            To plan for.
-
-        Returns
-        -------
-        list of str
-            Those of the base model, effects that plans cannot contain, and what lies outside the runs.
-        """
         found = list(self.base.warnings(heightmap, robot))
         planned = {t.form.name for t in self.correction.planner_terms}
         for term in self.correction.terms:
@@ -272,21 +270,21 @@ class CalibratedPredictor:
         """
         return replace(robot, turn_j_per_rad=max(robot.turn_j_per_rad + self.correction.turn_j_per_rad, 0.0))
 
-    def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
+    def predict_segments(self, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction:
         """Predict measured segments from everything that their log says.
 
         Parameters
         ----------
-        segments : Segments
-            Measured.
         heightmap : Heightmap
             On which they were driven.
         robot : Robot
             That drove.
+        segments : Segments
+            Measured.
 
         Returns
         -------
-        ndarray of float, (n,)
+        Prediction
             Energy [J], or charge [A s] of segments of charge; NaN where the map is unknown. A model of charge gives
             joules as ampere seconds times the nominal voltage.
         """
@@ -297,7 +295,10 @@ class CalibratedPredictor:
         known = np.isfinite(said.energy_j) & np.isfinite(rows.grade)
         beyond = said.energy_j - rows.predicted
         energy = self._energy(replace(rows, drives=self.correction.drives), beyond, self.correction.terms)
-        return np.where(known, volts * energy, np.nan)
+        std = said.std_j
+        if self.correction.spread is not None:
+            std = std_of_segments(said, robot, segments) * self.correction.spread.factor
+        return Prediction(np.where(known, volts * energy, np.nan), std, said.traction_per_m, np.zeros(len(segments)))
 
     def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
@@ -305,124 +306,19 @@ class CalibratedPredictor:
         start = np.zeros(len(rows)) if fixed.charge else rows.predicted + beyond
         return start + total_energy(terms, prepared(rows, fixed.first_base, fixed.ranges))
 
-    def segment_traction(
-        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
-    ) -> FloatArray:
-        """Return the traction of straight 1 m segments at cruising speed, effects included.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            That drives.
-        x, y : array_like
-            Centres [m].
-        heading_rad : array_like
-            Headings [rad].
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Traction [J/m]; NaN where the map is unknown.
-        """
-        xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
-        traction = self.base.segment_traction(heightmap, robot, xs, ys, headings)
-        return self._with_effects(heightmap, robot, xs, ys, headings, traction)
-
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
     ) -> tuple[FloatArray, FloatArray | None]:
-        """Return the traction of straight 1 m segments, and the standard deviation of their energy.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            That drives.
-        x, y : array_like
-            Centres [m].
-        heading_rad : array_like
-            Headings [rad].
-
-        Returns
-        -------
-        tuple of ndarray of float, (n,)
-            As `segment_traction` [J/m]; and the standard deviation [J], None where it is not known.
-        """
         xs, ys, headings = (np.ascontiguousarray(a, float).ravel() for a in np.broadcast_arrays(x, y, heading_rad))
         traction, std = self.base.segment_traction_and_std(heightmap, robot, xs, ys, headings)
-        std = self.std_of(std, traction, robot)
+        std = self._std(std, traction, robot)
         return self._with_effects(heightmap, robot, xs, ys, headings, traction), std
-
-    def std_of(self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any] | None:
-        """Return the standard deviation of 1 m segments after the calibration.
-
-        Parameters
-        ----------
-        std_j : ndarray of float, optional
-            Of the base model [J].
-        traction_per_m : ndarray of float
-            Of the base model [J/m].
-        robot : Robot
-            As declared.
-
-        Returns
-        -------
-        ndarray of float or None
-            Standard deviation [J].
-        """
-        if self.correction.spread is None:
-            return std_j
-        return assumed_std(std_j, traction_per_m, robot) * traction_per_m.dtype.type(self.correction.spread.factor)
-
-    def traction_per_m(
-        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
-    ) -> NDArray[np.float32]:
-        """Return the traction at the cell centres of a grid, effects included.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            That drives.
-        frame : GridFrame
-            The grid.
-        headings_rad : ndarray of float, (headings,)
-            Headings [rad].
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols, headings)
-            Traction [J/m]; NaN where the map is unknown.
-        """
-        return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """Return the traction at the cell centres of a grid, and the standard deviation of a 1 m segment there.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            That drives.
-        frame : GridFrame
-            The grid.
-        headings_rad : ndarray of float, (headings,)
-            Headings [rad].
-
-        Returns
-        -------
-        tuple of ndarray of float32, (rows, cols, headings)
-            As `traction_per_m` [J/m]; and the standard deviation [J], None where it is not known.
-        """
         traction, std = self.base.traction_and_std(heightmap, robot, frame, headings_rad)
-        std = self.std_of(std, traction, robot)
+        std = self._std(std, traction, robot)
         x, y = frame.centres()
         rows = max(1, _CHUNK // (x.size * len(headings_rad)))
         for start in range(0, y.size, rows):
@@ -432,6 +328,12 @@ class CalibratedPredictor:
             flat = self._with_effects(heightmap, robot, xs, ys, headings, part.ravel())
             traction[start : start + rows] = flat.reshape(part.shape)
         return traction, std
+
+    def _std(self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any] | None:
+        """Standard deviation of 1 m segments after the calibration [J]."""
+        if self.correction.spread is None:
+            return std_j
+        return _assumed_std(std_j, traction_per_m, robot) * traction_per_m.dtype.type(self.correction.spread.factor)
 
     def _with_effects(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,49 +16,6 @@ from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
-
-
-@runtime_checkable
-class Corrected(Protocol):
-    """A model that adds effects to a base model, and reads more of a log than a plan could."""
-
-    base: Any
-
-    def segment_energy(self, segments: Segments, heightmap: Heightmap, robot: Robot) -> FloatArray:
-        """Return the energy of measured segments.
-
-        Parameters
-        ----------
-        segments : Segments
-            Measured.
-        heightmap : Heightmap
-            On which they were driven.
-        robot : Robot
-            That drove.
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy [J].
-        """
-
-    def std_of(self, std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any] | None:
-        """Return the standard deviation of 1 m segments after the correction.
-
-        Parameters
-        ----------
-        std_j : ndarray of float, optional
-            Of the base model [J].
-        traction_per_m : ndarray of float
-            Of the base model [J/m].
-        robot : Robot
-            As declared.
-
-        Returns
-        -------
-        ndarray of float or None
-            Standard deviation [J].
-        """
 
 
 @dataclass(frozen=True)
@@ -144,40 +101,28 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
     Prediction
         In the order of the segments.
     """
-    base = predictor.base if isinstance(predictor, Corrected) else predictor
-    traction, std = base.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
-    factor = payload_factor(base, robot, segments)
-    std = predictor.std_of(std, traction, robot) if isinstance(predictor, Corrected) else std
-    std = None if std is None else std * factor * segments.driven_m
-    if isinstance(predictor, Corrected):
-        energy = predictor.segment_energy(segments, heightmap, robot)
-        return Prediction(energy, std, traction, np.zeros(len(segments)))
-    if isinstance(base, Learned):
-        beyond = base.drive_energy_j(robot, segments)
+    if isinstance(predictor, _ReadsLogs):
+        return predictor.predict_segments(heightmap, robot, segments)
+    traction, std = predictor.segment_traction_and_std(heightmap, robot, segments.x, segments.y, segments.heading_rad)
+    factor = _payload_factor(predictor, robot, segments)
+    if isinstance(predictor, Learned):
+        beyond = predictor.drive_energy_j(robot, segments)
     else:
         longer_s = segments.duration_s - segments.driven_m / robot.speed_mps
         beyond = robot.turn_j_per_rad * segments.turned_abs_rad + robot.idle_power_w * longer_s
-    return Prediction(robot.price_per_m(traction * factor) * segments.driven_m + beyond, std, traction, beyond)
+    energy = robot.price_per_m(traction * factor) * segments.driven_m + beyond
+    return Prediction(energy, None if std is None else std * factor * segments.driven_m, traction, beyond)
 
 
-def payload_factor(predictor: Predictor, robot: Robot, segments: Segments) -> NDArray[np.float64]:
-    """Return the weight with the logged payload over the declared weight, as far as the model was trained with
-    payloads.
+@runtime_checkable
+class _ReadsLogs(Protocol):
+    """A calibrated model: its effects read more of a log than a plan could."""
 
-    Parameters
-    ----------
-    predictor : Predictor
-        Any model.
-    robot : Robot
-        As declared.
-    segments : Segments
-        Measured.
+    def predict_segments(self, heightmap: Heightmap, robot: Robot, segments: Segments) -> Prediction: ...
 
-    Returns
-    -------
-    ndarray of float, (n,)
-        1 where no payload was logged.
-    """
+
+def _payload_factor(predictor: Predictor, robot: Robot, segments: Segments) -> FloatArray:
+    """Weight with the logged payload over the declared weight, (n,), as far as the model was trained with payloads."""
     logged = segments.extras.get("payload")
     if logged is None or not isinstance(predictor, Learned):
         return np.ones(len(segments))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import RunsError
-from joulemap.model.loop.calibrated import assumed_std
+from joulemap.model.loop.calibrated import std_of_segments
 from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
@@ -53,9 +53,6 @@ def residuals_on(
     """
     check_runs(segments, heightmap, robot)
     said = predict_segments(predictor, heightmap, robot, segments)
-    std = said.std_j
-    if std is None:
-        std = assumed_std(None, said.traction_per_m, robot) * segments.driven_m
     residuals, index = _residuals(heightmap, robot, segments, said.traction_per_m, said.energy_j, least=least)
     electric = {
         "voltage": segments.voltage_v,
@@ -64,7 +61,7 @@ def residuals_on(
         "energy": segments.energy_j,
     }
     read = {key: _rows(values, index) for key, values in electric.items()}
-    return residuals, read, _rows(std, index)
+    return residuals, read, _rows(std_of_segments(said, robot, segments), index)
 
 
 def _rows(values: FloatArray, index: NDArray[np.int64]) -> FloatArray:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from itertools import product
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.errors import ModelError
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,12 @@ class Form:
         False for a fault of the log, which no plan contains.
     of_map : bool
         Whether it belongs to the map on which it was found, and is not there on another.
+    covariates : tuple of str
+        Quantities that it depends on; nothing is tested where a logged column, `column:NAME`, is missing.
+    options : mapping of str to sequence
+        Values of each setting that are worth a test, in all combinations.
+    tuned : int
+        Number of settings that the choice among its variants fits to the runs.
     """
 
     key: ClassVar[str]
@@ -54,6 +58,9 @@ class Form:
     weather: ClassVar[bool] = False
     on_map: ClassVar[bool] = True
     of_map: ClassVar[bool] = False
+    covariates: ClassVar[tuple[str, ...]] = ()
+    options: ClassVar[Mapping[str, Sequence[Any]]] = {}
+    tuned: ClassVar[int] = 0
 
     @property
     def name(self) -> str:
@@ -66,19 +73,9 @@ class Form:
         return self.label
 
     @property
-    def covariates(self) -> tuple[str, ...]:
-        """Quantities that it depends on."""
-        return ()
-
-    @property
     def parts(self) -> tuple[str, ...]:
         """Names of the main effects that an interaction needs beside it (marginality, Nelder 1977)."""
         return ()
-
-    @property
-    def tuned(self) -> int:
-        """Number of settings that the choice among its variants fits to the runs."""
-        return 0
 
     @property
     def known_before(self) -> bool:
@@ -146,9 +143,10 @@ class Form:
         Yields
         ------
         Form
-            Nothing where a column that it needs was not logged.
+            Every combination of the `options`; nothing where a column that it needs was not logged.
         """
-        yield cls()
+        if all(name.removeprefix("column:") in rows.columns for name in cls.covariates if name.startswith("column:")):
+            yield from (cls(**dict(zip(cls.options, values, strict=True))) for values in product(*cls.options.values()))
 
     def against_baseline(self) -> Form:
         """Return the form as it is tested in new runs against baseline runs, which say what its zero is."""

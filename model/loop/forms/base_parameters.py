@@ -7,82 +7,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
-
-
-def released(rows: Features) -> FloatArray:
-    """Return the energy that descents release beyond the rolling resistance.
-
-    Parameters
-    ----------
-    rows : Features
-        Of n rows.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Energy [J, or A s], from the slopes along each row, so that a metre over the top of a hill counts in part.
-    """
-    return rows.weight_length * rows.along(lambda grades: np.maximum(rows.coasting_tan - grades, 0.0))
-
-
-def kinetic(rows: Features) -> FloatArray:
-    """Return the energy of motion that is gained while speeding up.
-
-    Parameters
-    ----------
-    rows : Features
-        Of n rows.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Energy [J, or A s] of the declared mass; slowing down does not count.
-    """
-    return rows.slowness * rows.robot.mass_kg * rows.gained_m2ps2 / rows.unit_j
-
-
-def slowed(rows: Features) -> FloatArray:
-    """Return the energy of motion that slowing down gives back, with a minus.
-
-    Parameters
-    ----------
-    rows : Features
-        Of n rows.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Energy [J, or A s] of the declared mass: what rolling needs less from the drives.
-    """
-    return rows.slowness * rows.robot.mass_kg * (rows.kinetic_m2ps2 - rows.gained_m2ps2) / rows.unit_j
-
-
-def measured_slope(rows: Features) -> FloatArray:
-    """Return the work against the slope that the robot's own attitude sensor measured.
-
-    Parameters
-    ----------
-    rows : Features
-        Of n rows.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Energy [J, or A s]; 0 without a column `pitch` [deg]. The sensor's tilt, the median of the run, is taken out.
-    """
-    pitch = rows.columns.get("pitch", np.full(len(rows), np.nan)).copy()
-    pitch[rows.standing] = np.nan
-    for run in np.unique(rows.run):
-        mine = rows.run == run
-        if np.isfinite(pitch[mine]).any():
-            pitch[mine] -= np.nanmedian(pitch[mine])
-    return np.nan_to_num(rows.weight_length * rows.pulling * np.tan(np.radians(np.clip(pitch, -60.0, 60.0))))
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)
@@ -170,17 +97,9 @@ def with_base_parameters(rows: Features, base: BaseParameters, coefficients: Flo
     return replace(rows, corrected=energy - rows.base_motion if of_charge else energy)
 
 
-class Part(NamedTuple):
-    """A parameter of the base model.
-
-    Attributes
-    ----------
-    unit : str
-        Of its coefficient.
-    lowest : callable
-        Lower physical limit of its coefficient, from rows.
-    column : callable
-        Energy of rows per unit of the coefficient, (n,) [J, or A s].
+class _Part(NamedTuple):
+    """A parameter: the unit of its coefficient, its lower physical limit, and the energy of rows per unit of it, (n,)
+    [J, or A s].
     """
 
     unit: str
@@ -196,22 +115,45 @@ def _any(rows: Features) -> float:
     return -np.inf
 
 
-PARTS: dict[str, Part] = {
-    "rolling_resistance": Part("", lambda rows: rows.coasting_tan, lambda rows: rows.weight_length * rows.pulling),
-    "energy_of_motion": Part("", lambda rows: -1.0, lambda rows: rows.base_motion),
-    "idle_power_w": Part("W", lambda rows: -rows.robot.idle_power_w, lambda rows: rows.duration_s / rows.unit_j),
-    "descents": Part("", lambda rows: rows.robot.regeneration - 1.0, released),
-    "per_metre": Part("A s/m", _any, lambda rows: rows.work_m),
-    "uphill": Part("1/V", _nothing, lambda rows: rows.work_m * np.maximum(rows.pull_n, 0.0)),
-    "downhill": Part("1/V", _nothing, lambda rows: rows.work_m * np.minimum(rows.pull_n, 0.0)),
-    "standing_current": Part("A", _nothing, lambda rows: rows.duration_s),
-    "driving_power": Part("W", _nothing, lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j),
-    "with_speed": Part("A s/m", _nothing, lambda rows: rows.length_m),
-    "speeding_up": Part("", _nothing, kinetic),
-    "slowing_down": Part("", _nothing, slowed),
-    "measured_slope": Part("", _any, measured_slope),
+def _released(rows: Features) -> FloatArray:
+    """What descents release beyond the rolling resistance; a metre over the top of a hill counts in part."""
+    return rows.weight_length * rows.along(lambda grades: np.maximum(rows.coasting_tan - grades, 0.0))
+
+
+def _of_mass(rows: Features, squares_m2ps2: FloatArray) -> FloatArray:
+    """Energy of motion of the declared mass."""
+    return rows.slowness * rows.robot.mass_kg * squares_m2ps2 / rows.unit_j
+
+
+def _measured_slope(rows: Features) -> FloatArray:
+    """Work against the slope that the robot's own attitude sensor measured; 0 without a column `pitch` [deg]. The
+    sensor's tilt, the median of the run, is taken out.
+    """
+    pitch = rows.columns.get("pitch", np.full(len(rows), np.nan)).copy()
+    pitch[rows.standing] = np.nan
+    for run in np.unique(rows.run):
+        mine = rows.run == run
+        if np.isfinite(pitch[mine]).any():
+            pitch[mine] -= np.nanmedian(pitch[mine])
+    return np.nan_to_num(rows.weight_length * rows.pulling * np.tan(np.radians(np.clip(pitch, -60.0, 60.0))))
+
+
+PARTS: dict[str, _Part] = {
+    "rolling_resistance": _Part("", lambda rows: rows.coasting_tan, lambda rows: rows.weight_length * rows.pulling),
+    "energy_of_motion": _Part("", lambda rows: -1.0, lambda rows: rows.base_motion),
+    "idle_power_w": _Part("W", lambda rows: -rows.robot.idle_power_w, lambda rows: rows.duration_s / rows.unit_j),
+    "descents": _Part("", lambda rows: rows.robot.regeneration - 1.0, _released),
+    "per_metre": _Part("A s/m", _any, lambda rows: rows.work_m),
+    "uphill": _Part("1/V", _nothing, lambda rows: rows.work_m * np.maximum(rows.pull_n, 0.0)),
+    "downhill": _Part("1/V", _nothing, lambda rows: rows.work_m * np.minimum(rows.pull_n, 0.0)),
+    "standing_current": _Part("A", _nothing, lambda rows: rows.duration_s),
+    "driving_power": _Part("W", _nothing, lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j),
+    "with_speed": _Part("A s/m", _nothing, lambda rows: rows.length_m),
+    "speeding_up": _Part("", _nothing, lambda rows: _of_mass(rows, rows.gained_m2ps2)),
+    "slowing_down": _Part("", _nothing, lambda rows: _of_mass(rows, rows.kinetic_m2ps2 - rows.gained_m2ps2)),
+    "measured_slope": _Part("", _any, _measured_slope),
 }
-"""Every parameter by name."""
+"""Every parameter by name. Slowing down is what rolling needs less from the drives."""
 
 SCALE = ("per_metre", "uphill", "downhill", "standing_current")
 """Scale and zero of a charge."""

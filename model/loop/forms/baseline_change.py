@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)
@@ -31,10 +28,7 @@ class Braking(Form):
     meaning = "share of the energy released downhill that the battery supplies on top"
     unit = ""
     reveals = "long descents at constant speed"
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("grade",)
+    covariates = ("grade",)
 
     def column(self, rows: Features) -> FloatArray:
         return rows.weight_length * rows.along(lambda grades: np.maximum(-grades - self.from_grade, 0.0))

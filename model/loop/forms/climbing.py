@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,8 @@ class Climbing(Form):
     label = "climbing"
     meaning = "share of the energy of climbing that is added"
     reveals = "straight climbs of several grades"
+    covariates = ("grade",)
+    options: ClassVar = {"slipping": (False, True)}
 
     @property
     def name(self) -> str:
@@ -44,17 +43,9 @@ class Climbing(Form):
     def title(self) -> str:
         return "wheel slip on climbs" if self.slipping else self.label
 
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("grade",)
-
     def units(self, energy: str) -> tuple[str, ...]:
         return ("1/tan" if self.slipping else "",)
 
     def column(self, rows: Features) -> FloatArray:
         up = rows.along(lambda grades: np.maximum(grades, 0.0))
         return rows.motion_part * up if self.slipping else rows.weight_length * up
-
-    @classmethod
-    def variants(cls, rows: Features) -> Iterator[Form]:
-        yield from (cls(slipping) for slipping in (False, True))

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)
@@ -32,6 +29,7 @@ class CopperLoss(Form):
     label = "losses with the square of the current"
     meaning = "resistance in which energy is lost with the square of the current"
     reveals = "steep climbs and level ground at the same state of charge"
+    options: ClassVar = {"of_motors": (False, True)}
 
     @property
     def name(self) -> str:
@@ -55,7 +53,3 @@ class CopperLoss(Form):
             / rows.robot.nominal_voltage_v
         )
         return amps**2 * rows.duration_s / rows.unit_j
-
-    @classmethod
-    def variants(cls, rows: Features) -> Iterator[Form]:
-        yield from (cls(of_motors) for of_motors in (False, True))

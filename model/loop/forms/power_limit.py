@@ -6,12 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form, steps
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)
@@ -22,11 +17,8 @@ class Roughness(Form):
     meaning = "coefficient of rolling resistance added per metre of roughness"
     unit = "1/m"
     reveals = "the same manoeuvres on smooth and on rough ground"
+    covariates = ("roughness",)
     low = 0.0
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("roughness",)
 
     def column(self, rows: Features) -> FloatArray:
         return rows.weight_length * rows.pulling * rows.roughness_m

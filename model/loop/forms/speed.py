@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import ClassVar
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 
 @dataclass(frozen=True)
@@ -30,17 +25,11 @@ class Speed(Form):
     label = "speed"
     meaning = "energy per metre in proportion to the speed or its square"
     reveals = "the same line at several speeds"
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("speed",)
+    covariates = ("speed",)
+    options: ClassVar = {"power": (1, 2)}
 
     def units(self, energy: str) -> tuple[str, ...]:
         return (f"{energy}/m per " + ("m/s" if self.power == 1 else f"(m/s)^{self.power}"),)
 
     def column(self, rows: Features) -> FloatArray:
         return rows.work_m * rows.pulling * rows.speed_mps**self.power
-
-    @classmethod
-    def variants(cls, rows: Features) -> Iterator[Form]:
-        yield from (cls(power) for power in (1, 2))

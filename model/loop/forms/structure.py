@@ -7,13 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form, steps
-from joulemap.model.runs.features import Features, quantity
-
-FloatArray = NDArray[np.float64]
-
+from joulemap.model.runs.features import Features, FloatArray, quantity
 
 _GEOMETRY = (
     "cross_slope",
@@ -87,7 +83,7 @@ class Curve(Form):
         return self.over in _FORECAST
 
     @property
-    def covariates(self) -> tuple[str, ...]:
+    def covariates(self) -> tuple[str, ...]:  # type: ignore[override]
         return (self.over,)
 
     @property

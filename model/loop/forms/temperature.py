@@ -6,12 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features, quantity
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray, quantity
 
 
 @dataclass(frozen=True)
@@ -34,11 +31,8 @@ class Temperature(Form):
     label = "temperature"
     meaning = "energy or power added per degree above the reference temperature"
     reveals = "the same loop on a cold and on a warm day"
+    covariates = ("column:temperature",)
     weather = True
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("column:temperature",)
 
     def units(self, energy: str) -> tuple[str, ...]:
         return ({"motion": "1/K", "length": f"{energy}/m/K", "time": "W/K" if energy == "J" else "A/K"}[self.of],)

@@ -6,14 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.loop.forms.turning import turn_limits_per_m
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
-
+from joulemap.model.runs.features import Features, FloatArray
 
 _GROUND_COLUMNS = ("terrain", "ground", "surface")
 
@@ -30,7 +26,27 @@ def _classes(rows: Features) -> Iterator[tuple[str, list[str]]]:
 
 
 @dataclass(frozen=True)
-class TerrainClass(Form):
+class _ByClass(Form):
+    """What each class of a logged column of text has of its own; a class that is not listed is the reference."""
+
+    column_name: str
+    classes: tuple[str, ...]
+
+    planned = False
+
+    def coefficient_names(self) -> tuple[str, ...]:
+        return self.classes
+
+    def _amount(self, rows: Features) -> FloatArray:
+        raise NotImplementedError
+
+    def columns(self, rows: Features) -> FloatArray:
+        found = rows.words.get(self.column_name, np.full(len(rows), ""))
+        return np.stack([(found == word) * self._amount(rows) for word in self.classes], axis=1)
+
+
+@dataclass(frozen=True)
+class TerrainClass(_ByClass):
     """Energy added on each class of a logged column of text; a class that is not listed is the reference.
 
     Attributes
@@ -43,15 +59,12 @@ class TerrainClass(Form):
         A share of the energy of motion instead of energy per metre.
     """
 
-    column_name: str
-    classes: tuple[str, ...]
     of_motion: bool = False
 
     key = "terrain_class"
     label = "terrain class"
     meaning = "energy added on each class of ground"
     reveals = "the same manoeuvres on each kind of ground"
-    planned = False
 
     @property
     def name(self) -> str:
@@ -61,16 +74,11 @@ class TerrainClass(Form):
     def title(self) -> str:
         return self.label if self.column_name in _GROUND_COLUMNS else f"class of {self.column_name}"
 
-    def coefficient_names(self) -> tuple[str, ...]:
-        return self.classes
-
     def units(self, energy: str) -> tuple[str, ...]:
         return ("of the motion's energy" if self.of_motion else f"{energy}/m",) * len(self.classes)
 
-    def columns(self, rows: Features) -> FloatArray:
-        found = rows.words.get(self.column_name, np.full(len(rows), ""))
-        amount = rows.motion_part if self.of_motion else rows.work_m * rows.pulling
-        return np.stack([(found == word) * amount for word in self.classes], axis=1)
+    def _amount(self, rows: Features) -> FloatArray:
+        return rows.motion_part if self.of_motion else rows.work_m * rows.pulling
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
@@ -80,7 +88,7 @@ class TerrainClass(Form):
 
 
 @dataclass(frozen=True)
-class TurningByClass(Form):
+class TurningByClass(_ByClass):
     """Turning on each class of a logged column of text, in addition to turning on classes that are not listed.
 
     Attributes
@@ -93,8 +101,6 @@ class TurningByClass(Form):
         As of `Turning`.
     """
 
-    column_name: str
-    classes: tuple[str, ...]
     limit_per_m: float | None = None
 
     key = "turning_by_class"
@@ -102,27 +108,25 @@ class TurningByClass(Form):
     meaning = "energy per radian of heading change, added on each class of ground"
     unit = "{E}/rad"
     reveals = "curves of several radii on each kind of ground"
-    planned = False
+
+    @property
+    def _main(self) -> Form:
+        return TerrainClass(self.column_name, self.classes)
 
     @property
     def name(self) -> str:
-        return "turning x " + TerrainClass(self.column_name, self.classes).name
+        return "turning x " + self._main.name
 
     @property
     def title(self) -> str:
-        return "turning by " + TerrainClass(self.column_name, self.classes).title
+        return "turning by " + self._main.title
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return ("turning", TerrainClass(self.column_name, self.classes).name)
+        return ("turning", self._main.name)
 
-    def coefficient_names(self) -> tuple[str, ...]:
-        return self.classes
-
-    def columns(self, rows: Features) -> FloatArray:
-        found = rows.words.get(self.column_name, np.full(len(rows), ""))
-        turned = rows.slowness * rows.turned_up_to(self.limit_per_m)
-        return np.stack([(found == word) * turned for word in self.classes], axis=1)
+    def _amount(self, rows: Features) -> FloatArray:
+        return rows.slowness * rows.turned_up_to(self.limit_per_m)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:

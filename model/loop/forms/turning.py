@@ -5,14 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import LEAST_M, Features
+from joulemap.model.runs.features import LEAST_M, Features, FloatArray
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -40,14 +35,11 @@ class Turning(Form):
     meaning = "energy per radian of heading change"
     unit = "{E}/rad"
     reveals = "circles of several radii at one place"
+    covariates = ("turning",)
     low = 0.0
 
     @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("turning",)
-
-    @property
-    def tuned(self) -> int:
+    def tuned(self) -> int:  # type: ignore[override]
         return int(self.limit_radps is not None or self.limit_per_m is not None)
 
     def column(self, rows: Features) -> FloatArray:

@@ -6,12 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray
 
 _TIMES_S = (150.0, 600.0, 2400.0)  # of a small motor, of a gearbox, of a tyre or an axle: minutes to an hour
 
@@ -38,16 +35,10 @@ class WarmingUp(Form):
     meaning = "energy per metre that is added at the start of a run"
     unit = "{E}/m"
     reveals = "the same loop again and again from a cold start"
+    covariates = ("since_start",)
     low = 0.0
     planned = False
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("since_start",)
-
-    @property
-    def tuned(self) -> int:
-        return 1
+    tuned = 1
 
     def column(self, rows: Features) -> FloatArray:
         return rows.work_m * rows.pulling * np.exp(-rows.since_s / self.time_s)

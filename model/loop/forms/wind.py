@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import Features, quantity
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import Features, FloatArray, quantity
 
 
 @dataclass(frozen=True)
@@ -35,12 +32,10 @@ class Wind(Form):
     label = "wind"
     meaning = "drag added per unit of relative air speed"
     reveals = "one line there and back in wind"
+    covariates = ("column:wind_speed", "column:wind_from")
+    options: ClassVar = {"law": ("air", "head", "linear")}
     low = 0.0
     weather = True
-
-    @property
-    def covariates(self) -> tuple[str, ...]:
-        return ("column:wind_speed",)
 
     def units(self, energy: str) -> tuple[str, ...]:
         return (f"{energy}/m per " + ("m/s" if self.law == "linear" else "(m/s)^2"),)
@@ -52,8 +47,3 @@ class Wind(Form):
         across2 = np.maximum(speed**2 - towards**2, 0.0) if self.law == "air" else 0.0
         square = ahead * np.sqrt(ahead**2 + across2) - rows.speed_mps**2
         return rows.work_m / rows.unit_j * rows.pulling * (towards if self.law == "linear" else square)
-
-    @classmethod
-    def variants(cls, rows: Features) -> Iterator[Form]:
-        if {"wind_speed", "wind_from"} <= set(rows.columns):
-            yield from (cls(law) for law in ("air", "head", "linear"))
