@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,11 @@ from numpy.typing import NDArray
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
 from joulemap.model.loop.forms.base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
-from joulemap.model.loop.mixed_model import MixedModel, columns_of
+from joulemap.model.loop.mixed_model import IntArray, MixedModel
 from joulemap.model.loop.terms import Term
-from joulemap.model.loop.variation import Variation, fit_variation, starts_of
+from joulemap.model.loop.variation import Variation, fit_variation
+from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.residuals import Residuals
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
 
@@ -70,7 +69,7 @@ class Design:
         Of the base parameters.
     candidates : tuple of Candidate
         All that are tested.
-    first : ndarray of float, (b,), optional
+    level_of : ndarray of float, (b,), optional
         The base parameters before any effect, of whose prediction the levels of runs are shares.
     """
 
@@ -79,12 +78,32 @@ class Design:
     columns: FloatArray = field(repr=False)
     base: BaseParameters
     candidates: tuple[Candidate, ...] = field(repr=False)
-    first: FloatArray | None = None
+    level_of: FloatArray | None = None
 
     @property
     def fixed(self) -> IntArray:
         """Columns of the base parameters."""
-        return np.arange(len(self.base.coefficient_names()))
+        return np.arange(len(self.base.names))
+
+    @cached_property
+    def first_of(self) -> dict[str, Candidate]:
+        """The first variant of each name."""
+        return {c.form.name: c for c in reversed(self.candidates)}
+
+    def index(self, chosen: Sequence[Candidate]) -> IntArray:
+        """Return the columns of the base parameters and of some candidates.
+
+        Parameters
+        ----------
+        chosen : sequence of Candidate
+            Any number.
+
+        Returns
+        -------
+        ndarray of int, (q,)
+            One after the other.
+        """
+        return np.concatenate([self.fixed, *(c.both for c in chosen)])
 
 
 def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str], first: Term) -> Design:
@@ -204,23 +223,22 @@ def fit_model(
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
     variation = start or Variation(
         residuals.run,
-        starts_of(residuals.run, residuals.moving),
         residuals.moving,
         np.maximum(np.maximum(said, 0.0), size),
         np.ones(len(z)),
     )
     own = np.arange(len(index))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
-    if design.first is None:  # the base parameters by themselves; of a charge nothing is predicted yet
+    if design.level_of is None:  # the base parameters by themselves; of a charge nothing is predicted yet
         level = np.full(len(z), size) if residuals.charge else known
     else:
         fixed = index[: len(index) - sum(len(c.both) for c in chosen)]
-        level = known + design.columns[:, fixed] @ design.first[fixed]
+        level = known + design.columns[:, fixed] @ design.level_of[fixed]
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
         coefficients = model.estimate(own, low, high, own[:0]).coefficients
         energy = x @ coefficients
-        if design.first is None:
+        if design.level_of is None:
             level = known + energy
         variation = fit_variation(variation, said + energy, z - energy, x)
     every = MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
@@ -248,10 +266,10 @@ def limits_of(
     """
     kept = np.array([names is None or name in names for name in design.base.names])
     base = design.base.lowest(design.residuals.features)[kept]
-    index, low, high = [design.fixed[kept]], [base], [np.full(len(base), np.inf)]
+    low, high = [base], [np.full(len(base), np.inf)]
     for c in chosen:
         k, m = len(c.tested), len(c.beside)
-        index.append(c.both)
         low.append(np.concatenate([np.full(k, c.form.low), np.full(m, -np.inf)]))
         high.append(np.concatenate([np.full(k, c.form.high), np.full(m, np.inf)]))
-    return columns_of(index), np.concatenate(low), np.concatenate(high)
+    index = design.index(chosen)
+    return np.concatenate([index[: len(kept)][kept], index[len(kept) :]]), np.concatenate(low), np.concatenate(high)

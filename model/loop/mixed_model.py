@@ -25,8 +25,8 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from joulemap.model.loop.variation import Variation
+from joulemap.model.runs.features import FloatArray
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _COLLINEAR = 1e-3
@@ -51,16 +51,13 @@ class Test(NamedTuple):
         1 where there is nothing to test.
     freedom : float
         Degrees of freedom of its denominator.
-    variance : ndarray of float, (k, k)
-        Of the coefficients; empty where there is nothing to test.
     """
 
     p_value: float
     freedom: float
-    variance: FloatArray
 
 
-_NO_TEST = Test(1.0, 0.0, np.zeros((0, 0)))
+_NO_TEST = Test(1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -159,7 +156,6 @@ class MixedModel:
         self._h, self._gamma = self.gram[:, :, -2], level_size
         self._scaled = _Within.of(every, parts)
         self._energies, self._parts = energies, parts
-        self.gram_within = self._scaled.gram
         self._level_variance = self._variances_of_levels(every[:, -2:-1])
         flat = variation.weight >= 1.0
         self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
@@ -205,8 +201,8 @@ class MixedModel:
         freedom = len(self.rows) - len(chosen)
 
         def _loss(ratio: float) -> float:
-            gram = self.marginal(chosen, ratio).sum(axis=0)
-            normal = self.with_prior(gram[:-1, :-1])
+            gram = self._marginal(chosen, ratio).sum(axis=0)
+            normal = self._with_prior(gram[:-1, :-1])
             rest = gram[-1, -1] - gram[:-1, -1] @ np.linalg.solve(normal, gram[:-1, -1])
             levels = float(np.log1p(ratio * self._gamma).sum()) + ratio * rest / freedom / RUN_SPREAD**2
             return levels + float(np.linalg.slogdet(normal)[1]) + freedom * float(np.log(max(rest, 1e-300)))
@@ -235,51 +231,44 @@ class MixedModel:
         float
             With n - q - units in the denominator.
         """
-        beta = self._solved(self.gram_within, chosen)
-        c = np.concatenate([-beta, [1.0]])
         index = np.append(chosen, -1)
-        rest = float(c @ self.gram_within[np.ix_(index, index)] @ c)
+        gram = self._scaled.gram[np.ix_(index, index)]
+        c = np.append(-np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]), 1.0)
+        rest = float(c @ gram @ c)
         return max(rest / max(len(self.rows) - len(chosen) - self.units, 1), 1e-300)
 
-    def _solved(self, gram: FloatArray, chosen: IntArray) -> FloatArray:
-        return np.linalg.solve(self.with_prior(gram[np.ix_(chosen, chosen)]), gram[chosen, -1])
-
-    def with_prior(self, gram: FloatArray) -> FloatArray:
-        """Return cross products with those of the prior: of every column what one row of these data says.
-
-        Parameters
-        ----------
-        gram : ndarray of float, (..., q, q)
-            Of the columns, with or without random levels.
-
-        Returns
-        -------
-        ndarray of float, (..., q, q)
-            Positive definite. The level of the runs is known as far as there are runs, and so is its prior.
+    def _with_prior(self, gram: FloatArray) -> FloatArray:
+        """Cross products of columns, (..., q, q), with those of the prior: of every column what one row of these data
+        says. The level of the runs is known as far as there are runs, and so is its prior.
         """
         diagonal = np.einsum("...ii->...i", gram) / len(self.rows)
         diagonal = np.where(diagonal > _ROUNDING, diagonal, 1.0)
         return gram + diagonal[..., None] * np.eye(gram.shape[-1])
 
-    def marginal(self, chosen: IntArray, tau2: float) -> FloatArray:
-        """Return the cross products of every unit under random levels.
-
-        Parameters
-        ----------
-        chosen : ndarray of int, (q,)
-            Columns.
-        tau2 : float
-            Variance of the levels over that of the noise.
-
-        Returns
-        -------
-        ndarray of float, (units, q + 1, q + 1)
-            Of the columns and, last, of the residual. Generalised least squares follows from their sum.
+    def _marginal(self, chosen: IntArray, tau2: float) -> FloatArray:
+        """Cross products of every unit, (units, q + 1, q + 1), of columns and, last, of the residual, under random
+        levels of so many variances of the noise: generalised least squares follows from their sum.
         """
         index = np.append(chosen, self.gram.shape[1] - 1)
         h = self._h[:, index]
         share = tau2 / (1.0 + tau2 * self._gamma)
         return self.gram[:, index[:, None], index[None, :]] - share[:, None, None] * h[:, :, None] * h[:, None, :]
+
+    def coefficients(self, chosen: IntArray) -> FloatArray:
+        """Fit coefficients by generalised least squares, without limits.
+
+        Parameters
+        ----------
+        chosen : ndarray of int, (q,)
+            Columns in the model.
+
+        Returns
+        -------
+        ndarray of float, (q,)
+            Of these columns.
+        """
+        gram = self._marginal(chosen, self.tau2(chosen)).sum(axis=0)
+        return np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]) / self.size[chosen]
 
     def left_out(self, chosen: IntArray, tau2: float, *, whole: bool = False) -> FloatArray:
         """Return the error of every unit by a fit to the others.
@@ -289,7 +278,7 @@ class MixedModel:
         chosen : ndarray of int, (q,)
             Columns in the model.
         tau2 : float
-            As in `marginal`.
+            Variance of the levels of units over that of the noise.
         whole : bool
             Of predictions of the rows, with what differs between units in the error; otherwise beside a random level.
 
@@ -298,13 +287,13 @@ class MixedModel:
         ndarray of float, (units,)
             Squared error in variances of the noise; beside a random level, minus two log likelihoods of the unit.
         """
-        part = self.marginal(chosen, tau2)
+        part = self._marginal(chosen, tau2)
         total, q = part.sum(axis=0), len(chosen)
         others = total - part
-        others[:, :q, :q] += self.with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
+        others[:, :q, :q] += self._with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
         beta = np.linalg.solve(others[:, :q, :q], others[:, :q, q:])  # (U, q, 1)
         c = np.concatenate([-beta, np.ones((self.units, 1, 1))], axis=1)
-        judged = self.marginal(chosen, 0.0) if whole else part
+        judged = self._marginal(chosen, 0.0) if whole else part
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
 
     def test_within(self, tested: IntArray, beside: IntArray) -> Test:
@@ -338,7 +327,7 @@ class MixedModel:
 
         serial : add what serial correlation does to the variance.
         """
-        gram = self.with_prior(within.gram[np.ix_(beside, beside)])
+        gram = self._with_prior(within.gram[np.ix_(beside, beside)])
         both = np.append(tested, len(self.size) + 1)
         rest = within.rows[:, both] - within.rows[:, beside] @ np.linalg.solve(gram, within.gram[np.ix_(beside, both)])
         a, z = rest[:, :-1], rest[:, -1]
@@ -388,20 +377,24 @@ class MixedModel:
         """
         k, fixed = len(tested), np.setdiff1d(beside, levels)
         x = np.column_stack([np.ones(self.units), self._h[:, np.append(levels, tested)] / self._gamma[:, None]])
-        if not self.whole_runs or self.units <= x.shape[1] or _is_singular(x.T @ x):
+        if (
+            not self.whole_runs
+            or self.units <= x.shape[1]
+            or _directions(x.T @ x, np.diag(x.T @ x)).shape[1] < x.shape[1]
+        ):
             return _NO_TEST
         every = np.concatenate([fixed, levels, tested])
         sigma2 = self.sigma2(every)
         noise = sigma2 * self.efficiency**2 * self._level_variance
         between = _LARGE * sigma2
         for _ in range(_ROUNDS):
-            gram = self.marginal(every, between / sigma2).sum(axis=0)
-            normal = self.with_prior(gram[:-1, :-1])
+            gram = self._marginal(every, between / sigma2).sum(axis=0)
+            normal = self._with_prior(gram[:-1, :-1])
             beta = np.linalg.solve(normal, gram[:-1, -1])[: len(fixed)]
             away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
             between = _paule_mandel(away, noise, x)
         own = np.arange(len(fixed))
-        more = gram[np.ix_(own, own)] - self.gram_within[np.ix_(fixed, fixed)]
+        more = gram[np.ix_(own, own)] - self._scaled.gram[np.ix_(fixed, fixed)]
         used = float(np.trace(np.linalg.solve(normal[np.ix_(own, own)], more)))  # levels that the others have used up
         freedom = self.units - x.shape[1] - used
         if freedom < 1.0:
@@ -431,15 +424,15 @@ class MixedModel:
             stretches of an autoregression (Bartlett 1946); information between them counts units.
         """
         sigma2, tau2 = self.sigma2(chosen), self.tau2(chosen)
-        gram = self.marginal(chosen, tau2).sum(axis=0)
-        normal = self.with_prior(gram[:-1, :-1])
+        gram = self._marginal(chosen, tau2).sum(axis=0)
+        normal = self._with_prior(gram[:-1, :-1])
         factor = np.linalg.cholesky(normal)
         target = np.linalg.solve(factor, gram[:-1, -1])
         size = self.size[chosen]
         low, high = np.minimum(low * size, 0.0), np.maximum(high * size, 0.0)
         found = lsq_linear(factor.T, target, bounds=(low - 1e-12, high + 1e-12)).x
         variance = np.linalg.inv(normal) * sigma2
-        inside = np.linalg.inv(self.with_prior(self.gram_within[np.ix_(chosen, chosen)])) * sigma2
+        inside = np.linalg.inv(self._with_prior(self._scaled.gram[np.ix_(chosen, chosen)])) * sigma2
         freedom = np.empty(len(chosen))
         for k, column in enumerate(chosen):
             alone = self._fit(self._scaled, np.array([column]), np.delete(chosen, k), serial=True)
@@ -468,12 +461,6 @@ def _directions(information: FloatArray, squares: FloatArray) -> FloatArray:
     return np.asarray((vectors / size[:, None])[:, values > _COLLINEAR])
 
 
-def _is_singular(information: FloatArray) -> bool:
-    """Whether a column is a combination of others."""
-    size = np.sqrt(np.diag(information))
-    return bool(np.any(size <= 0.0) or np.linalg.cond(information / np.outer(size, size)) > 1.0 / _COLLINEAR)
-
-
 def _wald(beta: FloatArray, variance: FloatArray) -> float:
     return float(beta @ np.linalg.solve(variance, beta))
 
@@ -481,7 +468,7 @@ def _wald(beta: FloatArray, variance: FloatArray) -> float:
 def _tested(beta: FloatArray, variance: FloatArray, freedom: float) -> Test:
     """Wald's test of k coefficients, whose variance has so many degrees of freedom."""
     k = len(beta)
-    return Test(float(fisher.sf(_wald(beta, variance) / k, k, freedom)), freedom, variance)
+    return Test(float(fisher.sf(_wald(beta, variance) / k, k, freedom)), freedom)
 
 
 def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:
@@ -508,19 +495,3 @@ def _root(falling: Callable[[float], float], start: float) -> float:
         if high > _LARGE:
             return high
     return float(brentq(falling, low, high, rtol=1e-3))
-
-
-def columns_of(blocks: Sequence[IntArray]) -> IntArray:
-    """Join blocks of column numbers.
-
-    Parameters
-    ----------
-    blocks : sequence of ndarray of int
-        Any number.
-
-    Returns
-    -------
-    ndarray of int
-        One after the other.
-    """
-    return np.concatenate(blocks).astype(np.int64) if blocks else np.zeros(0, dtype=np.int64)

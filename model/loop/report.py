@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from joulemap.model.loop.calibrate import Calibration, Effect
-from joulemap.model.loop.design import Candidate
-from joulemap.model.loop.selection import ALPHA, Verdict
+from joulemap.model.loop.selection import ALPHA
 
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
@@ -36,6 +35,7 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
     fitted, moving = found.fitted, found.residuals.moving
     segments = int(moving.sum())
     variation = fitted.selection.variation
+    confounded = dict.fromkeys(name for key, rivals in found.rivals.items() for name in (key, *rivals))
     return {
         "verdict": "effects_added" if found.effects else "nothing_found",
         "target": "charge_as" if found.residuals.charge else "energy_j",
@@ -57,7 +57,7 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         },
         "candidates": _candidates(found),
         "confounded": [[name, *rivals] for name, rivals in found.rivals.items()],
-        "to_separate": {c.form.name: c.form.reveals for c in _separable(found)},
+        "to_separate": {name: fitted.selection.design.first_of[name].form.reveals for name in confounded},
         "remaining": _remaining(found),
         "refused": dict(found.refused),
         "ranges": {key: list(ends) for key, ends in fitted.ranges.items()},
@@ -126,25 +126,12 @@ def _effect(effect: Effect, energy: str) -> dict[str, Any]:
     }
 
 
-def _best(verdicts: Sequence[Verdict], candidates: tuple[Candidate, ...]) -> dict[str, int]:
-    """The candidate of the smallest p-value for each name."""
-    best: dict[str, int] = {}
-    for k, candidate in enumerate(candidates):
-        name = candidate.form.name
-        if name not in best or (verdicts[k].p_value, -verdicts[k].gain) < (
-            verdicts[best[name]].p_value,
-            -verdicts[best[name]].gain,
-        ):
-            best[name] = k
-    return best
-
-
 def _candidates(found: Calibration) -> list[dict[str, Any]]:
     selection = found.fitted.selection
     every = selection.design.candidates
     taken = [c.form.name for c in selection.chosen]
     out = []
-    for name, k in _best(selection.alone, every).items():
+    for name, k in selection.best.items():
         verdict, last = selection.alone[k], selection.last[k]
         row: dict[str, Any] = {
             "name": name,
@@ -159,15 +146,6 @@ def _candidates(found: Calibration) -> list[dict[str, Any]]:
         out.append(row)
     order = {name: k for k, name in enumerate(taken)}
     return sorted(out, key=lambda row: (order.get(row["name"], len(order)), row["p_value"]))
-
-
-def _separable(found: Calibration) -> list[Candidate]:
-    names = {name for key, rivals in found.rivals.items() for name in (key, *rivals)}
-    first: dict[str, Candidate] = {}
-    for candidate in found.fitted.selection.design.candidates:
-        if candidate.form.name in names:
-            first.setdefault(candidate.form.name, candidate)
-    return list(first.values())
 
 
 def _remaining(found: Calibration) -> dict[str, Any]:

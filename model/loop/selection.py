@@ -18,16 +18,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop.design import Candidate, Design, fit_model, limits_of
 from joulemap.model.loop.forms import UNNAMED, Form
 from joulemap.model.loop.forms.structure import PlaceField
-from joulemap.model.loop.mixed_model import Estimate, MixedModel, columns_of
+from joulemap.model.loop.mixed_model import Estimate, IntArray, MixedModel
 from joulemap.model.loop.variation import Variation
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from joulemap.model.runs.features import FloatArray
 
 ALPHA = 0.01
 """Largest p-value of an effect, allowing for every test: one false find in a hundred calibrations."""
@@ -90,6 +87,14 @@ class Selection:
     last: list[Verdict]
     model: MixedModel
 
+    @property
+    def best(self) -> dict[str, int]:
+        """The candidate of the smallest p-value for each name, beside the base parameters."""
+        out: dict[str, int] = {}
+        for k in sorted(range(len(self.alone)), key=lambda k: (self.alone[k].p_value, -self.alone[k].gain)):
+            out.setdefault(self.design.candidates[k].form.name, k)
+        return out
+
     def estimate(
         self, keep: Callable[[Form], bool] = lambda form: True, names: tuple[str, ...] | None = None
     ) -> tuple[list[Candidate], Estimate, IntArray]:
@@ -108,10 +113,10 @@ class Selection:
             Those that are kept; the coefficients; and the columns to which they belong.
         """
         kept = [c for c in self.chosen if keep(c.form)]
-        levels = [c.tested for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
+        between = [c for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
         index, low, high = limits_of(self.design, kept, names)
         model = self.model if names is None else fit_model(self.design, kept, self.variation, names)[1]
-        return kept, model.estimate(index, low, high, columns_of(levels)), index
+        return kept, model.estimate(index, low, high, _tested(between)), index
 
 
 def rivals_of(selection: Selection) -> dict[str, list[str]]:
@@ -129,13 +134,13 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
         have any.
     """
     design, model = selection.design, selection.model
-    now = columns_of([design.fixed, *(c.both for c in selection.chosen)])
+    now = design.index(selection.chosen)
     tau2 = model.tau2(now)
     error = model.left_out(now, tau2)
     names = {c.form.name for c in selection.chosen}
     out: dict[str, list[str]] = {}
     for effect in selection.chosen:
-        others = columns_of([design.fixed, *(c.both for c in selection.chosen if c is not effect)])
+        others = design.index([c for c in selection.chosen if c is not effect])
         for k, verdict in enumerate(selection.alone):
             rival = design.candidates[k]
             known = out.get(effect.form.name, [])
@@ -232,15 +237,15 @@ def _verdict(
 ) -> Verdict:
     """Test one candidate beside the chosen ones. Half of the error of the first kind goes to each family of tests."""
     nothing = np.zeros(model.units)
-    now = columns_of([design.fixed, *(c.both for c in chosen)])
+    now = design.index(chosen)
     replaced = any(c.form.name == candidate.form.name for c in chosen)
     chosen = [c for c in chosen if c.form.name != candidate.form.name]  # another form of one effect takes its place
     parts = _missing_parts(design, candidate, chosen)
     if len(parts) < len(set(candidate.form.parts) - {c.form.name for c in chosen}):
         return Verdict(1.0, 0.0, nothing, False, f"it needs {' and '.join(candidate.form.parts)} beside it")
-    tested = columns_of([candidate.tested, *(c.tested for c in parts)])
-    beside = columns_of([design.fixed, candidate.beside, *(c.beside for c in parts), *(c.both for c in chosen)])
-    levels = columns_of([c.tested for c in chosen if between[c.form.name]])
+    tested = _tested([candidate, *parts])
+    beside = np.concatenate([design.index(chosen), candidate.beside, *(c.beside for c in parts)])
+    levels = _tested([c for c in chosen if between[c.form.name]])
     inside = model.test_within(tested, beside)
     across = model.test_between(tested, beside, levels)
     count = len(design.candidates)
@@ -266,13 +271,14 @@ def _verdict(
     return Verdict(p_value, gain, gains, whole, why_not)
 
 
+def _tested(candidates: Sequence[Candidate]) -> IntArray:
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(c.tested for c in candidates)])
+
+
 def _missing_parts(design: Design, candidate: Candidate, chosen: Sequence[Candidate]) -> list[Candidate]:
     """The main effects that an interaction brings with it: the first variant of each that is not chosen yet."""
     known = {c.form.name for c in chosen}
-    first: dict[str, Candidate] = {}
-    for other in design.candidates:
-        first.setdefault(other.form.name, other)
-    return [first[name] for name in candidate.form.parts if name not in known and name in first]
+    return [design.first_of[n] for n in candidate.form.parts if n not in known and n in design.first_of]
 
 
 def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool:
@@ -280,10 +286,8 @@ def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool
     form, k = candidate.form, len(candidate.tested)
     if not (np.isfinite(form.low) or np.isfinite(form.high)):
         return True
-    index = np.append(candidate.tested, beside)
-    gram = model.marginal(index, model.tau2(index)).sum(axis=0)
-    free = np.linalg.solve(model.with_prior(gram[:-1, :-1]), gram[:-1, -1]) / model.size[index]
-    return bool(np.all((free[:k] >= form.low) & (free[:k] <= form.high)))
+    free = model.coefficients(np.append(candidate.tested, beside))[:k]
+    return bool(np.all((free >= form.low) & (free <= form.high)))
 
 
 def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool) -> int | None:

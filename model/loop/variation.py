@@ -20,6 +20,7 @@ Harvey 1989, "Forecasting, Structural Time Series Models and the Kalman Filter",
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -27,7 +28,8 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import OptimizeResult, minimize, nnls
 
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import FloatArray
+
 BoolArray = NDArray[np.bool_]
 
 HUBER = 1.345
@@ -83,8 +85,6 @@ class Variation:
     ----------
     run : ndarray of int, (n,)
         Number of the run of each row.
-    fresh : ndarray of bool, (n,)
-        Whether a row has no predecessor with which it is correlated.
     moving : ndarray of bool, (n,)
         False for stationary intervals, which are correlated with nothing.
     scale : ndarray of float, (n,)
@@ -98,12 +98,18 @@ class Variation:
     """
 
     run: NDArray[np.int64]
-    fresh: BoolArray
     moving: BoolArray
     scale: FloatArray
     weight: FloatArray
     length_rows: float = 1.0
     process: float = 0.0
+
+    @cached_property
+    def fresh(self) -> BoolArray:
+        """Whether a row has no predecessor with which it is correlated, (n,): first rows, and stationary intervals."""
+        first = np.ones(self.run.size, dtype=bool)
+        first[1:] = (np.diff(self.run) != 0) | ~self.moving[1:] | ~self.moving[:-1]
+        return first
 
     def scaled(self, columns: FloatArray) -> FloatArray:
         """Return columns in standard deviations of their rows, outliers with less weight.
@@ -165,26 +171,6 @@ class Variation:
         process = np.where(self.moving, self.process, 0.0)
         out, log_det = _filtered(np.ascontiguousarray(scaled), self.fresh, 1.0 / self.weight, process, self.phi)
         return out, float(log_det)
-
-
-def starts_of(run: NDArray[np.int64], moving: BoolArray) -> BoolArray:
-    """Return which rows have no predecessor with which they are correlated.
-
-    Parameters
-    ----------
-    run : ndarray of int, (n,)
-        Number of the run.
-    moving : ndarray of bool, (n,)
-        Whether the robot moves.
-
-    Returns
-    -------
-    ndarray of bool, (n,)
-        First rows of runs, and stationary intervals.
-    """
-    first = np.ones(run.size, dtype=bool)
-    first[1:] = (np.diff(run) != 0) | ~moving[1:] | ~moving[:-1]
-    return first
 
 
 def spread_of(predicted: FloatArray, residual: FloatArray, moving: BoolArray) -> FloatArray:

@@ -33,79 +33,54 @@ _QUANTITIES = {
 
 _TENTHS = frozenset({"elevation"})  # may be large, and their differences small
 
-_LEFT_OUT = {
-    "gaps": ("gap", "gaps"),
-    "stops": ("stop", "stops"),
-    "remainders": ("piece too short for a segment", "pieces too short for a segment"),
-    "bent": ("where the path bends too much", "where the path bends too much"),
-    "slow": ("where the robot was much slower than usual", "where the robot was much slower than usual"),
-    "fast": ("where the robot was faster than it can drive", "where the robot was faster than it can drive"),
-    "not_positive": ("where the measured energy is not above zero", "where the measured energy is not above zero"),
-    "undriven": ("of a run in which the robot was carried", "of runs in which the robot was carried"),
+_COUNTS = {
+    "gaps": "gap{s}",
+    "stops": "stop{s}",
+    "remainders": "piece{s} too short for a segment",
+    "bent": "where the path bends too much",
+    "slow": "where the robot was much slower than usual",
+    "fast": "where the robot was faster than it can drive",
+    "not_positive": "where the measured energy is not above zero",
+    "undriven": "in runs in which the robot was carried",
+    "truncated_rows": "incomplete last row{s}",
+    "rows_without_time": "row{s} without a time",
+    "duplicate_stamps": "row{s} with a repeated time",
+    "backward_stamps": "row{s} out of order in time",
+    "bad_fixes": "position{s} with a large stated error",
+    "blank_fixes": "row{s} without a position",
+    "held_fixes": "repeated position{s}",
+    "position_jumps": "position{s} out of reach",
+    "position_breaks": "jump{s} to another position",
+    "current_sign_flipped": "current{s} whose sign was changed",
+    "power_sign_flipped": "power{s} whose sign was changed",
+    "currents_as_magnitudes": "run{s} whose motor currents are summed as magnitudes",
+    "currents_signed_by_wheels": "run{s} whose motor currents are signed by the wheel speeds",
+    "reckoned_positions": "position{s} from wheel speeds",
 }
-"""What is not made a segment: for one, and for several."""
-
-_REPAIRS = {
-    "truncated_rows": ("incomplete last row", "incomplete last rows"),
-    "rows_without_time": ("row without a time", "rows without a time"),
-    "duplicate_stamps": ("row with a repeated time", "rows with a repeated time"),
-    "backward_stamps": ("row out of order in time", "rows out of order in time"),
-    "bad_fixes": ("position with a large stated error", "positions with a large stated error"),
-    "blank_fixes": ("row without a position", "rows without a position"),
-    "held_fixes": ("repeated position", "repeated positions"),
-    "position_jumps": ("position out of reach", "positions out of reach"),
-    "position_breaks": ("jump to another position", "jumps to another position"),
-    "current_sign_flipped": ("current whose sign was changed", "currents whose sign was changed"),
-    "power_sign_flipped": ("power whose sign was changed", "powers whose sign was changed"),
-    "currents_as_magnitudes": ("run whose motor currents are summed as magnitudes",) * 2,
-    "currents_signed_by_wheels": ("run whose motor currents are signed by the wheel speeds",) * 2,
-    "reckoned_positions": ("position from wheel speeds", "positions from wheel speeds"),
-}
-"""What is repaired or dropped in a log: for one, and for several. Blanks and spikes carry the column's name."""
+"""What is not made a segment, and what is repaired or dropped in a log. Blanks and spikes carry the column's name."""
 
 
-def left_out_words(counts: Mapping[str, int]) -> str:
-    """Return what of the runs is not made a segment.
+def count_words(counts: Mapping[str, int]) -> str:
+    """Return what of the runs is not made a segment, or what was repaired or dropped in a log.
 
     Parameters
     ----------
     counts : mapping of str to int
-        Key, as in `Segments.left_out` -> count.
+        Key, as in `Segments.left_out` or `Run.repairs` -> count.
 
     Returns
     -------
     str
-        Such as "16 gaps, 24 stops"; empty where nothing is left out.
+        Such as "16 gaps, 2 voltage spikes"; empty where there is nothing.
     """
-    return _count_words(counts, _LEFT_OUT)
 
+    def _words(key: str, count: int) -> str:
+        s = "" if count == 1 else "s"
+        if key.startswith("blank_") and key not in _COUNTS:
+            return f"row{s} without {key.removeprefix('blank_').replace('_', ' ')}"
+        return _COUNTS.get(key, key.removesuffix("s").replace("_", " ") + "{s}").format(s=s)
 
-def repair_words(counts: Mapping[str, int]) -> str:
-    """Return what was repaired or dropped in a log.
-
-    Parameters
-    ----------
-    counts : mapping of str to int
-        Key, as in `Run.repairs` -> count.
-
-    Returns
-    -------
-    str
-        Such as "9 repeated positions, 2 voltage spikes"; empty where nothing was.
-    """
-    return _count_words(counts, _REPAIRS)
-
-
-def _count_words(counts: Mapping[str, int], table: Mapping[str, tuple[str, str]]) -> str:
-    def words(key: str, count: int) -> str:
-        if key in table:
-            return table[key][count != 1]
-        if key.startswith("blank_"):
-            return f"{'row' if count == 1 else 'rows'} without {key.removeprefix('blank_').replace('_', ' ')}"
-        plain = key.replace("_", " ")
-        return plain.removesuffix("s") if count == 1 else plain
-
-    return ", ".join(f"{count:,} {words(key, count)}" for key, count in counts.items() if count)
+    return ", ".join(f"{count:,} {_words(key, count)}" for key, count in counts.items() if count)
 
 
 def p_words(p_value: float) -> str:

@@ -293,7 +293,7 @@ def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Ro
 
 
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
-    from joulemap.model.loop.words import left_out_words
+    from joulemap.model.loop.words import count_words
     from joulemap.model.runs.segments import coverage_words
     from joulemap.service.loop.summary import drive_words, summary_lines
 
@@ -308,7 +308,7 @@ def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[Ne
         "a route": _route_words(document["route"]),
         "drive next": drive_words(document["next_drive"]),
     }
-    if left_out := left_out_words(document["runs"]["left_out"]):
+    if left_out := count_words(document["runs"]["left_out"]):
         rows["not used"] = left_out
     output.table(rows)
     output.say(f"Written to {out}: report.json, report.html, model/")

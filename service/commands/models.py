@@ -361,7 +361,7 @@ def evaluate(
 
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs logs/*.csv`
     """
-    from joulemap.model.loop.words import left_out_words, repair_words
+    from joulemap.model.loop.words import count_words
     from joulemap.model.runs.segments import coverage_words
     from joulemap.service.library import models as library
 
@@ -375,8 +375,8 @@ def evaluate(
         {
             "segments": f"{found['segments']:,} ({found['unknown']:,} more on unknown ground)",
             "track used": coverage_words(found["used"]),
-            "not used": left_out_words(found["left_out"]) or "nothing",
-            "repaired": repair_words(_sums(found["repairs"])) or "nothing",
+            "not used": count_words(found["left_out"]) or "nothing",
+            "repaired": count_words(_sums(found["repairs"])) or "nothing",
             "median error": f"{found['median_relative_error']:.1%} of a segment's energy",
             "whole runs": f"{found['route_relative_error']:.1%} of a run's energy",
             "bias": f"{found['bias_j']:+.2f} J per segment (measured - predicted)",

@@ -117,7 +117,9 @@ def next_drive(
     InfeasibleError
         If no route fits on the map.
     """
-    forms = _best_forms(found) | {e.term.form.name: e.term.form for e in found.effects}
+    selection = found.fitted.selection
+    forms = {key: selection.design.candidates[k].form for key, k in selection.best.items()}
+    forms |= {e.term.form.name: e.term.form for e in found.effects}
     name = next((key for key, form in forms.items() if effect in (key, form.title)), effect) or _least_certain(found)
     if name not in forms:
         raise InputError(
@@ -161,20 +163,6 @@ def _sizes(effect: Effect) -> FloatArray:
     """Magnitudes of the coefficients; of a curve or field, whose values mean something together only, the largest."""
     sizes = np.abs(effect.term.coefficients)
     return np.maximum(sizes if sizes.size == 1 else np.full(sizes.size, sizes.max()), 1e-12)
-
-
-def _best_forms(found: Calibration) -> dict[str, Form]:
-    """The form of the smallest p-value for each name of a candidate effect."""
-    selection = found.fitted.selection
-    best: dict[str, int] = {}
-    for k, candidate in enumerate(selection.design.candidates):
-        verdict, known = selection.alone[k], best.get(candidate.form.name)
-        if known is None or (verdict.p_value, -verdict.gain) < (
-            selection.alone[known].p_value,
-            -selection.alone[known].gain,
-        ):
-            best[candidate.form.name] = k
-    return {name: selection.design.candidates[k].form for name, k in best.items()}
 
 
 def suggest_next_drive(

@@ -11,7 +11,7 @@ from typing import Any
 
 from joulemap.model.energy.metrics import LEAST_J
 from joulemap.model.loop.selection import ALPHA
-from joulemap.model.loop.words import left_out_words, p_words, quantity_name, quantity_words, repair_words
+from joulemap.model.loop.words import count_words, p_words, quantity_name, quantity_words
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (
     LEAST_SPAN,
@@ -431,7 +431,7 @@ def _number(value: float | None) -> str:
 
 
 def _repairs(runs: Mapping[str, Any]) -> str:
-    left_out = left_out_words(runs["left_out"])
+    left_out = count_words(runs["left_out"])
     note = f"<p>{runs['rows']:,} rows were read. Not used: {escape(left_out or 'nothing')}.</p>"
-    rows = [[escape(name), escape(repair_words(counts))] for name, counts in runs["repairs"].items()]
+    rows = [[escape(name), escape(count_words(counts))] for name, counts in runs["repairs"].items()]
     return note + (_table(["run", "rows repaired or dropped, by reason"], rows) if rows else "")

@@ -6,7 +6,7 @@ from scipy.stats import linregress
 from statsmodels.regression.mixed_linear_model import MixedLM
 
 from joulemap.model.loop.mixed_model import MixedModel
-from joulemap.model.loop.variation import Variation, starts_of
+from joulemap.model.loop.variation import Variation
 
 NONE = np.zeros(0, dtype=np.int64)
 FIRST, SECOND = np.array([0]), np.array([1])
@@ -14,7 +14,7 @@ FIRST, SECOND = np.array([0]), np.array([1])
 
 def _model(columns, residual, run, level=None) -> MixedModel:
     moving = np.ones(run.size, dtype=bool)
-    variation = Variation(run, starts_of(run, moving), moving, np.ones(run.size), np.ones(run.size))
+    variation = Variation(run, moving, np.ones(run.size), np.ones(run.size))
     level = np.ones(run.size) if level is None else level
     return MixedModel(variation, columns, residual, level, run, whole_runs=True)
 

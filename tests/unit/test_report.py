@@ -13,7 +13,7 @@ from joulemap.model.loop.forms.log_faults import MeterLag
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.suggest import Suggestion
 from joulemap.model.loop.terms import Term
-from joulemap.model.loop.words import left_out_words, p_words, quantity_name, repair_words
+from joulemap.model.loop.words import count_words, p_words, quantity_name
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
@@ -341,11 +341,11 @@ def test_python_prints_the_summary_of_the_command_line(turning, tmp_path):
 
 def test_counts_of_logs_are_said_in_words():
     counts = {"gaps": 1, "stops": 24, "remainders": 34, "bent": 1234, "fast": 0}
-    assert left_out_words(counts) == (
+    assert count_words(counts) == (
         "1 gap, 24 stops, 34 pieces too short for a segment, 1,234 where the path bends too much"
     )
     repairs = {"held_fixes": 2, "voltage_spikes": 1, "current_left_spikes": 3, "blank_current": 5}
-    assert repair_words(repairs) == (
+    assert count_words(repairs) == (
         "2 repeated positions, 1 voltage spike, 3 current left spikes, 5 rows without current"
     )
 

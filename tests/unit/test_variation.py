@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from joulemap.model.loop.variation import Variation, fit_variation, spread_of, starts_of
+from joulemap.model.loop.variation import Variation, fit_variation, spread_of
 
 
 def _series(phi: float, share: float, rng: np.random.Generator, runs: int = 8, rows: int = 300):
@@ -21,7 +21,7 @@ def _series(phi: float, share: float, rng: np.random.Generator, runs: int = 8, r
 
 def _fit(run, predicted, residual) -> Variation:
     moving = np.ones(run.size, dtype=bool)
-    start = Variation(run, starts_of(run, moving), moving, predicted, np.ones(run.size))
+    start = Variation(run, moving, predicted, np.ones(run.size))
     return fit_variation(start, predicted, residual, np.ones((run.size, 1)))
 
 
@@ -69,7 +69,7 @@ def test_a_sum_of_correlated_rows_has_the_variance_that_is_carried():
     rng = np.random.default_rng(6)
     run = np.repeat([0, 1], 40)
     moving = np.ones(80, dtype=bool)
-    found = Variation(run, starts_of(run, moving), moving, np.ones(80), np.ones(80), length_rows=5.0, process=1.0)
+    found = Variation(run, moving, np.ones(80), np.ones(80), length_rows=5.0, process=1.0)
     weight = rng.normal(size=(80, 1))
     lag = np.abs(np.subtract.outer(np.arange(80), np.arange(80)))
     correlation = np.where(run[:, None] == run[None, :], np.exp(-lag / 5.0), 0.0)
