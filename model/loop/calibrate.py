@@ -16,11 +16,10 @@ from joulemap.model.loop.forms import Form
 from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, BaseParameters
 from joulemap.model.loop.refused_columns import refused_columns
 from joulemap.model.loop.selection import Selection, rivals_of, select
-from joulemap.model.loop.terms import Term, prepared, total_energy
-from joulemap.model.runs.features import Drives, driven_ranges
+from joulemap.model.loop.terms import Correction, Term
+from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
 from joulemap.model.runs.residuals import Residuals, joined
 
-FloatArray = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 MOST_FOLDS = 10
@@ -67,17 +66,12 @@ class Fitted:
         Their 95 % confidence intervals.
     effects : tuple of Effect
         Those that explain most first.
-    terms, planner_terms, base_terms : tuple of Term
-        What is added to the base model's prediction: by everything, by what is known before a drive, and by the base
-        parameters alone. Each was fitted for itself.
+    correction : Correction
+        What is added to the base model's prediction, by everything and by what is known before a drive.
+    base_terms : tuple of Term
+        What is added by the base parameters alone, fitted for themselves.
     scale : Term, optional
         What makes a charge of the base model's prediction before any of this.
-    ranges : dict
-        In which the runs were driven.
-    drives : Drives
-        Of the robot.
-    first_base : Term
-        The base parameters before any effect, which forms take for the energy of motion.
     run_share : float
         Standard deviation between runs that no effect explains, as a share of the energy.
     """
@@ -87,13 +81,9 @@ class Fitted:
     base_low: FloatArray
     base_high: FloatArray
     effects: tuple[Effect, ...]
-    terms: tuple[Term, ...]
-    planner_terms: tuple[Term, ...]
+    correction: Correction
     base_terms: tuple[Term, ...]
     scale: Term | None
-    ranges: dict[str, tuple[float, float]]
-    drives: Drives
-    first_base: Term
     run_share: float
 
     def predict(self, residuals: Residuals, terms: Sequence[Term]) -> FloatArray:
@@ -104,16 +94,15 @@ class Fitted:
         residuals : Residuals
             Against the same base model.
         terms : sequence of Term
-            One of `terms`, `planner_terms` and `base_terms`.
+            Of `correction`, or `base_terms`.
 
         Returns
         -------
         ndarray of float, (n,)
             Energy [J], or charge [A s].
         """
-        moved = residuals.driven_by(self.drives)
-        held = prepared(moved.features, self.first_base, self.ranges)
-        return moved.said + total_energy(terms, held)
+        moved = residuals.driven_by(self.correction.drives)
+        return moved.said + self.correction.energy_of(terms, moved.features)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +262,16 @@ def fit(
         low[:count],
         high[:count],
         tuple(sorted(effects, key=lambda e: -e.share)),
-        terms,
-        _terms(chosen, lambda form: form.known_before, without=(MEASURED_SLOPE,)),
+        Correction(
+            terms,
+            _terms(chosen, lambda form: form.known_before, without=(MEASURED_SLOPE,)),
+            driven_ranges(measured.features),
+            rows.features.drives,
+            first,
+            rows.charge,
+        ),
         _terms(chosen, lambda form: False),
         scale_of(rows) if rows.charge else None,
-        driven_ranges(measured.features),
-        rows.features.drives,
-        first,
         float(run_share),
     )
 
@@ -305,7 +297,8 @@ def _terms(chosen: Selection, keep: Callable[[Form], bool], *, without: Sequence
 def _states(fitted: Fitted, rows: Residuals, *, elsewhere: bool = False) -> dict[str, FloatArray]:
     """Predictions by state; `elsewhere` without what belongs to the map on which it was found."""
     terms, planned = (
-        [term for term in of if not (elsewhere and term.form.of_map)] for of in (fitted.terms, fitted.planner_terms)
+        [term for term in of if not (elsewhere and term.form.of_map)]
+        for of in (fitted.correction.terms, fitted.correction.planner_terms)
     )
     return {
         "before": rows.said if fitted.scale is None else fitted.scale.energy(rows.driven_by(Drives()).features),

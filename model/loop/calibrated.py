@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,12 @@ from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.prediction import Prediction, predict_segments
-from joulemap.model.loop.terms import Term, prepared, total_energy
+from joulemap.model.loop.terms import Correction, Term
 from joulemap.model.loop.words import quantity_name, quantity_value
 from joulemap.model.robot import Robot
-from joulemap.model.runs.features import Drives, Features, describe_segments, planned_features, quantity
+from joulemap.model.runs.features import Features, FloatArray, describe_segments, planned_features
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
-
-FloatArray = NDArray[np.float64]
 
 CALIBRATION_FILE = "calibration.json"
 FORMAT = 3
@@ -32,123 +30,6 @@ _CHUNK = 400_000  # cells x headings described at a time
 _PLACES = 2000  # of a map, for warnings
 _HEADINGS = np.arange(4) * 0.5 * np.pi
 _OTHER_GROUND = 0.05  # of a map beyond a range: less is not worth a warning
-
-Ranges = Mapping[str, tuple[float, float]]
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What a calibration adds to a base model.
-
-    Attributes
-    ----------
-    terms : tuple of Term
-        Base parameters and effects, for measured runs.
-    planner_terms : tuple of Term
-        The same without what is not known before a drive, fitted for themselves.
-    ranges : mapping
-        Lowest and highest value of every quantity in the runs. Beyond, the border's value holds.
-    drives : Drives
-        As fitted. Plans are made at the speed at which motors take what a battery gives.
-    first_base : Term, optional
-        The base parameters before any effect, which forms take for the energy of motion.
-    charge : bool
-        Whether the scale of the base prediction is unknown, so that the terms replace it.
-    turn_j_per_rad : float
-        Cost of turning in plans [J/rad], in addition to the robot's own.
-    conditions : mapping
-        Logged columns at which plans are made unless others are given: their means on the runs.
-    evidence : sequence of mapping
-        The report's effects, JSON-able.
-    spread : Spread, optional
-        Error of the calibrated model on left-out runs. Its factor is that on `std_of_segments`.
-    """
-
-    terms: tuple[Term, ...]
-    planner_terms: tuple[Term, ...]
-    ranges: Ranges = field(default_factory=dict)
-    drives: Drives = field(default_factory=Drives)
-    first_base: Term | None = None
-    charge: bool = False
-    turn_j_per_rad: float = 0.0
-    conditions: Mapping[str, float] = field(default_factory=dict)
-    evidence: Sequence[Mapping[str, Any]] = ()
-    spread: Spread | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as a JSON-able mapping."""
-        return {
-            "terms": [t.as_dict() for t in self.terms],
-            "planner_terms": [t.as_dict() for t in self.planner_terms],
-            "ranges": {key: list(ends) for key, ends in self.ranges.items()},
-            "drives": asdict(self.drives),
-            "first_base": None if self.first_base is None else self.first_base.as_dict(),
-            "charge": self.charge,
-            "turn_j_per_rad": self.turn_j_per_rad,
-            "conditions": dict(self.conditions),
-            "evidence": [dict(e) for e in self.evidence],
-            "spread": None if self.spread is None else self.spread.as_dict(),
-        }
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Correction:
-        """Read what `as_dict` returned.
-
-        Parameters
-        ----------
-        values : mapping
-            From a file.
-
-        Returns
-        -------
-        Correction
-            The same.
-
-        Raises
-        ------
-        ModelError
-            If something is missing.
-        """
-        try:
-            spread = values.get("spread")
-            return cls(
-                tuple(Term.from_dict(t) for t in values["terms"]),
-                tuple(Term.from_dict(t) for t in values["planner_terms"]),
-                {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
-                Drives(**values["drives"]),
-                None if values["first_base"] is None else Term.from_dict(values["first_base"]),
-                bool(values["charge"]),
-                float(values["turn_j_per_rad"]),
-                dict(values["conditions"]),
-                list(values["evidence"]),
-                None if spread is None else Spread.from_dict(spread),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise ModelError(f"a calibration is not complete: {error!r}") from error
-
-    def beyond(self, rows: Features) -> dict[str, float]:
-        """Return which quantities of some rows are outside the ranges of the runs.
-
-        Parameters
-        ----------
-        rows : Features
-            Of n rows.
-
-        Returns
-        -------
-        dict of str to float
-            Share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
-        """
-        used = {name for term in self.planner_terms for name in term.form.covariates}
-        out = {}
-        for name in sorted({"speed", "grade", *used} & set(self.ranges)):
-            low, high = self.ranges[name]
-            margin = 1e-6 * max(abs(low), abs(high))  # rounding is not beyond
-            values = quantity(rows, name)
-            share = float(np.mean((values < low - margin) | (values > high + margin)))
-            if share > 0.0:
-                out[name] = share
-        return out
 
 
 def std_of_segments(said: Prediction, robot: Robot, segments: Segments) -> FloatArray:
@@ -302,9 +183,8 @@ class CalibratedPredictor(Predictor):
 
     def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
-        fixed = self.correction
-        start = np.zeros(len(rows)) if fixed.charge else rows.predicted + beyond
-        return start + total_energy(terms, prepared(rows, fixed.first_base, fixed.ranges))
+        start = np.zeros(len(rows)) if self.correction.charge else rows.predicted + beyond
+        return start + self.correction.energy_of(terms, rows)
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,24 +39,6 @@ shipped model differ by 19 %."""
 _ROUNDING = 1e-9
 _LARGE = 1e6  # variance between units over that of the noise: as good as fixed levels
 _ROUNDS = 3  # the variance between units follows the coefficients and the coefficients the variance
-
-
-class Test(NamedTuple):
-    """A test of one effect against nothing.
-
-    Attributes
-    ----------
-    p_value : float
-        1 where there is nothing to test.
-    freedom : float
-        Degrees of freedom of its denominator.
-    """
-
-    p_value: float
-    freedom: float
-
-
-_NO_TEST = Test(1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -296,7 +277,7 @@ class MixedModel:
         judged = self._marginal(chosen, 0.0) if whole else part
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
 
-    def test_within(self, tested: IntArray, beside: IntArray) -> Test:
+    def test_within(self, tested: IntArray, beside: IntArray) -> float:
         """Test columns by their course inside units, with a free level of every unit.
 
         Parameters
@@ -308,16 +289,16 @@ class MixedModel:
 
         Returns
         -------
-        Test
-            A Wald test by generalised least squares. Its variance is the larger of the model's and of the one that is
-            robust against unequal spread.
+        float
+            p-value of a Wald test by generalised least squares; 1 where there is nothing to test. Its variance is the
+            larger of the model's and of the one that is robust against unequal spread.
 
         References
         ----------
         MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 (degrees of freedom, their mean over the columns).
         """
         found = self._fit(self._white, tested, beside)
-        return _NO_TEST if found is None else _tested(*found[:3])
+        return 1.0 if found is None else _p_value(*found[:3])
 
     def _fit(
         self, within: _Within, tested: IntArray, beside: IntArray, *, serial: bool = False
@@ -353,7 +334,7 @@ class MixedModel:
             freedom = 1.0 / ((1.0 - share) ** 2 / freedom + share**2 / stretches)
         return beta, variance * self.efficiency**2, freedom, turned
 
-    def test_between(self, tested: IntArray, beside: IntArray, levels: IntArray) -> Test:
+    def test_between(self, tested: IntArray, beside: IntArray, levels: IntArray) -> float:
         """Test columns by the levels of units, with the degrees of freedom that units give.
 
         Parameters
@@ -367,9 +348,9 @@ class MixedModel:
 
         Returns
         -------
-        Test
-            A random-effects meta-regression of the levels. Degrees of freedom are lost to the other columns as far as
-            these are fitted to the levels too.
+        float
+            p-value of a random-effects meta-regression of the levels; 1 where there is nothing to test. Degrees of
+            freedom are lost to the other columns as far as these are fitted to the levels too.
 
         References
         ----------
@@ -382,7 +363,7 @@ class MixedModel:
             or self.units <= x.shape[1]
             or _directions(x.T @ x, np.diag(x.T @ x)).shape[1] < x.shape[1]
         ):
-            return _NO_TEST
+            return 1.0
         every = np.concatenate([fixed, levels, tested])
         sigma2 = self.sigma2(every)
         noise = sigma2 * self.efficiency**2 * self._level_variance
@@ -398,12 +379,12 @@ class MixedModel:
         used = float(np.trace(np.linalg.solve(normal[np.ix_(own, own)], more)))  # levels that the others have used up
         freedom = self.units - x.shape[1] - used
         if freedom < 1.0:
-            return _NO_TEST
+            return 1.0
         weight = 1.0 / (noise + between)
         inverse = np.linalg.inv(x.T @ (weight[:, None] * x))
         coefficients = inverse @ (x.T @ (weight * away))
         misfit = float(weight @ (away - x @ coefficients) ** 2) / freedom
-        return _tested(coefficients[-k:], (inverse * max(misfit, 1.0))[-k:, -k:], freedom)
+        return _p_value(coefficients[-k:], (inverse * max(misfit, 1.0))[-k:, -k:], freedom)
 
     def estimate(self, chosen: IntArray, low: FloatArray, high: FloatArray, levels: IntArray) -> Estimate:
         """Fit coefficients by generalised least squares within limits.
@@ -465,10 +446,9 @@ def _wald(beta: FloatArray, variance: FloatArray) -> float:
     return float(beta @ np.linalg.solve(variance, beta))
 
 
-def _tested(beta: FloatArray, variance: FloatArray, freedom: float) -> Test:
+def _p_value(beta: FloatArray, variance: FloatArray, freedom: float) -> float:
     """Wald's test of k coefficients, whose variance has so many degrees of freedom."""
-    k = len(beta)
-    return Test(float(fisher.sf(_wald(beta, variance) / k, k, freedom)), freedom)
+    return float(fisher.sf(_wald(beta, variance) / len(beta), len(beta), freedom))
 
 
 def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:

@@ -60,7 +60,7 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "to_separate": {name: fitted.selection.design.first_of[name].form.reveals for name in confounded},
         "remaining": _remaining(found),
         "refused": dict(found.refused),
-        "ranges": {key: list(ends) for key, ends in fitted.ranges.items()},
+        "ranges": {key: list(ends) for key, ends in fitted.correction.ranges.items()},
         "model": {"before": {"name": before["name"], "version": before["version"]}, "after": after},
     }
 

@@ -249,11 +249,11 @@ def _verdict(
     inside = model.test_within(tested, beside)
     across = model.test_between(tested, beside, levels)
     count = len(design.candidates)
-    p_value = min(1.0, 2.0 * count * min(inside.p_value, across.p_value))
+    p_value = min(1.0, 2.0 * count * min(inside, across))
     if p_value > ALPHA:
-        return Verdict(p_value, 0.0, nothing, across.p_value < inside.p_value, "not significant")
+        return Verdict(p_value, 0.0, nothing, across < inside, "not significant")
     tau2 = model.tau2(np.append(beside, tested))
-    whole = across.p_value < inside.p_value
+    whole = across < inside
     both = np.append(beside, tested)
     without = model.left_out(now, tau2)
     gains = without - model.left_out(both, tau2)

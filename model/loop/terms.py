@@ -1,20 +1,18 @@
-"""A form with its coefficients: what a calibrated model adds to its base model."""
+"""What a calibrated model adds to its base model: forms with their coefficients, and the rows that they may read."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms import Form, form_from_dict
 from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
-from joulemap.model.runs.features import SHARE_DRIVEN, Features
-
-FloatArray = NDArray[np.float64]
+from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity
 
 
 @dataclass(frozen=True)
@@ -77,44 +75,143 @@ class Term:
             raise ModelError(f"an effect of the model is not complete: {error!r}") from error
 
 
-def prepared(rows: Features, first_base: Term | None, ranges: Mapping[str, tuple[float, float]]) -> Features:
-    """Return rows as the terms of a calibration read them.
+@dataclass(frozen=True)
+class Correction:
+    """What a calibration adds to a base model.
 
-    Parameters
+    Attributes
     ----------
-    rows : Features
-        Of n rows, with the drives that were fitted.
-    first_base : Term, optional
-        The base parameters that the energy of motion has in it.
+    terms : tuple of Term
+        Base parameters and effects, for measured runs.
+    planner_terms : tuple of Term
+        The same without what is not known before a drive, fitted for themselves.
     ranges : mapping
-        In which quantities are held.
-
-    Returns
-    -------
-    Features
-        Of the same rows.
+        Lowest and highest value of every quantity in the runs. Beyond, the border's value holds.
+    drives : Drives
+        As fitted. Plans are made at the speed at which motors take what a battery gives.
+    first_base : Term, optional
+        The base parameters before any effect, which forms take for the energy of motion.
+    charge : bool
+        Whether the scale of the base prediction is unknown, so that the terms replace it.
+    turn_j_per_rad : float
+        Cost of turning in plans [J/rad], in addition to the robot's own.
+    conditions : mapping
+        Logged columns at which plans are made unless others are given: their means on the runs.
+    evidence : sequence of mapping
+        The report's effects, JSON-able.
+    spread : Spread, optional
+        Error of the calibrated model on left-out runs. Its factor is that on `std_of_segments`.
     """
-    held = rows.within(ranges)
-    if first_base is None or not isinstance(first_base.form, BaseParameters):
-        return held
-    return with_base_parameters(held, first_base.form, np.asarray(first_base.coefficients))
+
+    terms: tuple[Term, ...]
+    planner_terms: tuple[Term, ...]
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    drives: Drives = field(default_factory=Drives)
+    first_base: Term | None = None
+    charge: bool = False
+    turn_j_per_rad: float = 0.0
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    evidence: Sequence[Mapping[str, Any]] = ()
+    spread: Spread | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as a JSON-able mapping."""
+        return {
+            "terms": [t.as_dict() for t in self.terms],
+            "planner_terms": [t.as_dict() for t in self.planner_terms],
+            "ranges": {key: list(ends) for key, ends in self.ranges.items()},
+            "drives": asdict(self.drives),
+            "first_base": None if self.first_base is None else self.first_base.as_dict(),
+            "charge": self.charge,
+            "turn_j_per_rad": self.turn_j_per_rad,
+            "conditions": dict(self.conditions),
+            "evidence": [dict(e) for e in self.evidence],
+            "spread": None if self.spread is None else self.spread.as_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Correction:
+        """Read what `as_dict` returned.
+
+        Parameters
+        ----------
+        values : mapping
+            From a file.
+
+        Returns
+        -------
+        Correction
+            The same.
+
+        Raises
+        ------
+        ModelError
+            If something is missing.
+        """
+        try:
+            spread = values.get("spread")
+            return cls(
+                tuple(Term.from_dict(t) for t in values["terms"]),
+                tuple(Term.from_dict(t) for t in values["planner_terms"]),
+                {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
+                Drives(**values["drives"]),
+                None if values["first_base"] is None else Term.from_dict(values["first_base"]),
+                bool(values["charge"]),
+                float(values["turn_j_per_rad"]),
+                dict(values["conditions"]),
+                list(values["evidence"]),
+                None if spread is None else Spread.from_dict(spread),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise ModelError(f"a calibration is not complete: {error!r}") from error
+
+    def energy_of(self, terms: Sequence[Term], rows: Features) -> FloatArray:
+        """Return the energy that some of its terms add.
+
+        Parameters
+        ----------
+        terms : sequence of Term
+            Any number.
+        rows : Features
+            Of n rows, with its drives.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters in their
+            energy of motion.
+        """
+        held = rows.within(self.ranges)
+        if self.first_base is not None and isinstance(self.first_base.form, BaseParameters):
+            held = with_base_parameters(held, self.first_base.form, np.asarray(self.first_base.coefficients))
+        return _total(terms, held)
+
+    def beyond(self, rows: Features) -> dict[str, float]:
+        """Return which quantities of some rows are outside the ranges of the runs.
+
+        Parameters
+        ----------
+        rows : Features
+            Of n rows.
+
+        Returns
+        -------
+        dict of str to float
+            Share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
+        """
+        used = {name for term in self.planner_terms for name in term.form.covariates}
+        out = {}
+        for name in sorted({"speed", "grade", *used} & set(self.ranges)):
+            low, high = self.ranges[name]
+            margin = 1e-6 * max(abs(low), abs(high))  # rounding is not beyond
+            values = quantity(rows, name)
+            share = float(np.mean((values < low - margin) | (values > high + margin)))
+            if share > 0.0:
+                out[name] = share
+        return out
 
 
-def total_energy(terms: Sequence[Term], rows: Features) -> FloatArray:
-    """Return the energy that several terms add.
-
-    Parameters
-    ----------
-    terms : sequence of Term
-        Any number.
-    rows : Features
-        Of n rows.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Energy [J], or charge [A s].
-    """
+def _total(terms: Sequence[Term], rows: Features) -> FloatArray:
     return np.sum([t.energy(rows) for t in terms], axis=0) if terms else np.zeros(len(rows))
 
 
@@ -143,5 +240,5 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))
     turned = rows.turned_abs_rad
     rows = replace(rows, drives=replace(rows.drives, motor_speed_mps=None))
-    energy = total_energy([t for t in terms if t.form.name == "turning"], rows)
+    energy = _total([t for t in terms if t.form.name == "turning"], rows)
     return float(turned @ energy) / max(float(turned @ turned), 1e-12)

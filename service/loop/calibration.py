@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,10 @@ from joulemap.model.errors import ConflictError, InfeasibleError, InputError
 from joulemap.model.loop.calibrate import Calibration, calibrate
 from joulemap.model.loop.calibrated import (
     CalibratedPredictor,
-    Correction,
     save_calibrated,
 )
 from joulemap.model.loop.report import report_document
-from joulemap.model.loop.terms import turning_per_rad
+from joulemap.model.loop.terms import Correction, turning_per_rad
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns
 from joulemap.model.runs.residuals import Residuals
@@ -295,7 +294,7 @@ def correction_of(found: Calibration, std_j: FloatArray, groups: Sequence[str] |
     Correction
         With the spread of the calibrated model on left-out runs, where there are enough segments.
     """
-    fitted, rows, moving = found.fitted, found.residuals.features, found.residuals.moving
+    rows, moving = found.residuals.features, found.residuals.moving
     conditions = {k: float(np.nanmean(v)) for k, v in rows.columns.items() if np.isfinite(v).any()}
     measured_j, said_j = (
         rows.unit_j * energy for energy in (found.residuals.measured, found.held_out["after_planner"])
@@ -305,14 +304,9 @@ def correction_of(found: Calibration, std_j: FloatArray, groups: Sequence[str] |
     if judged.sum() >= FEWEST:
         group = None if groups is None or not found.residuals.whole_runs else np.asarray(groups)[run]
         spread = fit_spread(measured_j[judged], said_j[judged], std_j[judged], run, group=group)
-    return Correction(
-        fitted.terms,
-        fitted.planner_terms,
-        ranges=fitted.ranges,
-        drives=fitted.drives,
-        first_base=fitted.first_base,
-        charge=found.residuals.charge,
-        turn_j_per_rad=rows.unit_j * turning_per_rad(fitted.planner_terms, rows),
+    return replace(
+        found.fitted.correction,
+        turn_j_per_rad=rows.unit_j * turning_per_rad(found.fitted.correction.planner_terms, rows),
         conditions=conditions,
         evidence=[{"name": e.term.form.name, "p_value": e.p_value, "share": e.share} for e in found.effects],
         spread=spread,

@@ -64,12 +64,8 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "serial correlation": lambda: patch.object(variation, "_correlated", _white),
     "the variation around the largest model": lambda: patch.object(selection, "_largest", lambda columns: []),
     "the prior of what differs between runs": lambda: patch.object(mixed_model, "RUN_SPREAD", 1e6),
-    "tests inside runs": lambda: patch.object(
-        mixed_model.MixedModel, "test_within", lambda *_given: mixed_model._NO_TEST
-    ),
-    "tests between runs": lambda: patch.object(
-        mixed_model.MixedModel, "test_between", lambda *_given: mixed_model._NO_TEST
-    ),
+    "tests inside runs": lambda: patch.object(mixed_model.MixedModel, "test_within", lambda *_given: 1.0),
+    "tests between runs": lambda: patch.object(mixed_model.MixedModel, "test_between", lambda *_given: 1.0),
     "the least gain on left-out runs": lambda: patch.object(selection, "LEAST_GAIN", 0.0),
     "the standard error of a gain": lambda: patch.object(
         selection, "within_one_error", lambda gains: gains.sum() <= 0.0
