@@ -184,7 +184,7 @@ class CalibratedPredictor(Predictor):
     def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
         start = np.zeros(len(rows)) if self.correction.charge else rows.predicted + beyond
-        return start + self.correction.energy_of(terms, rows)
+        return start + self.correction.added_energy(terms, rows)
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike

@@ -12,14 +12,14 @@ Pinheiro & Bates 2000, chapter 2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, lsq_linear, minimize_scalar
+from scipy.optimize import lsq_linear, minimize_scalar
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
@@ -354,7 +354,7 @@ class MixedModel:
 
         References
         ----------
-        Knapp & Hartung 2003; Mundlak 1978 (within and between).
+        Knapp & Hartung 2003; DerSimonian & Laird 1986; Mundlak 1978 (within and between).
         """
         k, fixed = len(tested), np.setdiff1d(beside, levels)
         x = np.column_stack([np.ones(self.units), self._h[:, np.append(levels, tested)] / self._gamma[:, None]])
@@ -373,18 +373,15 @@ class MixedModel:
             normal = self._with_prior(gram[:-1, :-1])
             beta = np.linalg.solve(normal, gram[:-1, -1])[: len(fixed)]
             away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
-            between = _paule_mandel(away, noise, x)
+            between = _between(away, noise, x)
         own = np.arange(len(fixed))
         more = gram[np.ix_(own, own)] - self._scaled.gram[np.ix_(fixed, fixed)]
         used = float(np.trace(np.linalg.solve(normal[np.ix_(own, own)], more)))  # levels that the others have used up
         freedom = self.units - x.shape[1] - used
         if freedom < 1.0:
             return 1.0
-        weight = 1.0 / (noise + between)
-        inverse = np.linalg.inv(x.T @ (weight[:, None] * x))
-        coefficients = inverse @ (x.T @ (weight * away))
-        misfit = float(weight @ (away - x @ coefficients) ** 2) / freedom
-        return _p_value(coefficients[-k:], (inverse * max(misfit, 1.0))[-k:, -k:], freedom)
+        inverse, coefficients, misfit = _of_levels(away, 1.0 / (noise + between), x)
+        return _p_value(coefficients[-k:], (inverse * max(misfit / freedom, 1.0))[-k:, -k:], freedom)
 
     def estimate(self, chosen: IntArray, low: FloatArray, high: FloatArray, levels: IntArray) -> Estimate:
         """Fit coefficients by generalised least squares within limits.
@@ -451,27 +448,15 @@ def _p_value(beta: FloatArray, variance: FloatArray, freedom: float) -> float:
     return float(fisher.sf(_wald(beta, variance) / len(beta), len(beta), freedom))
 
 
-def _paule_mandel(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:
-    """Variance between units such that the weighted squares of what `x` leaves equal their degrees of freedom."""
-    freedom = len(away) - x.shape[1]
-
-    def excess(between: float) -> float:
-        weight = np.sqrt(1.0 / (noise + between))
-        rest = (
-            weight * away - (weight[:, None] * x) @ np.linalg.lstsq(weight[:, None] * x, weight * away, rcond=None)[0]
-        )
-        return float(rest @ rest) - freedom
-
-    return _root(excess, float(noise.max())) if freedom >= 1 else 0.0
+def _of_levels(away: FloatArray, weight: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Weighted least squares: the inverse of the normal equations, the coefficients, and the weighted squares left."""
+    inverse = np.linalg.inv(x.T @ (weight[:, None] * x))
+    coefficients = inverse @ (x.T @ (weight * away))
+    return inverse, coefficients, float(weight @ (away - x @ coefficients) ** 2)
 
 
-def _root(falling: Callable[[float], float], start: float) -> float:
-    """The smallest variance at which a function falls to nil; 0 where it begins below. The search begins at `start`."""
-    if falling(0.0) <= 0.0:
-        return 0.0
-    low, high = 0.0, start
-    while falling(high) > 0.0:
-        low, high = high, 4.0 * high
-        if high > _LARGE:
-            return high
-    return float(brentq(falling, low, high, rtol=1e-3))
+def _between(away: FloatArray, noise: FloatArray, x: FloatArray) -> float:
+    """Variance between units by the method of moments (DerSimonian & Laird 1986, with covariates)."""
+    inverse, _, misfit = _of_levels(away, 1.0 / noise, x)
+    more = float((1.0 / noise).sum() - np.trace(inverse @ (x.T @ (x / noise[:, None] ** 2))))
+    return max((misfit - len(away) + x.shape[1]) / more, 0.0)

@@ -165,7 +165,7 @@ class Correction:
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"a calibration is not complete: {error!r}") from error
 
-    def energy_of(self, terms: Sequence[Term], rows: Features) -> FloatArray:
+    def added_energy(self, terms: Sequence[Term], rows: Features) -> FloatArray:
         """Return the energy that some of its terms add.
 
         Parameters
