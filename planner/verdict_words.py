@@ -27,8 +27,9 @@ def verdict_in_words(verdict: Verdict, course: Course) -> str:
     Returns
     -------
     str
-        Such as "Likely: 78 % to return with the reserve; expected 23.7 kJ (90 % between 19.0 and 28.4) of 31.0 kJ; the
-        climb at 210 m takes 51 %; a charge of 71 % makes it a yes."
+        Such as "Likely: 78 % to return with the reserve; expected 6.58 Wh (90 % between 5.28 and 7.89 Wh) of 8.61 Wh
+        above the reserve; the climb that begins 210 m along the way out takes 51 % of the energy; a charge of 71 %
+        makes it a yes."
     """
     parts = [_odds(verdict, course), _energy(verdict)]
     if verdict.overload_at is not None:
@@ -55,30 +56,30 @@ def _odds(verdict: Verdict, course: Course) -> str:
 def _energy(verdict: Verdict) -> str:
     between = ""
     if verdict.energy_p05_j is not None and verdict.energy_p95_j is not None:
-        between = f" (90 % between {_kj(verdict.energy_p05_j)} and {_kj(verdict.energy_p95_j)})"
-    words = f"expected {_kj(verdict.energy_j)} kJ{between}"
+        between = f" (90 % between {_wh(verdict.energy_p05_j)} and {_wh(verdict.energy_p95_j)} Wh)"
+    words = f"expected {_wh(verdict.energy_j)} Wh{between}"
     if verdict.available_j < 0.0:
         return f"{words}, and the charge is below the reserve already"
-    return f"{words} of {_kj(verdict.available_j)} kJ"
+    return f"{words} of {_wh(verdict.available_j)} Wh{' above the reserve' if verdict.reserve > 0.0 else ''}"
 
 
-def _kj(energy_j: float) -> str:
-    """Three digits, and never a power of ten."""
-    return f"{energy_j / 1000.0:.0f}" if abs(energy_j) >= 1e5 else f"{energy_j / 1000.0:.3g}"
+def _wh(energy_j: float) -> str:
+    """As batteries are labelled: three digits, and never a power of ten."""
+    energy_wh = energy_j / 3600.0
+    digits = 2 - math.floor(math.log10(max(abs(energy_wh), 1e-2)))
+    return f"{energy_wh:.{max(digits, 0)}f}"
 
 
 def _stretch(stretch: Stretch, course: Course) -> str:
     length = stretch.end_m - stretch.start_m
     steep = stretch.rise_m / length if length > 0.0 and math.isfinite(stretch.rise_m) else 0.0
     what = "climb" if steep > _LEVEL else "stretch"
-    way = (
-        ""
-        if course.ways < 2
-        else (" of the way out", " of the way back")[stretch.way]
-        if course.ways == 2
-        else (f" of leg {stretch.way + 1}")
+    ways = {1: ("the route",), 2: ("the way out", "the way back")}.get(course.ways)
+    way = ways[stretch.way] if ways else f"leg {stretch.way + 1}"
+    where = (
+        f"that begins {stretch.start_m:.0f} m along {way}" if stretch.start_m >= 0.5 else f"at the beginning of {way}"
     )
-    return f"the {what} at {stretch.start_m:.0f} m{way} takes {stretch.share:.0%}"
+    return f"the {what} {where} takes {100.0 * stretch.share:.0f} % of the energy"
 
 
 def _advice(verdict: Verdict) -> str:

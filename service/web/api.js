@@ -1,6 +1,6 @@
 // Talks to the service: questions, files, pictures and progress. Errors carry the words of the service.
 
-import { make } from "./dom.js";
+import { by, time } from "./dom.js";
 
 const ROOT = new URL("../", import.meta.url);
 const KEY = "joulemap-key";
@@ -21,7 +21,6 @@ export class Unreachable extends Error {
 
 export const address = path => new URL(path.replace(/^\//, ""), ROOT);
 export const onConnection = listener => lost.addEventListener("change", event => listener(event.detail));
-export const superseded = error => error.name === "AbortError";
 
 async function request(path, { method = "GET", body, headers = {}, signal } = {}) {
   const key = sessionStorage.getItem(KEY);
@@ -52,19 +51,22 @@ export async function ask(path, options) {
   return answer.status === 204 ? null : answer.json();
 }
 
-/** Asks with a confidence, and where the model gives no odds without one: then the expected energy decides. Returns the answer, and whether it has odds. */
+/** Asks with a confidence, and where the model gives no odds without one: then the expected energy decides. The answer has `odds`, whether there are any. */
 export async function sendForOdds(path, body, options) {
-  try { return [await send(path, body, options), true]; } catch (error) {
+  try { return { ...await send(path, body, options), odds: true }; } catch (error) {
     if (error.status !== 422 || !/confidence/.test(error.message)) throw error;
-    return [await send(path, { ...body, confidence: null }, options), false];
+    return { ...await send(path, { ...body, confidence: null }, options), odds: false };
   }
 }
 
 export const send = (path, body, options) => ask(path, { method: "POST", body, ...options });
-/** What is kept: cost maps and heightmaps, and the names of these. */
+/** What is kept: cost maps and heightmaps, the names of these, and what tells one cost map from the others. */
 export async function kept() {
   const [costmaps, heightmaps] = (await Promise.all(["costmaps", "heightmaps"].map(kind => ask(`v1/${kind}?limit=100`)))).map(({ items }) => items);
-  return { costmaps, heightmaps, names: new Map(heightmaps.map(one => [one.id, one.name])) };
+  const named = new Map(heightmaps.map(one => [one.id, one.name])), name = id => named.get(id) ?? id;
+  const words = ({ heightmap_id: ground, robot, model }) => `${name(ground)} · ${robot.name}, ${robot.mass_kg} kg · ${model}`;
+  const label = one => words(one) + (costmaps.some(other => other !== one && words(other) === words(one)) ? ` · ${time(one.created_at)}` : "");
+  return { costmaps, heightmaps, name, label };
 }
 export const blob = async (path, options) => (await request(path, options)).blob();
 
@@ -100,16 +102,17 @@ async function* events(stream) {
   }
 }
 
-/** Of questions asked in a row only the last counts: the one before is aborted, which stops its work in the service. */
+/** Of questions asked in a row only the last counts: the one before is aborted, which stops its work in the service, and gives undefined. */
 export class Latest {
   #abort = null;
 
   async run(work) {
     this.stop();
-    const mine = this.#abort = new AbortController();
-    const result = await work(mine.signal);
-    if (mine.signal.aborted) throw new DOMException("superseded", "AbortError");
-    return result;
+    const { signal } = this.#abort = new AbortController();
+    try {
+      const result = await work(signal);
+      return signal.aborted ? undefined : result;
+    } catch (error) { if (!signal.aborted) throw error; }
   }
 
   stop() { this.#abort?.abort(); }
@@ -131,11 +134,10 @@ async function watchConnection() {
 let asking = null;
 function askKey(why) {
   asking ??= new Promise(done => {
-    const input = make("input", { type: "password", required: true, autocomplete: "off" });
-    const box = make("dialog", { "aria-label": "This service wants a key" },
-      make("form", { method: "dialog", onsubmit: () => sessionStorage.setItem(KEY, input.value) }, make("p", {}, why), make("label", {}, "Key ", input), " ", make("button", { class: "main" }, "Use this key")));
-    box.addEventListener("close", () => { box.remove(); asking = null; done(input.value !== ""); });
-    document.body.append(box);
+    const box = by("key-dialog"), input = box.querySelector("input");
+    box.querySelector("p").textContent = why;
+    box.onsubmit = () => sessionStorage.setItem(KEY, input.value);
+    box.onclose = () => { asking = null; done(input.value !== ""); };
     box.showModal();
   });
   return asking;

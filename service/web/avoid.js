@@ -1,6 +1,6 @@
 // Areas to avoid: drawn corner by corner, blocked in every question.
 
-import { button, by, fill, h2, make } from "./dom.js";
+import { button, by, fill } from "./dom.js";
 import { inside, leaf, map } from "./map.js";
 import { hint, takers } from "./question.js";
 import { now, on, set } from "./state.js";
@@ -11,14 +11,8 @@ let corners = null;
 
 const SAYS = "Click the corners of the area; click the first corner again, or press Enter, to close it. Escape gives up.";
 
-export function panel() {
-  return make("div", {}, h2("Areas to avoid"), make("div", { class: "row", id: "areas" }));
-}
-
 function list() {
-  const here = by("areas");
-  if (!here) return;
-  fill(here, button({ onclick: corners ? close : begin }, corners ? "Close the area" : "Draw an area"),
+  fill(by("areas"), button({ onclick: corners ? close : begin }, corners ? "Close the area" : "Draw an area"),
     now.avoid.map((_, k) => button({ "aria-label": `Remove area ${k + 1}`, onclick: () => set({ avoid: now.avoid.filter((_, i) => i !== k) }) }, `Area ${k + 1} ✕`)));
 }
 
@@ -60,4 +54,4 @@ on("avoid", () => {
   for (const ring of now.avoid) L.polygon(ring.map(leaf), STYLE).bindTooltip("blocked: area to avoid", { sticky: true }).addTo(areas);
   list();
 });
-on("costmap", () => queueMicrotask(list));
+list();

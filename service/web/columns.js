@@ -1,6 +1,6 @@
 // When the columns of a log have other names: say which is which, and in which unit.
 
-import { alarm, button, fill, h3, live, make, row } from "./dom.js";
+import { alarm, button, fill, h3, live, make, row, select } from "./dom.js";
 
 /** What a run needs, how a column of it is often called, and the units that it may be in. */
 const LENGTHS = ["m", "cm", "mm", "km", "ft"], ANGLES = ["deg", "rad", "degE7"];
@@ -23,8 +23,8 @@ export async function form(files, send) {
   if (names.length < 3 || ["t", "x", "y", "voltage", "current"].every(name => names.includes(name))) return null;
   const choices = Object.entries(NEEDED).map(([name, [label, likely, units]]) => {
     const guess = names.includes(name) ? name : names.find(one => likely.test(one));
-    const list = make("select", { "aria-label": label }, make("option", { value: "" }, "not logged"), names.map(one => make("option", { value: one, selected: one === guess }, one)));
-    const unit = make("select", { "aria-label": `unit of ${label}` }, make("option", { value: "" }, "auto"), units.map(one => make("option", { value: `:${one}` }, one)));
+    const list = select([["", "not logged"], ...names.map(one => [one, one])], guess, () => {}, { "aria-label": label });
+    const unit = select([["", "auto"], ...units.map(one => [`:${one}`, one])], "", () => {}, { "aria-label": `unit of ${label}` });
     return { name, label, list, unit };
   });
   const said = live();

@@ -1,21 +1,28 @@
 // Controls that several panels have.
 
 import { ask, follow, send } from "./api.js";
-import { alarm, button, errorNote, fill, make, note, number, percent, row } from "./dom.js";
+import { alarm, button, by, errorNote, fill, make, note, number, percent, row } from "./dom.js";
+import { on } from "./state.js";
 
-/** A slider with its value; `change` is called while it moves. */
-export function slider(label, value, { min, max, step, words }, change) {
-  const shown = make("b", {}, words(value));
-  const input = make("input", { type: "range", min, max, step, value, "aria-label": label, "aria-valuetext": words(value), oninput: () => {
-    shown.textContent = words(+input.value);
-    input.setAttribute("aria-valuetext", shown.textContent);
-    change(+input.value);
-  } });
-  return make("label", { class: "slider" }, make("span", {}, label, shown), input);
+/** Controls of the document that show a part of the state, such as a slider and its box: `get` is what they show, `put` is called with what somebody chose. */
+export function bind(id, parts, get, put, words) {
+  const here = by(id), all = here.matches("input, select") ? [here] : [...here.querySelectorAll("input")];
+  function show() {
+    const value = get(), said = words?.(value);
+    for (const one of all) {
+      if (one.type === "checkbox") one.checked = value;
+      else if (one.type === "radio") one.checked = one.value === value;
+      else if (one !== document.activeElement) one.value = value ?? "";
+      if (said) one.setAttribute("aria-valuetext", `${value}${said}`);
+    }
+    if (said) here.querySelector(".unit").textContent = said;
+  }
+  for (const one of all) one.addEventListener(one.type === "range" ? "input" : "change", () => {
+    if (one.reportValidity()) put(one.type === "checkbox" ? one.checked : one.value === "" ? null : Number.isNaN(+one.value) ? one.value : +one.value);
+  });
+  on(parts, show);
+  show();
 }
-
-/** A box to tick; `change` is called with whether it is. */
-export const check = (words, checked, change, own = {}) => make("label", { class: "check" }, make("input", { type: "checkbox", checked, onchange: event => change(event.target.checked), ...own }), words);
 
 /** Calls `work` when nothing more came for a moment. */
 export function settled(work, pause = 120) {

@@ -1,5 +1,7 @@
 // Makes elements, and writes numbers with their units.
 
+import { capacity } from "./state.js";
+
 /** An element: `make("p", { class: "note" }, "text", other)`; properties that begin with "on" are listeners. */
 export function make(tag, properties = {}, ...children) {
   const node = document.createElement(tag);
@@ -34,26 +36,22 @@ export const by = id => document.getElementById(id);
 /** Nothing but these children. */
 export const fill = (node, ...children) => node.replaceChildren(...children.flat().filter(child => child !== null && child !== undefined));
 
-const rounded = (value, digits) => value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace(/,/g, "\u2009");
+export const number = (value, digits = 1) => value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace(/,/g, "\u2009");
 
-export function metres(value) {
-  return Math.abs(value) >= 10_000 ? `${rounded(value / 1000, 1)} km` : `${rounded(value, Math.abs(value) < 100 ? 1 : 0)} m`;
-}
-
-export function joules(value) {
-  const size = Math.abs(value);
-  if (size >= 1e6) return `${rounded(value / 3600, 0)} Wh`;
-  return size >= 1000 ? `${rounded(value / 1000, size < 1e5 ? 2 : 1)} kJ` : `${rounded(value, 0)} J`;
-}
-
-export const percent = (share, digits = 0) => `${rounded(100 * share, digits)} %`;
+/** Decimals of three digits; those of the greatest number of a list are those of all of it. */
+const decimals = most => Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(most) || 1))));
+export const metres = (value, most = value) => (Math.abs(most) >= 10_000 ? `${number(value / 1000, 1)} km` : `${number(value, Math.min(1, decimals(most)))} m`);
+/** An energy [J] in Wh, as batteries are labelled, and as a share of the full battery. */
+export const energy = (value, most = value) => `${number(value / 3600, decimals(most / 3600))} Wh`;
+export const ofBattery = (value, most = value) => percent(value / capacity(), decimals(100 * most / capacity()));
+export const percent = (share, digits = 0) => `${number(100 * share, digits)} %`;
 
 export function minutes(seconds) {
-  if (seconds < 90) return `${rounded(seconds, 0)} s`;
-  return seconds < 5400 ? `${rounded(seconds / 60, 0)} min` : `${rounded(seconds / 3600, 1)} h`;
+  if (seconds < 90) return `${number(seconds, 0)} s`;
+  return seconds < 5400 ? `${number(seconds / 60, 0)} min` : `${number(seconds / 3600, 1)} h`;
 }
 
-export const number = (value, digits = 1) => rounded(value, digits);
+export const time = stamp => new Date(stamp).toLocaleString("en-GB", { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", second: "2-digit" });
 
 const kind = (tag, own = {}) => (...children) => make(tag, own, children.flat());
 export const h2 = kind("h2"), h3 = kind("h3");
@@ -68,9 +66,17 @@ export const alarm = kind("p", { class: "error", role: "alert" }), button = ({ .
 /** The words of an error, for a person. */
 export const errorNote = error => alarm(error.message);
 
+/** Does something; what goes wrong is said there. */
+export async function attempt(here, work) {
+  try { await work(); } catch (error) { if (error.name !== "AbortError") fill(here, errorNote(error)); }
+}
+
+/** A list to choose from: `options` are pairs of a value and its words. */
+export const select = (options, chosen, change, own) => make("select", { onchange: ({ target }) => change(target.value), ...own }, options.map(([value, words]) => make("option", { value, selected: value === chosen }, words)));
+
 /** A table; the first row is the head. Cells are text or nodes; numbers are put to the right. */
 export function table([head, ...rows], caption) {
-  const cell = (kind, value) => make(kind, typeof value === "number" ? { class: "number" } : {}, typeof value === "number" ? number(value, 0) : value);
+  const right = value => (/^[\d.\u2009]+( \S+)?$/.test(value) ? { class: "number" } : {}), cell = value => make("td", right(value), typeof value === "number" ? number(value, 0) : value);
   return make("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
-    make("table", {}, make("thead", {}, make("tr", {}, head.map(text => make("th", { scope: "col" }, text)))), make("tbody", {}, rows.map(row => make("tr", {}, row.map(value => cell("td", value)))))));
+    make("table", {}, make("thead", {}, make("tr", {}, head.map((text, k) => make("th", { scope: "col", ...right(rows[0]?.[k]) }, text)))), make("tbody", {}, rows.map(row => make("tr", {}, row.map(cell))))));
 }

@@ -13,16 +13,18 @@ export function read(hash = location.hash) {
   const given = new URLSearchParams(hash.slice(1)), found = { map: given.get("map") };
   const start = point(given.get("from")), goal = point(given.get("to"));
   const stops = (given.get("stops") ?? "").split(";").map(point).filter(Boolean);
-  const [charge, reserve] = (given.get("battery") ?? "").split(",").map(Number);
+  const [charge, reserve, full] = (given.get("battery") ?? "").split(",").map(Number);
   const view = given.get("view"), heading = Number(given.get("heading"));
   found.changes = {
     ...(start && { start }), ...(goal && { goal }), ...(stops.length && { stops }),
     ...(["ground", "mean", "heading", "directionality"].includes(view) && { view }),
     ...(Number.isFinite(heading) && { heading }),
-    ...(charge > 0 && charge <= 1 && reserve >= 0 && reserve <= 1 && { battery: { charge, reserve } }),
+    ...(charge > 0 && charge <= 1 && reserve >= 0 && reserve <= 1 && { battery: { charge, reserve, capacity_wh: full > 0 ? full : null } }),
     ...(given.get("back") === "1" && { roundTrip: true }),
     ...(Number(given.get("others")) > 0 && { alternatives: Math.min(Number(given.get("others")), 5) }),
   };
+  const objective = given.get("objective"), quantile = Number(given.get("quantile")), power = Number(given.get("max_power_w"));
+  if (objective || power > 0) found.changes.aim = { objective: ["quantile", "arrival"].includes(objective) ? objective : "mean", quantile: quantile >= 0.5 && quantile <= 0.99 ? quantile : 0.95, max_power_w: power > 0 ? power : null };
   const avoid = (given.get("avoid") ?? "").split("|").map(ring => ring.split(";").map(point).filter(Boolean)).filter(ring => ring.length > 2);
   if (avoid.length) found.changes.avoid = avoid;
   const seen = (given.get("at") ?? "").split(",").map(Number);
@@ -39,9 +41,10 @@ export function address() {
   if (now.start) parts.set("from", written(now.start));
   if (now.goal) parts.set("to", written(now.goal));
   if (now.stops.length) parts.set("stops", now.stops.map(written).join(";"));
-  parts.set("battery", `${now.battery.charge},${now.battery.reserve}`);
+  parts.set("battery", Object.values(now.battery).filter(value => value !== null).join(","));
   if (now.roundTrip) parts.set("back", "1");
   if (now.alternatives) parts.set("others", now.alternatives);
+  for (const [name, value] of Object.entries(now.aim)) if (value && value !== "mean" && (name !== "quantile" || now.aim.objective === name)) parts.set(name, value);
   if (now.avoid.length) parts.set("avoid", now.avoid.map(ring => ring.map(written).join(";")).join("|"));
   parts.set("view", now.view);
   if (now.view === "heading") parts.set("heading", now.heading);
@@ -60,4 +63,4 @@ function write() {
   waiting = setTimeout(() => { if (now.costmap) history.replaceState(null, "", address()); }, 200);
 }
 
-on("costmap start goal stops battery roundTrip alternatives avoid view heading", write);
+on("costmap start goal stops battery roundTrip alternatives avoid aim view heading", write);

@@ -1,10 +1,10 @@
 // The loop: send measured runs, see what was read of them, calibrate the model, compare before and after.
 
 import { ask, send } from "./api.js";
-import { alarm, button, by, errorNote, fill, h2, h3, joules, live, make, metres, note, number, patch, percent, row, table, warn } from "./dom.js";
+import { alarm, attempt, button, by, errorNote, fill, energy, h2, h3, make, metres, note, number, patch, percent, row, table, time, warn } from "./dom.js";
 import { dropZone } from "./ground.js";
 import * as columns from "./columns.js";
-import { check, watched } from "./controls.js";
+import { watched } from "./controls.js";
 import { build } from "./map_panel.js";
 import * as measured from "./measured.js";
 import { leaf, map } from "./map.js";
@@ -16,17 +16,12 @@ const BEFORE = "#6d6d6d", AFTER = "#00634a", DRIVE = "#5b2a86"; // the way of th
 
 export function show() {
   drawn.clearLayers();
-  const here = by("step-runs");
-  if (!now.costmap) { fill(here, note("Make a cost map first: runs are compared with its ground, robot and model.")); return; }
-  fill(here,
-    h2("Measured runs"),
-    note("Logs of this robot on this ground: time, position, voltage and current. What the model does not contain is found in them."),
-    dropZone(make("span", {}, make("b", {}, "Choose runs"), " or drop them here"), { multiple: true, id: "runs-files", "aria-label": "Files of runs" }, upload),
-    live("sent"), make("div", { id: "runs-list" }), live("calibrating"),
-    h2("Calibrations"), make("div", { id: "calibrations" }), live("found"));
+  for (const name of ["sent", "calibrating", "found"]) fill(by(name));
+  if (!now.costmap) return;
   listRuns();
   listCalibrations();
 }
+dropZone(by("runs-files"), files => upload(files));
 
 const words = key => key.replaceAll("_", " ");
 const counted = counts => Object.entries(counts).map(([reason, count]) => `${words(reason)}: ${number(count, 0)}`).join(", ") || "nothing";
@@ -50,16 +45,16 @@ const readOf = sent => table([["run", "segments of 1 m", "repaired", "left out"]
 
 async function listRuns(chosen) {
   const here = by("runs-list");
-  try {
+  await attempt(here, async () => {
     const { items } = await ask("v1/runs?limit=100");
     if (!items.length) { fill(here, note("No runs are kept yet.")); return; }
     const boxes = items.filter(one => one.runs).map(one => [one, make("input", { type: "checkbox", checked: one.id === chosen || (!chosen && one === items[0]) })]);
-    let quick = true;
+    const quick = make("input", { type: "checkbox", checked: true, id: "quick" });
     fill(here, make("details", { open: true }, make("summary", {}, "Learn from"),
       boxes.map(([one, box]) => make("label", { class: "check" }, box, `${one.runs.map(run => run.name).slice(0, 3).join(", ")}${one.runs.length > 3 ? `, and ${one.runs.length - 3} more` : ""} (${number(one.runs.reduce((sum, run) => sum + run.segments, 0), 0)} segments)`)),
-      check("Quick: done sooner, but errors are those of the fit, which are too small", quick, on => { quick = on; }, { id: "quick" }),
-      row(button({ class: "main", id: "calibrate", onclick: () => calibrate(boxes.filter(([, box]) => box.checked).map(([one]) => one.id), quick) }, "Calibrate the model"))));
-  } catch (error) { fill(here, errorNote(error)); }
+      make("label", { class: "check" }, quick, "Quick: done sooner, but errors are those of the fit, which are too small"),
+      row(button({ class: "main", id: "calibrate", onclick: () => calibrate(boxes.filter(([, box]) => box.checked).map(([one]) => one.id), quick.checked) }, "Calibrate the model"))));
+  });
 }
 
 const baseModel = () => (now.costmap.model.startsWith("cal-") ? now.costmap.provenance?.model?.base?.name ?? "default" : now.costmap.model);
@@ -69,10 +64,10 @@ async function calibrate(runs, quick) {
   const said = by("calibrating");
   if (!runs.length) { fill(said, alarm("Choose at least one set of runs.")); return; }
   const ends = now.start && now.goal ? { start: now.start, goal: now.goal } : {};
-  try {
-    fill(said, note("Asking…"));
+  fill(said, note("Asking…"));
+  await attempt(said, async () => {
     await watch(await send("v1/calibrations", { heightmap_id: now.costmap.heightmap_id, runs, model: baseModel(), robot: robotOf(now.costmap), quick, ...ends }));
-  } catch (error) { fill(said, errorNote(error)); }
+  });
 }
 
 async function watch(calibration) {
@@ -81,15 +76,13 @@ async function watch(calibration) {
   if (made.status === "done") open(made);
 }
 
-const time = stamp => new Date(stamp).toLocaleString("en-GB", { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit" });
-
 async function listCalibrations() {
   const here = by("calibrations");
-  try {
+  await attempt(here, async () => {
     const { items } = await ask("v1/calibrations?limit=100"), mine = items.filter(one => one.heightmap_id === now.costmap?.heightmap_id);
     if (!mine.length) { fill(here, note("None on this ground yet.")); return; }
     fill(here, mine.map(one => row(button({ onclick: async () => (one.status === "done" ? open(await ask(`v1/calibrations/${one.id}`)) : watch(one)), disabled: ["failed", "cancelled"].includes(one.status) }, `${time(one.created_at)}, from model ${one.model}`), make("span", { class: "quiet" }, one.status === "failed" ? one.problem.detail : one.status === "done" ? "" : one.status))));
-  } catch (error) { fill(here, errorNote(error)); }
+  });
 }
 
 const STATES = { before: "model before", corrected: "with base parameters fitted", after: "calibrated", after_planner: "calibrated, known before a drive" };
@@ -98,7 +91,7 @@ const sure = p => (p < 0.001 ? "p < 0.001" : `p = ${p.toPrecision(2)}`);
 
 const swatch = colour => patch(colour, "swatch");
 
-const line = (points, words, style) => L.polyline(points.map(leaf), style).bindTooltip(make("span", {}, words), { sticky: true }).addTo(drawn);
+const line = (points, words, style) => L.polyline(points.map(leaf), { pane: "runs", ...style }).bindTooltip(make("span", {}, words), { sticky: true }).addTo(drawn);
 
 /** What a calibration found, and what to do with it. */
 async function open(made) {
@@ -115,7 +108,7 @@ async function open(made) {
     make("div", { class: "row" },
       made.calibrated_model ? button({ class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
       make("a", { class: "button", href: `v1/calibrations/${made.id}/report.html`, target: "_blank", rel: "noopener" }, "Whole report")),
-    route ? make("div", {}, h3("A route before and after"), make("p", {}, `By the calibrated model the way before costs ${joules(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${joules(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
+    route ? make("div", {}, h3("A route before and after"), make("p", {}, `By the calibrated model the way before costs ${energy(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${energy(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
     drive ? make("div", {}, h3("What to drive next"), make("p", {}, `${drive.kind}, ${metres(drive.total_length_m)} in all, at ${drive.speeds_mps.map(speed => number(speed, 2)).join(" and ")} m/s: it measures ${drive.label} more precisely${drive.expected_interval_share ? `; its interval shrinks to ${percent(drive.expected_interval_share)}` : ""}.`), drive.placed ? routeButtons("next-drive", format => [`v1/calibrations/${made.id}/next-drive?format=${format}`]) : null) : null,
     route || drive?.placed ? note("On the map: ", route ? [swatch(BEFORE), "before ", swatch(AFTER), "after "] : "", drive?.placed ? [swatch(DRIVE), "next drive"] : "") : null,
     make("div", { id: "measured" }));

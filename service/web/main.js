@@ -23,6 +23,7 @@ function choose(tab) {
   for (const one of tabs) {
     const chosen = one === tab;
     one.setAttribute("aria-selected", String(chosen));
+    if (chosen) by("map").dataset.tab = tab.id; // what belongs to one panel is seen with it alone
     one.tabIndex = chosen ? 0 : -1;
     by(one.getAttribute("aria-controls")).hidden = !chosen;
   }
@@ -45,11 +46,11 @@ onConnection(there => banner(there ? null : "The service does not answer. The pa
 window.addEventListener("unhandledrejection", ({ reason }) => { if (reason?.name !== "AbortError") banner(reason?.message ?? String(reason)); });
 
 async function listMaps() {
-  const { costmaps, names } = await kept();
+  const { costmaps, name, label } = await kept();
   const done = costmaps.filter(one => one.status === "done");
   const grounds = [...new Set(done.map(one => one.heightmap_id))].sort((a, b) => (b === now.costmap?.heightmap_id) - (a === now.costmap?.heightmap_id)); // models of this ground first
-  fill(by("maps"), now.costmap ? null : make("option", { value: "" }, "none chosen"), grounds.map(ground => make("optgroup", { label: names.get(ground) ?? ground },
-    done.filter(one => one.heightmap_id === ground).map(one => make("option", { value: one.id, selected: one.id === now.costmap?.id }, `${names.get(ground) ?? ground} · ${one.robot.name} · ${one.model}`)))));
+  fill(by("maps"), now.costmap ? null : make("option", { value: "" }, "none chosen"), grounds.map(ground => make("optgroup", { label: name(ground) },
+    done.filter(one => one.heightmap_id === ground).map(one => make("option", { value: one.id, selected: one.id === now.costmap?.id }, label(one))))));
   by("maps").disabled = !done.length;
 }
 
@@ -59,8 +60,10 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   const [layers, heightmap] = await Promise.all([ask(`v1/costmaps/${costmap.id}/layers`), ask(`v1/heightmaps/${costmap.heightmap_id}`)]);
   ground.hide();
   const route = same && former.id !== costmap.id && now.answer?.path ? { path: now.answer.path, energy_j: now.answer.energy_j, length_m: now.answer.length_m, model: former.model } : null;
-  set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [] }), before: route, costmap, layers, heightmap, cursor: null, ...changes });
+  const battery = former?.robot.battery_wh === costmap.robot.battery_wh ? now.battery : { ...now.battery, capacity_wh: null };
+  set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [] }), battery, before: route, costmap, layers, heightmap, cursor: null, ...changes });
   mapPanel.show();
+  document.body.classList.add("has-map");
   by("view-3d").hidden = !about.plotly;
   choose(by(now.start && now.goal ? "tab-route" : "tab-map"));
   hint();
@@ -113,5 +116,5 @@ async function begin() {
   document.documentElement.dataset.ready = "yes";
 }
 
-begin().catch(error => fill(by("welcome"), make("div", {}, errorNote(error), button({ onclick: () => window.location.reload() }, "Try again")))).finally(() => { if (!now.costmap) by("welcome").hidden = by("welcome").childElementCount === 0; });
+begin().catch(error => { by("welcome").hidden = false; fill(by("welcome-said"), errorNote(error), button({ onclick: () => window.location.reload() }, "Try again")); });
 window.joulemap = { map, now };

@@ -1,9 +1,9 @@
 // The map: pictures of ground, energy and blocked ground, contours, scale bar, and what is under the pointer.
 
-import { ask, blob, Latest, superseded } from "./api.js";
+import { ask, blob, Latest } from "./api.js";
 import { by, number } from "./dom.js";
 import * as link from "./link.js";
-import { now, on, set } from "./state.js";
+import { now, on } from "./state.js";
 
 /** Leaflet counts [y, x]. */
 export const leaf = ([x, y]) => [y, x];
@@ -13,9 +13,9 @@ export const map = L.map("map", {
   crs: L.CRS.Simple, zoomSnap: 0.25, wheelPxPerZoomLevel: 90, minZoom: -9, maxZoom: 9, attributionControl: false, zoomControl: true, doubleClickZoom: false, boxZoom: false,
 }).setView([0, 0], 0);
 L.control.scale({ imperial: false, position: "bottomleft" }).addTo(map);
-for (const [name, order] of [["ground", 200], ["colour", 210], ["blocked", 220], ["pieces", 225], ["contours", 230], ["roses", 240], ["reach", 250]]) {
+for (const [name, order] of [["ground", 200], ["colour", 210], ["blocked", 220], ["pieces", 225], ["contours", 230], ["roses", 240], ["reach", 250], ["runs", 410]]) {
   map.createPane(name).style.zIndex = order;
-  if (name !== "reach") map.getPane(name).style.pointerEvents = "none";
+  if (order < 250) map.getPane(name).style.pointerEvents = "none";
 }
 
 const bounds = ([west, south, east, north]) => [[south, west], [north, east]];
@@ -24,15 +24,12 @@ const pictures = {};
 const lines = L.layerGroup().addTo(map), thin = L.canvas({ pane: "contours", padding: 0.3 });
 
 /** Shows a picture of the service on the map in place of the one before. */
-async function show(name, path, box, opacity = 1) {
-  try {
-    const picture = path && await latest[name].run(signal => blob(path, { signal }));
-    const before = pictures[name];
-    pictures[name] = picture && L.imageOverlay(URL.createObjectURL(picture), bounds(box), { pane: name, className: name, opacity, alt: "" }).addTo(map);
-    if (before) { before.remove(); URL.revokeObjectURL(before._url); }
-  } catch (error) {
-    if (!superseded(error)) throw error;
-  }
+async function show(name, path, box) {
+  const picture = path && await latest[name].run(signal => blob(path, { signal }));
+  if (picture === undefined) return;
+  const before = pictures[name];
+  pictures[name] = picture && L.imageOverlay(URL.createObjectURL(picture), bounds(box), { pane: name, className: name, alt: "" }).addTo(map);
+  if (before) { before.remove(); URL.revokeObjectURL(before._url); }
 }
 
 /** The ground alone, before there is a cost map. */
@@ -84,13 +81,9 @@ async function hatch() {
 async function contours() {
   lines.clearLayers();
   if (!now.costmap || !now.show.contours) return;
-  try {
-    const found = await latest.contours.run(signal => ask(`v1/costmaps/${now.costmap.id}/contours`, { signal }));
-    for (const { geometry } of found.features) {
-      lines.addLayer(L.polyline(geometry.coordinates.map(line => line.map(leaf)), { renderer: thin, color: "#4c4338", weight: 0.8, opacity: 0.55, interactive: false, smoothFactor: 0.5 }));
-    }
-  } catch (error) {
-    if (!superseded(error)) throw error;
+  const found = await latest.contours.run(signal => ask(`v1/costmaps/${now.costmap.id}/contours`, { signal }));
+  for (const { geometry } of found?.features ?? []) {
+    lines.addLayer(L.polyline(geometry.coordinates.map(line => line.map(leaf)), { renderer: thin, color: "#4c4338", weight: 0.8, opacity: 0.55, interactive: false, smoothFactor: 0.5 }));
   }
 }
 
@@ -98,7 +91,7 @@ on("view heading", () => { colour(); hatch(); });
 on("show", () => { hatch(); contours(); });
 
 /** Latitude and longitude between the nine places that the service gave. */
-export function latLon([x, y]) {
+function latLon([x, y]) {
   const grid = now.layers?.lat_lon;
   if (!grid) return null;
   const [west, south, east, north] = now.costmap.frame.bounds;
@@ -110,7 +103,22 @@ export function latLon([x, y]) {
 }
 
 /** Why nothing can be driven at a place, in words. */
-export const reasonWords = reason => ({ outside: "too near the edge", unknown: "height unknown", step: "a step above the wheel radius", grade: "steeper than the robot climbs", cross_slope: "side slope too steep", power: "more power than allowed", avoid: "area to avoid" })[reason] ?? reason;
+export function reasonWords(reason) {
+  const { wheel_radius_m: radius, max_grade_deg: grade, max_cross_slope_deg: side } = now.costmap.robot;
+  return { outside: "too near the edge of the map", unknown: "height unknown", step: `a step higher than the wheel radius of ${radius} m`, grade: `steeper than ${grade}°, the robot's limit`, cross_slope: `side slope above ${side}°, the robot's limit`, power: "more power than allowed", avoid: "area to avoid" }[reason] ?? reason;
+}
+
+/** A warning of the service, as far as it is one of the ground; `pieces` are those of a route that it may concern. */
+export function groundWarning(words, pieces) {
+  const [, share, limit] = /^(.*) of the map is steeper than the (.*) degrees/.exec(words) ?? [];
+  if (!share) return words;
+  const slope = degrees => Math.tan(degrees * Math.PI / 180), { max_cross_slope_deg: side } = now.costmap.robot;
+  const far = pieces?.reduce((sum, { distance_m: d, z }, k) => {
+    const { distance_m: before, z: from } = pieces[k - 1] ?? { distance_m: 0, z };
+    return sum + (Math.hypot((z - from) / (d - before || 1), slope(side)) > slope(limit) ? d - before : 0);
+  }, 0);
+  return `The model was trained on slopes up to ${limit}°. ${share} of this map is steeper${pieces ? far ? `, and ${number(Math.ceil(far), 0)} m of this route may be: its energy is less certain there` : ", but nothing of this route is" : ": energies are less certain there"}.`;
+}
 
 function placeWords(found, place) {
   const lines = [`x ${number(place[0], 1)}  y ${number(place[1], 1)} m`];
@@ -136,10 +144,9 @@ function say(latlng) {
   pausing = setTimeout(async () => {
     const { id } = now.costmap;
     try {
-      here.textContent = placeWords(await latest.at.run(signal => ask(`v1/costmaps/${id}/at?x=${place[0]}&y=${place[1]}`, { signal })), place);
-    } catch (error) {
-      if (!superseded(error)) here.textContent = error.message;
-    }
+      const found = await latest.at.run(signal => ask(`v1/costmaps/${id}/at?x=${place[0]}&y=${place[1]}`, { signal }));
+      if (found) here.textContent = placeWords(found, place);
+    } catch (error) { here.textContent = error.message; }
   }, 50);
 }
 map.on("mousemove", ({ latlng }) => say(latlng));

@@ -1,11 +1,11 @@
 // The panel "Map": the ground, the robot, making the cost map, and how the map is coloured.
 
-import { ask, send, superseded } from "./api.js";
-import { button, by, errorNote, field, fill, fold, h2, live, make, note, number, patch, percent, row, warn } from "./dom.js";
+import { ask, send } from "./api.js";
+import { alarm, attempt, by, fill, make, note, number, patch, percent, warn } from "./dom.js";
 import { sizeWords } from "./ground.js";
-import { reasonWords } from "./map.js";
+import { groundWarning, reasonWords } from "./map.js";
 import * as robots from "./robot.js";
-import { check, settled, slider, watched } from "./controls.js";
+import { bind, settled, watched } from "./controls.js";
 import { now, on, set } from "./state.js";
 
 let opened = () => {}, known = {}, working = null;
@@ -19,63 +19,57 @@ async function allModels() {
     ...found.items.filter(one => one.calibrated_model).map(one => [one.calibrated_model, `calibrated ${one.calibrated_model} (from ${one.model})`])];
 }
 
-const making = () => by("making") ?? by("step-map").appendChild(live("making"));
-
 /** The form for a cost map of `heightmap`; `chosen` is the model that is selected first. */
 export async function wish(heightmap, chosen = "default") {
-  const model = make("select", { id: "model" }), said = live("making");
-  const spacing = make("input", { type: "number", min: 0.01, max: 10000, step: "any", value: Math.max(1, Math.ceil(heightmap.resolution_m * Math.sqrt(heightmap.rows * heightmap.cols * 16 / known.most_values))) }), headings = make("input", { type: "number", min: 4, max: 360, step: 1, value: 16 });
-  const say = (words, bad) => fill(said, make("p", { class: bad ? "error" : "note", role: bad ? "alert" : "status" }, words));
-  const go = button({ class: "main", id: "make", onclick: () => {
-    const invalid = by("step-map").querySelector("input:invalid");
+  const models = await allModels(), cells = heightmap.rows * heightmap.cols * 16 / known.most_values;
+  title(heightmap.name, `${sizeWords(heightmap)}, ${number(heightmap.height_min_m, 1)} to ${number(heightmap.height_max_m, 1)} m high${heightmap.known_share < 1 ? `, ${percent(1 - heightmap.known_share, 1)} unknown` : ""}${heightmap.crs ? `, ${heightmap.crs.slice(0, 40)}` : ""}`, ...heightmap.notes);
+  robots.form(by("robot-form"), (words, bad) => fill(by("making"), bad ? alarm(words) : note(words)));
+  fill(by("model"), models.map(([value, words]) => make("option", { value, selected: value === chosen }, words)));
+  by("spacing").value = Math.max(1, Math.ceil(heightmap.resolution_m * Math.sqrt(cells)));
+  by("make").onclick = () => {
+    const invalid = by("wish").querySelector("input:invalid");
     if (invalid) { invalid.closest("details")?.setAttribute("open", ""); invalid.reportValidity(); return; }
-    build({ heightmap_id: heightmap.id, robot: robots.robot(), model: model.value, spacing_m: spacing.valueAsNumber, headings: headings.valueAsNumber });
-  } }, "Make the cost map");
-  fill(by("step-map"), h2(heightmap.name), note(`${sizeWords(heightmap)}, ${number(heightmap.height_min_m, 1)} to ${number(heightmap.height_max_m, 1)} m high${heightmap.known_share < 1 ? `, ${percent(1 - heightmap.known_share, 1)} unknown` : ""}${heightmap.crs ? `, ${heightmap.crs.slice(0, 40)}` : ""}`),
-    heightmap.notes.map(one => note(one)), robots.form(say), field("Model", model),
-    fold("Cells and headings", {}, field("Side of a cell", spacing, "m"), field("Headings", headings, "")),
-    row(go), said);
-  for (const [name, words] of await allModels()) model.append(make("option", { value: name, selected: name === chosen }, words));
+    build({ heightmap_id: heightmap.id, robot: robots.robot(), model: by("model").value, spacing_m: by("spacing").valueAsNumber, headings: by("headings").valueAsNumber });
+  };
+  by("keep").hidden = !now.costmap;
+  panel("wish");
+}
+by("keep").onclick = () => show();
+
+function title(name, ...notes) { fill(by("ground-name"), name); fill(by("ground-said"), notes.map(words => note(words))); }
+
+/** Which of both is seen: the form, or how the map looks. */
+function panel(name) {
+  for (const one of ["wish", "look"]) by(one).hidden = one !== name;
+  fill(by("making"));
 }
 
 /** Asks for a cost map and shows how far it is; another call takes its place. */
 export async function build(body) {
   working?.abort();
   const mine = working = new AbortController();
-  const said = making();
-  try {
-    fill(said, note("Asking…"));
-    await watch(await send("v1/costmaps", body), mine.signal);
-  } catch (error) {
-    if (!superseded(error)) fill(making(), errorNote(error));
-  }
+  fill(by("making"), note("Asking…"));
+  await attempt(by("making"), async () => watch(await send("v1/costmaps", body), mine.signal));
 }
 
 /** Shows how far a cost map is that is being made, until it is there. */
 export async function watch(costmap, signal = (working = new AbortController()).signal) {
-  const said = making();
-  const made = await watched(said, `v1/costmaps/${costmap.id}`, "Cost map", signal);
+  const made = await watched(by("making"), `v1/costmaps/${costmap.id}`, "Cost map", signal);
   if (made.status === "done") opened(made);
 }
 
-const VIEWS = { mean: "Energy per metre, mean of the headings", heading: "Energy per metre in one heading", directionality: "How much the heading matters", ground: "Ground only" };
 const WINDS = ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"];
-const headingWords = degrees => `${degrees}° ${WINDS[Math.round(degrees / 45) % 8]}`;
+bind("views", "view", () => now.view, view => set({ view }));
+bind("heading", "heading", () => now.heading, settled(heading => set({ heading }), 80), degrees => `° ${WINDS[Math.round(degrees / 45) % 8]}`);
+for (const name of Object.keys(now.show)) bind(`show-${name}`, "show", () => now.show[name], on => set({ show: { ...now.show, [name]: on } }));
 
 /** How the map is coloured, once there is a cost map. */
 export function show() {
   const { costmap, heightmap } = now;
-  const turn = settled(heading => set({ heading }), 80);
-  const radios = Object.entries(VIEWS).map(([name, words]) => make("label", { class: "check" }, make("input", { type: "radio", name: "view", value: name, checked: now.view === name, onchange: () => { set({ view: name }); by("turn").hidden = name !== "heading"; } }), words));
-  const also = (name, words) => check(words, now.show[name], on => set({ show: { ...now.show, [name]: on } }));
-  const again = button({ onclick: () => { robots.set(sentRobot(costmap.robot)); wish(heightmap, costmap.model); } }, "Another robot or model");
-  fill(by("step-map"), h2(heightmap?.name ?? costmap.heightmap_id), note(heightmap ? sizeWords(heightmap) : "", ` · ${costmap.robot.name} (${number(costmap.robot.mass_kg, 0)} kg) · model ${costmap.model} · ${costmap.headings} headings`),
-    row(again),
-    make("fieldset", {}, make("legend", {}, "Colour"), radios, make("div", { id: "turn", hidden: now.view !== "heading" }, slider("Heading", now.heading, { min: 0, max: 355, step: 5, words: headingWords }, turn))),
-    make("div", { id: "legend" }),
-    make("fieldset", {}, make("legend", {}, "Also show"), also("contours", "Contour lines"), also("blocked", "Blocked ground"), also("roses", "Energy by heading at single cells, when zoomed in")),
-    note("Zoomed in, a rose shows what a metre costs in each heading: the longer, the more."),
-    costmap.warnings.map(words => warn(words)), live("making"));
+  title(heightmap.name, `${sizeWords(heightmap)} · ${costmap.robot.name} (${number(costmap.robot.mass_kg, 0)} kg) · model ${costmap.model} · ${costmap.headings} headings`);
+  by("again").onclick = () => { robots.set(sentRobot(costmap.robot)); wish(heightmap, costmap.model); };
+  fill(by("map-warnings"), costmap.warnings.map(words => warn(groundWarning(words))));
+  panel("look");
   legend();
 }
 
@@ -83,8 +77,9 @@ export function show() {
 const sentRobot = robot => Object.fromEntries(Object.entries(robot).filter(([, value]) => value !== null));
 
 function legend() {
+  by("heading").hidden = now.view !== "heading";
   const here = by("legend"), scale = now.layers?.[now.view];
-  if (!here || !now.layers) return;
+  if (!now.layers) return;
   const blocked = now.costmap.blocked ?? {};
   fill(here, scale ? [make("div", { id: "scale", role: "img", "aria-label": `colours from ${number(scale.low, 0)} to ${number(scale.high, 0)} joules per metre` }, scale.colours.map(colour => patch(colour, ""))),
     make("div", { class: "ends number" }, make("span", {}, `${number(scale.low, 0)} J/m`), make("span", { class: "quiet" }, now.view === "directionality" ? "dearest less cheapest heading" : "energy per metre"), make("span", {}, `${number(scale.high, 0)} J/m`))] : null,

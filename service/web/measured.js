@@ -1,19 +1,19 @@
 // Measured against predicted: the residual of each segment on the map, and both along a run.
 
 import { ask } from "./api.js";
-import { draw, fill, h3, make, note, number, row } from "./dom.js";
+import { draw, fill, h3, make, note, number, row, select } from "./dom.js";
 import { leaf, map } from "./map.js";
 
 /** Blue: less was measured than predicted; red: more. Both are seen with any colour vision. */
 const shade = share => { const k = Math.max(-1, Math.min(1, share)); return k < 0 ? `hsl(215 75% ${80 + 45 * k}%)` : `hsl(12 80% ${80 - 40 * k}%)`; };
-const dots = L.canvas({ padding: 0.3 });
+const dots = L.canvas({ pane: "runs", padding: 0.3 });
 
 export async function show(here, calibration, layer) {
   let found;
   try { found = await ask(`v1/calibrations/${calibration.id}/segments`); } catch { return; }
   const names = found.runs.map(run => run.name);
   const chart = make("div", {}), state = { run: 0, after: false };
-  const which = make("select", { "aria-label": "Run", onchange: () => { state.run = +which.value; along(); } }, names.map((name, k) => make("option", { value: k }, name)));
+  const which = select(names.map((name, k) => [k, name]), 0, k => { state.run = +k; along(); }, { "aria-label": "Run" });
   const marks = L.layerGroup().addTo(layer);
   function places() {
     marks.clearLayers();

@@ -1,6 +1,6 @@
 // Fine pieces of a large map: where it is near enough to see more than its picture shows, at most a few at a time.
 
-import { blob, Latest, superseded } from "./api.js";
+import { blob, Latest } from "./api.js";
 import { map } from "./map.js";
 import { now, on } from "./state.js";
 
@@ -45,12 +45,8 @@ async function show() {
       shown.set(next.path, L.imageOverlay(URL.createObjectURL(picture), next.box, { pane: "pieces", className: "piece", alt: "" }).addTo(map));
     }
   }
-  try {
-    await latest.run(signal => Promise.all(Array.from({ length: AT_A_TIME }, () => load(signal))));
-    for (const path of [...shown.keys()]) if (!paths.has(path)) drop(path); // those seen before stay until now
-  } catch (error) {
-    if (!superseded(error)) throw error;
-  }
+  const loaded = await latest.run(signal => Promise.all(Array.from({ length: AT_A_TIME }, () => load(signal))));
+  if (loaded) for (const path of [...shown.keys()]) if (!paths.has(path)) drop(path); // those seen before stay until now
 }
 
 map.on("moveend", show);

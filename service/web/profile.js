@@ -1,16 +1,16 @@
 // Height, energy and battery along the route, in three panels with one cursor, which is on the map too.
 
-import { by, draw, fill, joules, make, metres, number, percent } from "./dom.js";
+import { by, draw, energy, fill, make, metres, number, percent } from "./dom.js";
 import { leaf, map, world } from "./map.js";
-import { now, on, set } from "./state.js";
+import { capacity, now, on, set } from "./state.js";
 
-const TALL = 190, LOW = 104, LEFT = 46, RIGHT = 10, GAP = 16, POINTS = 500, NEAR_PX = 14;
+const TALL = 190, LOW = 104, LEFT = 46, RIGHT = 24, GAP = 16, POINTS = 500, NEAR_PX = 14;
 const dot = L.circleMarker([0, 0], { radius: 7, color: "#fff", weight: 2.5, fillColor: "#1d2329", fillOpacity: 1, interactive: false });
 let rows = [], scales = null;
 
 /** At most so many points of the route: distance, place, energy used and the ends of its 90 % band, charge left. */
 function pointsOf({ profile, path: [[x, y, z]] }) {
-  const full = now.costmap.robot.battery_wh * 3600, step = Math.max(1, Math.ceil(profile.length / POINTS));
+  const full = capacity(), step = Math.max(1, Math.ceil(profile.length / POINTS));
   const kept = profile.filter((_, k) => (k + 1) % step === 0 || k === profile.length - 1);
   return [{ d: 0, x, y, z, used: 0, low: 0, high: 0 }, ...kept.map(p => ({ d: p.distance_m, x: p.x, y: p.y, z: p.z, used: p.cumulative_j, low: p.cumulative_p05_j, high: p.cumulative_p95_j }))].map(p => ({ ...p, charge: now.battery.charge - p.used / full }));
 }
@@ -18,11 +18,11 @@ function pointsOf({ profile, path: [[x, y, z]] }) {
 /** Whether the model knows its uncertainty. */
 const banded = () => Number.isFinite(rows.at(-1)?.high);
 
+/** Round numbers of a range, at most so many (five or more) and at least two, and their decimals. */
 function ticks(low, high, most) {
-  const raw = (high - low) / most, power = 10 ** Math.floor(Math.log10(raw)), step = [1, 2, 5, 10].map(m => m * power).find(s => s >= raw);
-  const found = [];
-  for (let value = Math.ceil(low / step) * step; value <= high + step * 1e-6; value += step) found.push(Math.abs(value) < step * 1e-6 ? 0 : value);
-  return [found, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
+  const power = 10 ** Math.floor(Math.log10(high - low)), first = step => Math.ceil(low / step - 1e-6), count = step => Math.floor(high / step + 1e-6) - first(step) + 1;
+  const step = [0.1, 0.2, 0.5, 1, 2].map(share => share * power).find(one => count(one) <= most);
+  return [Array.from({ length: count(step) }, (_, k) => (first(step) + k) * step), Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
 }
 
 /** Axes of a panel, and the scales of its place: x for distances, y for values. */
@@ -31,12 +31,12 @@ function panel(name, unit, lowest, highest, { left, top, width, tall }) {
   const y = value => top + 18 + (tall - 40) * (1 - (value - low) / (high - low));
   const x = d => left + LEFT + (width - LEFT - RIGHT) * d / (rows.at(-1).d || 1);
   const parts = [draw("text", { x: left + LEFT, y: top + 11, class: "axis" }, `${name} [${unit}]`)];
-  const [values, digits] = ticks(low, high, 3);
+  const [values, digits] = ticks(low, high, 5);
   for (const value of values) {
     parts.push(draw("line", { x1: x(0), x2: x(rows.at(-1).d), y1: y(value), y2: y(value), class: "grid" }), draw("text", { x: left + LEFT - 5, y: y(value) + 4, class: "axis", "text-anchor": "end" }, number(value, digits)));
   }
-  const [ways, wayDigits] = ticks(0, rows.at(-1).d || 1, Math.max(2, width / 70));
-  for (const d of ways) parts.push(draw("text", { x: x(d), y: top + tall - 6, class: "axis", "text-anchor": "middle" }, d === ways.at(-1) ? `${number(d, wayDigits)} m` : number(d, wayDigits)));
+  const [ways, wayDigits] = ticks(0, rows.at(-1).d || 1, Math.max(5, width / 70));
+  for (const d of ways) parts.push(draw("text", { x: x(d), y: top + tall - 6, class: "axis", "text-anchor": "middle" }, `${number(d, wayDigits)}${d === ways.at(-1) ? " m" : ""}`));
   return { x, y, parts, left, top, width, bottom };
 }
 
@@ -44,17 +44,23 @@ const curve = (values, { x, y }) => values.map(([d, value], k) => `${k ? "L" : "
 const area = (upper, lower, scale) => `${curve(upper, scale)}L${curve([...lower].reverse(), scale).slice(1)}Z`;
 
 function show() {
-  const here = by("profile"), answer = now.answer;
-  here.hidden = !answer?.profile?.length;
-  if (here.hidden) { dot.remove(); rows = []; return; }
+  const here = by("profile"), answer = now.answer, empty = !answer?.profile?.length;
+  here.hidden = !now.costmap;
+  here.classList.toggle("empty", empty);
+  const wide = here.clientWidth - 26, narrow = wide < 640, tall = narrow ? 3 * LOW : TALL;
+  if (empty) { // of the same height, so that the map does not move when a route comes
+    dot.remove();
+    rows = [];
+    fill(here, make("p", { class: "said quiet" }, "Here height, energy and battery along the route will be shown."), draw("svg", { height: tall }));
+    return;
+  }
   rows = pointsOf(answer);
-  const wide = here.clientWidth - 26, narrow = wide < 640, tall = narrow ? 3 * LOW : TALL, capacity = now.costmap.robot.battery_wh * 3600;
   const places = [0.36, 0.32, 0.32].map((share, k) => (narrow ? { left: 0, top: k * LOW, width: wide, tall: LOW } : { left: k ? (0.04 + 0.32 * k) * wide : 0, top: 0, width: share * wide - (k < 2 ? GAP : 0), tall: TALL }));
   const svg = draw("svg", { viewBox: `0 0 ${wide} ${tall}`, height: tall, preserveAspectRatio: "none", tabindex: 0, role: "slider", "aria-label": "Place along the route", "aria-valuemin": 0, "aria-valuemax": Math.round(rows.at(-1).d), "aria-valuenow": 0 });
   const heights = rows.filter(row => row.z !== null).map(row => [row.d, row.z]), all = heights.map(([, z]) => z);
   const ground = panel("height", "m", Math.min(...all), Math.max(...all), places[0]);
   svg.append(...ground.parts, draw("path", { d: `${curve(heights, ground)}L${ground.x(rows.at(-1).d)} ${ground.bottom}L${ground.x(0)} ${ground.bottom}Z`, class: "fill" }), draw("path", { d: curve(heights, ground), class: "curve height" }));
-  const kinds = [["energy used", "kJ", j => j / 1000, 0], ["battery", "%", j => 100 * (now.battery.charge - j / capacity), 100 * now.battery.reserve]];
+  const kinds = [["energy used", "Wh", j => j / 3600, 0], ["battery", "%", j => 100 * (now.battery.charge - j / capacity()), 100 * now.battery.reserve]];
   scales = [ground, ...kinds.map(([name, unit, value, floor], k) => {
     const of = key => rows.map(row => [row.d, value(row[key])]), band = banded() ? [of("high"), of("low")] : [];
     const seen = [of("used"), ...band].flat().map(([, one]) => one), scale = panel(name, unit, Math.min(floor, ...seen), Math.max(...seen), places[k + 1]);
@@ -88,7 +94,7 @@ const point = d => set({ cursor: d === null ? null : Math.max(0, Math.min(rows.a
 
 function summary() {
   const { answer } = now;
-  fill(by("along"), make("b", {}, "Along the route"), `${metres(answer.length_m)}, ${joules(answer.energy_j)}${answer.back ? ", way out" : ""}`, make("span", { class: "quiet" }, banded() ? "shaded: 90 % of such drives" : "move over the curves to see where on the map"));
+  fill(by("along"), make("b", {}, "Along the route"), `${metres(answer.length_m)}, ${energy(answer.energy_j)}${answer.back ? ", way out" : ""}`, make("span", { class: "quiet" }, banded() ? "shaded: 90 % of such drives" : "move over the curves to see where on the map"));
 }
 
 function cursor() {
@@ -98,7 +104,7 @@ function cursor() {
   const row = rows.reduce((best, one) => (Math.abs(one.d - now.cursor) < Math.abs(best.d - now.cursor) ? one : best));
   fill(marks, scales.map(({ x, top, bottom }) => draw("line", { x1: x(row.d), x2: x(row.d), y1: top + 16, y2: bottom + 2, class: "cursor" })));
   dot.setLatLng(leaf([row.x, row.y])).addTo(map);
-  const words = [`${metres(row.d)}`, row.z === null ? "height unknown" : `height ${number(row.z, 1)} m`, `${joules(row.used)} used${banded() && row.d ? ` (90 %: ${joules(row.low)} to ${joules(row.high)})` : ""}`, `battery ${percent(row.charge, 1)}`];
+  const full = rows.at(-1).used, words = [metres(row.d, rows.at(-1).d), row.z === null ? "height unknown" : `height ${number(row.z, 1)} m`, `${energy(row.used, full)} used${banded() && row.d ? ` (90 %: ${energy(row.low, full)} to ${energy(row.high, full)})` : ""}`, `battery ${percent(row.charge, 1)}`];
   fill(by("along"), words.map(text => make("span", {}, text)));
   const svg = by("profile").querySelector("svg");
   svg.setAttribute("aria-valuenow", Math.round(row.d));
@@ -113,6 +119,6 @@ map.on("mousemove", ({ latlng, containerPoint }) => {
   if (onRoute) point(near.d);
   else if (now.cursor !== null) point(null);
 });
-on("answer", show);
+on("answer costmap", show);
 on("cursor", cursor);
 new ResizeObserver(() => requestAnimationFrame(show)).observe(by("stage"));

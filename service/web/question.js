@@ -1,39 +1,54 @@
 // The question: markers of start, goal and stops; a question to the service at each change; its routes on the map.
 
-import { Latest, send, superseded } from "./api.js";
-import { by, joules, make, metres } from "./dom.js";
+import { Latest, send } from "./api.js";
+import { by, energy, make, metres } from "./dom.js";
 import { inside, leaf, map, world } from "./map.js";
 import { now, on, set } from "./state.js";
 
 const latest = new Latest();
 const routes = L.layerGroup().addTo(map), pins = L.layerGroup().addTo(map);
 const guide = L.polyline([], { color: "#1d2329", weight: 1.5, dashArray: "4 6", interactive: false }).addTo(map);
-const COLOURS = { optimal: "#0072B2", shortest: "#D55E00", other: "#3b3f45", before: "#6d6d6d" };
+export const COLOURS = { optimal: "#0072B2", shortest: "#D55E00", back: "#b1508a", other: "#3b3f45", before: "#6d6d6d" };
 const MANY_CELLS = 250_000; // of a larger map a route along the grid is shown first, until the better one is there
-let next = "start";
+let wanted = null;
 
-/** What the next click on the map sets: "start", "goal" or "stop". */
+/** What the next click on the map sets: "start", "goal" or "stop"; nothing once both ends are there, until a button asks for one click. */
+export const expected = () => wanted ?? (!now.costmap ? null : !now.start ? "start" : !now.goal && !now.stops.length ? "goal" : null);
 export function expect(what) {
-  next = what;
+  wanted = wanted === what ? null : what;
   hint();
 }
-export const expected = () => next;
 
 export function hint(words) {
   const here = by("hint");
-  const usual = !now.costmap ? "" : next === "start" && !now.start ? "Click where the robot starts" : next === "goal" && !now.goal ? "Click where it shall go" : next === "stop" ? "Click a place to visit on the way" : "";
-  here.textContent = words ?? usual;
+  here.textContent = words ?? { start: "Click where the robot starts", goal: "Click where it shall go", stop: "Click a place to visit on the way" }[expected()] ?? "";
   here.hidden = !here.textContent;
 }
+
+const past = [];
+let last = {}, ground = null;
+on("start goal stops avoid costmap", ({ start, goal, stops, avoid, costmap }) => {
+  const before = last;
+  last = { start, goal, stops, avoid };
+  if (ground !== costmap?.heightmap_id) { ground = costmap?.heightmap_id; past.length = 0; } else if (Object.keys(last).some(name => last[name] !== before[name])) past.push(before);
+});
+/** Takes the last change of a place back. */
+export const undo = () => { if (past.length) set(last = past.pop()); };
+export const canUndo = () => past.length > 0;
+document.addEventListener("keydown", event => {
+  if (event.key !== "z" || !(event.ctrlKey || event.metaKey) || event.target.matches("input:not([type=range], [type=checkbox])")) return;
+  event.preventDefault();
+  undo();
+});
 
 /** A click that others have taken, such as for the corner of an area, is not for us. */
 export const takers = [];
 map.on("click", event => {
   const place = world(event.latlng).map(value => +value.toFixed(3));
   if (!now.costmap || takers.some(taker => taker(place, event)) || !inside(place)) return;
-  if (next === "stop") { next = "goal"; set({ stops: [...now.stops, place] }); }
-  else if (next === "start") { next = "goal"; set({ start: place }); }
-  else set({ goal: place });
+  const what = expected();
+  wanted = null;
+  if (what) set(what === "stop" ? { stops: [...now.stops, place] } : { [what]: place });
 });
 
 function pin(kind, place, label, change) {
@@ -62,7 +77,6 @@ function drawGuide(kind, place) {
 }
 
 function place() {
-  if (now.start && next === "start") next = "goal";
   pins.clearLayers();
   if (now.start) pin("start", now.start, "Start", start => set({ start }));
   now.stops.forEach((stop, k) => pin("stop", stop, `${k + 1}`, moved => set({ stops: now.stops.map((one, i) => (i === k ? moved : one)) })));
@@ -70,17 +84,15 @@ function place() {
   hint();
 }
 
-const battery = () => ({ charge: now.battery.charge, reserve: now.battery.reserve });
-
 /** The question as it is now: its address, and its body. */
 export function asked() {
-  if (now.stops.length) return ["tours", { stops: [now.start, ...now.stops, ...(now.goal ? [now.goal] : [])], battery: battery(), avoid: now.avoid }];
-  return ["paths", { start: now.start, goal: now.goal, battery: battery(), planner: now.planner, alternatives: now.alternatives, avoid: now.avoid }];
+  if (now.stops.length) return ["tours", { stops: [now.start, ...now.stops, ...(now.goal ? [now.goal] : [])], battery: now.battery, avoid: now.avoid }];
+  return ["paths", { start: now.start, goal: now.goal, battery: now.battery, planner: now.planner, alternatives: now.alternatives, avoid: now.avoid, ...now.aim }];
 }
 
 async function search(signal, snap) {
   const here = `v1/costmaps/${now.costmap.id}`, [kind, body] = asked(), tour = kind === "tours", { rows, cols } = now.costmap.frame;
-  if (!tour && rows * cols > MANY_CELLS && now.planner === "astar") show(await send(`${here}/paths`, { start: now.start, goal: now.goal, refine: false, snap, avoid: now.avoid }, { signal }), true);
+  if (!tour && rows * cols > MANY_CELLS && now.planner === "astar" && now.aim.objective === "mean") show(await send(`${here}/paths`, { start: now.start, goal: now.goal, refine: false, snap, avoid: now.avoid, ...now.aim }, { signal }), true);
   const answer = await send(`${here}/${kind}`, { ...body, snap }, { signal });
   return { alternatives: [], ...answer, tour, verdict: answer.battery };
 }
@@ -91,17 +103,18 @@ export async function askAgain(snap = false) {
   if (!now.costmap || !now.start || !(now.goal || now.stops.length)) { show(null); set({ answer: null }); return; }
   try {
     const answer = await latest.run(signal => search(signal, snap));
+    if (!answer) return;
     if (snap && !answer.tour) { set({ start: answer.path[0].slice(0, 2), goal: answer.path.at(-1).slice(0, 2) }); return; }
     show(answer);
     set({ answer });
     if (now.roundTrip && !answer.tour) {
-      const body = { start: now.start, goal: now.goal, round_trip: true, battery: battery(), avoid: now.avoid };
+      const body = { start: now.start, goal: now.goal, round_trip: true, battery: now.battery, avoid: now.avoid, ...now.aim };
       const both = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/feasibility`, body, { signal }));
+      if (!both) return;
       set({ answer: { ...answer, verdict: both, back: both.back } });
-      show({ ...answer, back: both.back });
+      show(now.answer);
     }
   } catch (error) {
-    if (superseded(error)) return;
     show(null);
     set({ answer: { error } });
   }
@@ -114,19 +127,19 @@ function line(path, colour, weight, words, options = {}) {
 }
 
 function show(answer, rough = false) {
+  const words = route => `${energy(route.energy_j)}, ${metres(route.length_m)}`;
   routes.clearLayers();
-  if (now.before) line(now.before.path, COLOURS.before, 3, `before, model ${now.before.model}: ${joules(now.before.energy_j)}, ${metres(now.before.length_m)}`, { dash: "2 7" });
+  if (now.before) line(now.before.path, COLOURS.before, 3, `before, model ${now.before.model}: ${words(now.before)}`, { dash: "2 7" });
   if (!answer || answer.error) return;
-  const words = route => `${joules(route.energy_j)}, ${metres(route.length_m)}`;
   answer.alternatives.forEach((other, k) => line(other.path, COLOURS.other, 2, `alternative ${k + 1}: ${words(other)}`, { dash: "6 5" }));
   if (answer.shortest) line(answer.shortest.path, COLOURS.shortest, 3.5, `shortest: ${words(answer.shortest)}`);
-  if (answer.back) line(answer.back.path, COLOURS.optimal, 3, `way back: ${words(answer.back)}`, { dash: "1 7" });
+  if (answer.back) line(answer.back.path, COLOURS.back, 3, `way back: ${words(answer.back)}`, { dash: "1 7" });
   line(answer.path, COLOURS.optimal, 5, `least energy: ${words(answer)}`);
   document.dispatchEvent(new CustomEvent(rough ? "drawn-rough" : "drawn"));
 }
 
 on("start goal stops", place);
-on("start goal stops costmap planner alternatives roundTrip avoid battery", () => askAgain());
+on("start goal stops costmap planner alternatives roundTrip avoid battery aim", () => askAgain());
 on("before", () => show(now.answer));
 
 /** Lines for a picture. */

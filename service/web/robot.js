@@ -1,6 +1,6 @@
 // The robot: a form with units and presets, or a TOML file.
 
-import { alarm, field, fill, fold, make } from "./dom.js";
+import { alarm, field, fill, fold, make, select } from "./dom.js";
 
 const USUAL = ["mass_kg", "battery_wh", "speed_mps", "wheel_radius_m", "max_grade_deg", "max_cross_slope_deg"];
 /** Places to begin: no robot of any maker, so that its owner looks into its data sheet. */
@@ -15,7 +15,7 @@ let fields = {}, values = {};
 export function use(properties) {
   fields = Object.fromEntries(Object.entries(properties).map(([name, { description, examples, anyOf }]) => {
     const limits = anyOf.find(one => one.type !== "null"), [, label, unit] = /^([^[(;,]*[^[(;, ])[^[]*(?:\[(.*?)\])?/.exec(description);
-    return [name, { label, unit: unit ?? "", usual: examples[0], text: limits.type === "string", min: limits.minimum, max: limits.maximum, description }];
+    return [name, { label: label[0].toUpperCase() + label.slice(1), unit: unit ?? "", usual: examples[0], text: limits.type === "string", min: limits.minimum, max: limits.maximum, description }];
   }));
 }
 
@@ -24,7 +24,7 @@ export const robot = () => ({ ...values });
 export const set = given => { values = { ...given }; };
 
 /** Flat TOML: `key = value` lines. What is wrong with a value, the service says. */
-export function fromToml(text) {
+function fromToml(text) {
   const found = {};
   text.split("\n").forEach((line, k) => {
     const bare = line.replace(/^((?:[^"'#]|"[^"]*"|'[^']*')*)#.*$/, "$1").trim();
@@ -36,7 +36,8 @@ export function fromToml(text) {
   return found;
 }
 
-export function form(said) {
+/** Puts the form there; `said` is called with what became of a robot file, and whether it is bad. */
+export function form(place, said) {
   const here = make("div", { id: "robot" });
   const one = name => {
     const { label, unit, usual, text, min, max, description } = fields[name];
@@ -50,12 +51,12 @@ export function form(said) {
   const file = make("input", { type: "file", accept: ".toml", "aria-label": "Robot file (TOML)", onchange: async () => {
     try { set(fromToml(await file.files[0].text())); show(); preset.append(make("option", { selected: true, value: "" }, file.files[0].name)); said(`robot read from ${file.files[0].name}`); } catch (error) { said(error.message, true); }
   } });
-  const preset = make("select", { onchange: () => { if (preset.value) { set(PRESETS[preset.value]); show(); } } }, Object.keys(PRESETS).map(name => make("option", { selected: PRESETS[name].name === values.name }, name)));
+  const preset = select(Object.keys(PRESETS).map(name => [name, name]), Object.keys(PRESETS).find(name => PRESETS[name].name === values.name), name => { if (name) { set(PRESETS[name]); show(); } });
   function show() {
     const unknown = Object.keys(values).filter(name => !(name in fields));
     fill(here, unknown.length ? alarm(`Not fields of a robot: ${unknown.join(", ")}`) : null, USUAL.map(one),
       fold("All fields", {}, Object.keys(fields).filter(name => !USUAL.includes(name)).map(one)));
   }
   show();
-  return make("div", {}, field("Robot", preset), here, make("label", { class: "row note" }, "or a TOML file ", file));
+  fill(place, field("Robot", preset), here, make("label", { class: "row note" }, "or a robot file (TOML) ", file));
 }

@@ -1,7 +1,7 @@
 // The panel "Save": routes, the map and pictures as files, and a link that opens this view again.
 
 import { blob } from "./api.js";
-import { button, by, errorNote, fill, h2, live, make, note, row } from "./dom.js";
+import { button, by, errorNote, fill, live, make, note, row } from "./dom.js";
 import * as link from "./link.js";
 import { asPicture } from "./map.js";
 import { asked, lines } from "./question.js";
@@ -37,22 +37,18 @@ export const routeButtons = (name, question) => files(...formats.filter(format =
 }));
 
 export function show() {
-  const here = by("step-save"), id = now.costmap?.id, { answer } = now;
-  if (!id) { fill(here, note("Nothing to save yet: make a cost map first.")); return; }
-  const said = live(), [question, body] = asked(), address = new URL(link.address(), window.location.href).href;
-  const text = make("input", { type: "text", readonly: "", "aria-label": "Link to this view", value: address });
-  fill(here,
-    h2(answer?.tour ? "The tour" : "The routes"),
-    answer?.path ? routeButtons(answer.tour ? "tour" : "route", format => [`v1/costmaps/${id}/${question}?format=${format}`, { method: "POST", body }]) : note("Set a start and a goal first."),
-    h2("The map"),
-    files(["Picture (PNG)", "map.png", () => asPicture(lines())], ["GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)], ["Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`)]),
-    h2("This view"),
-    note("The link opens the same map, route and colours again, for whoever reaches this service."),
-    row(text, button({ onclick: async () => {
-      text.select();
-      try { await navigator.clipboard.writeText(text.value); fill(said, note("Copied.")); } catch { fill(said, note("Selected: copy it with Ctrl-C.")); }
-    } }, "Copy")), said);
+  const id = now.costmap?.id, { answer } = now;
+  if (!id) return;
+  const [question, body] = asked();
+  fill(by("save-route"), answer?.path ? routeButtons(answer.tour ? "tour" : "route", format => [`v1/costmaps/${id}/${question}?format=${format}`, { method: "POST", body }]) : note("Set a start and a goal first."));
+  fill(by("save-map"), files(["Picture (PNG)", "map.png", () => asPicture(lines())], ["GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)], ["Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`)]));
+  by("link").value = new URL(link.address(), window.location.href).href;
+  fill(by("copied"));
 }
+by("copy").onclick = async () => {
+  by("link").select();
+  try { await navigator.clipboard.writeText(by("link").value); fill(by("copied"), note("Copied.")); } catch { fill(by("copied"), note("Selected: copy it with Ctrl-C.")); }
+};
 
 on("costmap answer", show);
-on("view heading battery alternatives", () => { if (!by("step-save").hidden) show(); });
+on("view heading battery alternatives aim", () => { if (!by("step-save").hidden) show(); });

@@ -4,13 +4,17 @@ const parts = {
   start: null, goal: null, stops: [], // [x, y] in metres
   costmap: null, layers: null, heightmap: null,
   view: "mean", heading: 0, show: { contours: true, blocked: true, roses: true },
-  battery: { charge: 1, reserve: 0.2 }, roundTrip: false,
-  planner: "astar", alternatives: 0, avoid: [],
+  battery: { charge: 1, reserve: 0.2, capacity_wh: null }, roundTrip: false, // capacity: null is that of the robot
+  planner: "astar", alternatives: 0, avoid: [], aim: { objective: "mean", quantile: 0.95, max_power_w: null },
+  confidence: 0.95, turnBack: false,
   answer: null, cursor: null, before: null,
 };
 const listeners = new Map();
 
 export const now = parts;
+
+/** Energy of the full battery [J]. */
+export const capacity = () => 3600 * (now.battery.capacity_wh ?? now.costmap.robot.battery_wh);
 
 /** Calls `listener` after each change of one of these parts. */
 export function on(names, listener) {

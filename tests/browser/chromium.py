@@ -41,7 +41,7 @@ class Opened:
         self.page.on("pageerror", lambda error: self.wrong.append(str(error)))
         self.page.on("console", self._said)
         self.response = self.page.goto(f"{address}/{hash}")
-        self.page.wait_for_selector("html[data-ready], dialog", state="attached")  # a dialog where it wants a key
+        self.page.wait_for_selector("html[data-ready], dialog[open]", state="attached")  # a dialog where it wants a key
 
     def _said(self, message: Any) -> None:
         if message.type == "error" and "Failed to load resource" not in message.text:  # which the page shows in words

@@ -28,7 +28,7 @@ def sample(browser: Any, address: str) -> str:
         tab.page.click("#sample")
         tab.drawn()
         assert "the battery lasts" in tab.text("#answer").lower()
-        assert re.search(r"saves [\d.,]+ kJ \(\d", tab.text("#answer"))
+        assert re.search(r"saves [\d.,]+ Wh \(\d", tab.text("#answer"))
         tab.page.wait_for_function("() => location.hash.includes('to=')")
         return tab.page.evaluate("location.hash")
 
@@ -159,6 +159,85 @@ def test_accessible(browser: Any, address: str, sample: str, viewport: dict[str,
         tab.page.frame_locator("iframe").locator("#view[data-drawn]").wait_for()
         assert not inaccessible(tab.page)
         assert not inaccessible(tab.page.frames[1])
+
+
+def test_a_click_while_looking_around_moves_nothing_and_what_was_moved_comes_back(
+    browser: Any, address: str, sample: str
+) -> None:
+    with opened(browser, address, hash=sample) as tab:
+        tab.drawn()
+        tab.page.mouse.click(*tab.place(60.0, 150.0))
+        tab.page.wait_for_timeout(100)
+        assert ends(tab) == SAMPLE_ENDS
+        tab.page.click("text=Set goal")
+        tab.page.mouse.click(*tab.place(60.0, 150.0))
+        tab.page.wait_for_function("() => joulemap.now.goal[1] > 140")
+        tab.page.mouse.click(*tab.place(100.0, 40.0))  # the button asked for one click
+        tab.page.wait_for_timeout(100)
+        assert ends(tab)[1] == pytest.approx([60.0, 150.0], abs=2.0)
+        tab.page.click("text=Undo")
+        tab.page.wait_for_function("() => joulemap.now.goal[1] < 140")
+        assert ends(tab) == SAMPLE_ENDS
+        tab.drag(".pin.goal", 60.0, 150.0)
+        tab.page.wait_for_function("() => joulemap.now.goal[1] > 140")
+        tab.page.keyboard.press("Control+z")
+        tab.page.wait_for_function("() => joulemap.now.goal[1] < 140")
+        assert ends(tab) == SAMPLE_ENDS
+        assert tab.page.is_disabled("text=Undo")
+
+
+def test_another_battery_and_a_charge_that_is_typed(browser: Any, address: str, sample: str) -> None:
+    with opened(browser, address, hash=sample) as tab:
+        tab.drawn()
+        full = energy(tab) / 3600.0 / 0.1  # ten per cent of such a battery
+        for box, value in (
+            ("#capacity", f"{full:.3f}"),
+            ("#charge input[type=number]", "60"),
+            ("#reserve input >> nth=1", "5"),
+        ):
+            tab.page.fill(box, value)
+            tab.page.press(box, "Enter")
+        tab.page.wait_for_function(
+            "() => /60 % at the start, 50.0 % expected/.test(document.querySelector('.verdict')?.textContent)"
+        )
+        tab.page.wait_for_function("() => /battery=0.6,0.05,/.test(location.hash)")
+        assert tab.page.input_value("#charge input[type=range]") == "60"
+        assert "10.0 %" in tab.text("#answer table")
+        assert "kJ" not in tab.text("body")
+        link = tab.page.evaluate("location.hash")
+    with opened(browser, address, hash=link) as tab:
+        tab.drawn()
+        assert float(tab.page.input_value("#capacity")) == pytest.approx(full, abs=1e-3)
+
+
+def test_reach_is_shown_with_the_route_and_the_map_does_not_move(browser: Any, address: str, sample: str) -> None:
+    with opened(browser, address, hash=sample.split("&from=")[0]) as tab:
+        tall = tab.page.evaluate("joulemap.map.getSize().y")
+        for place in SAMPLE_ENDS:
+            tab.page.mouse.click(*tab.place(*place))
+        tab.drawn()
+        assert tab.page.evaluate("joulemap.map.getSize().y") == tall
+        tab.page.click("#reach summary")
+        tab.page.wait_for_selector("#reach-said i")
+        assert tab.page.is_visible(".leaflet-reach-pane path")
+        tab.page.click("#tab-map")
+        assert not tab.page.is_visible(".leaflet-reach-pane path")
+        tab.page.click("text=Another robot or model")
+        tab.page.click("text=Cancel")
+        tab.page.wait_for_selector("#legend #scale")
+
+
+def test_a_route_for_bad_cases_and_a_limit_of_power(browser: Any, address: str, sample: str) -> None:
+    with opened(browser, address, hash=sample) as tab:
+        tab.drawn()
+        tab.page.click("text=Route options")
+        tab.page.select_option("#objective", "quantile")
+        tab.page.wait_for_function("() => joulemap.now.answer?.objective?.name === 'quantile'")
+        assert "95 % of drives take at most" in tab.text("#answer")
+        tab.page.fill("#power", "1")
+        tab.page.press("#power", "Enter")
+        tab.page.wait_for_selector("#answer .error")
+        tab.page.wait_for_function("() => /max_power_w=1/.test(location.hash)")
 
 
 def test_the_question_by_keyboard_alone(browser: Any, address: str, sample: str) -> None:
