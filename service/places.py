@@ -67,7 +67,7 @@ class Places:
 
         Parameters
         ----------
-        points : sequence of places
+        points : sequence of places or ndarray, (n, 2 or 3)
             All in the same form: x, y [m], latitude, longitude, or objects with `lat` and `lon`.
 
         Returns
@@ -81,7 +81,8 @@ class Places:
             As `world_point`.
         """
         try:
-            array = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
+            pairs = points[:, :2] if isinstance(points, np.ndarray) else [point[:2] for point in points]
+            array = np.array(pairs, dtype=np.float64).reshape(-1, 2)
         except (TypeError, ValueError, KeyError):  # objects, or no points: the message names the first that is none
             return np.array([self(point, f"point {k} of the path") for k, point in enumerate(points)])
         if len(array) == 0:

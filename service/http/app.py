@@ -34,7 +34,7 @@ from joulemap.service.http.routes import (
     runs,
     speeds,
 )
-from joulemap.service.http.state import Service
+from joulemap.service.http.service import Service
 from joulemap.service.http.watched import on_the_loop
 from joulemap.service.settings import Settings
 
@@ -81,13 +81,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         redoc_url=None,
     )
     app.state.service = service
-    app.include_router(meta.router)
-    app.include_router(page.router)
-    for module in (
+    for module in (  # the first routes are found soonest
+        questions,
         heightmaps,
         costmaps,
         contents,
-        questions,
         reach,
         homeward,
         speeds,
@@ -97,6 +95,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         layers,
     ):
         app.include_router(module.router, prefix="/v1")
+    app.include_router(meta.router)
+    app.include_router(page.router)
     problem_answers.install(app)
     documents.install(app)
     # The middleware that is added last sees a request first.

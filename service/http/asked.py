@@ -89,7 +89,8 @@ def same_robot(row: CostmapRow, given: BaseModel | None) -> Robot:
         If what is given is no robot.
     """
     robot, values = Robot.from_mapping(row.robot), robot_values(given)
-    Robot.from_mapping(values)
+    if values:
+        Robot.from_mapping(values)
     differing = {
         key: (getattr(robot, key), value)
         for key, value in values.items()

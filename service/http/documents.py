@@ -111,6 +111,7 @@ def install(app: FastAPI) -> None:
                 schemas.update(schema.pop("$defs", {}))
                 schemas[model.__name__] = schema
             document["components"]["schemas"] = dict(sorted(schemas.items()))
+            document["paths"] = dict(sorted(document["paths"].items()))
             _complete(document)
             app.openapi_schema = document
         return app.openapi_schema

@@ -1,10 +1,8 @@
-"""ASGI middleware for every request: it adds a request id, and refuses a body above the limit with 413."""
+"""ASGI middleware for every request: it answers with the request id, and refuses a body above the limit with 413."""
 
 from __future__ import annotations
 
 import json
-import re
-import secrets
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -20,11 +18,10 @@ _MOST = {  # the largest question is a path of 100,000 points of up to three num
 """Most of each mark in a body of JSON, and what it stands for. They are counted before the body is parsed, because
 parsing holds the event loop up.
 """
-_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 
 
 class RequestLimits:
-    """Request ids and limits for bodies.
+    """Limits for bodies, and the id that `Observed` gave a request in its answer.
 
     A declared Content-Length above the limit is refused before a byte of the body is read. A body of undeclared length
     is counted while it streams, and so are the lists, objects, names and values of a body of JSON.
@@ -52,9 +49,7 @@ class RequestLimits:
             await self._app(scope, receive, send)
             return
         headers = dict(scope["headers"])
-        given = headers.get(b"x-request-id", b"").decode("latin-1")
-        new = given if _ID.fullmatch(given) else secrets.token_hex(8)
-        request_id = scope.setdefault("state", {}).setdefault("request_id", new)
+        request_id = scope["state"]["request_id"]
         limit = self._limit(scope, headers)
         declared = headers.get(b"content-length", b"")
         reply = _Reply(send, request_id)

@@ -175,8 +175,8 @@ def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
 
     Returns
     -------
-    list
-        Of points.
+    list or ndarray of float64, (n, 2 or 3)
+        The points; as an array where they were checked as one.
     """
     if not isinstance(points, list) or len(points) < _MANY:
         return validate(points)
@@ -191,7 +191,7 @@ def quick_points(points: Any, validate: Callable[[Any], Any]) -> Any:
     flags = np.argwhere((array == 0) | (array == 1))  # among them true and false, which are no numbers here
     if not inside or len(flags) > _MOST_FLAGS or any(isinstance(points[row][col], bool) for row, col in flags):
         return validate(points)
-    return points
+    return array.astype(np.float64, copy=False)
 
 
 Point3 = Annotated[

@@ -149,6 +149,21 @@ class Kept:
             self._engine.dispose()
         self._folder.leave()
 
+    def may_see(self, row: Any) -> bool:
+        """Return whether a row is there for the caller.
+
+        Parameters
+        ----------
+        row : Base
+            A row with an owner.
+
+        Returns
+        -------
+        bool
+            False for what others own.
+        """
+        return self._caller.may_see(row)
+
     @contextlib.contextmanager
     def upload_file(self) -> Iterator[Path]:
         """Lend a path for an upload while it is read; the file is removed afterwards.
@@ -254,7 +269,7 @@ class Kept:
         ((name, row_id),) = key.items()
         with self._sessions() as session:
             row = session.get(table, row_id)
-        if row is None or not self._caller.may_see(row):
+        if row is None or not self.may_see(row):
             raise NotFoundError(f"there {there} {row_id[:80]!r}", **{name: row_id[:80]})
         return row
 

@@ -30,7 +30,7 @@ with TestClient(create_app(settings)) as client:
     service = client.app.state.service
     while True:
         with suppress(BusyError):  # without a cache, and on a busy machine, compiling takes its time
-            service.await_kernels()
+            service.kernels.wait()
             break
     before = compiled()
     heightmap = client.post("/v1/heightmaps", content=write_geotiff(None, hill())).json()["id"]

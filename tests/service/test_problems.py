@@ -13,6 +13,8 @@ from joulemap.model import errors
 from joulemap.service import problems
 from joulemap.service.http import problem_answers
 from joulemap.service.http.limits import RequestLimits
+from joulemap.service.http.metrics import Metrics
+from joulemap.service.http.observed import Observed
 
 
 def tree(cls: type[errors.JoulemapError]) -> list[type[errors.JoulemapError]]:
@@ -71,6 +73,7 @@ def faulty() -> TestClient:
     app = FastAPI()
     problem_answers.install(app)
     app.add_middleware(RequestLimits, upload_bytes=10, other_bytes=10, upload_paths=())
+    app.add_middleware(Observed, metrics=Metrics())
 
     @app.get("/bug")
     def bug() -> None:

@@ -15,9 +15,9 @@ from joulemap.model.ranges import CORRIDOR_PERCENT, HEADING_DEG
 from joulemap.planner.lattice_io import export_npz
 from joulemap.service.coordinates import WorldPoint, world_point
 from joulemap.service.exports.maps import MAP_FORMATS, map_files, zipped
+from joulemap.service.http.dependencies import KernelsDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
-from joulemap.service.http.state import KernelsDep
 from joulemap.service.http.zip_stream import zip_folder
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.pictures import field_image, lattice_image

@@ -13,9 +13,10 @@ from starlette.exceptions import HTTPException
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import costmap_body, problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
-from joulemap.service.http.state import Limit, Offset, Service, ServiceDep
+from joulemap.service.http.service import Service
 from joulemap.service.http.uploads import invalid, media_type, take_form
 from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import costmap_out, listed, shown

@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel
 
+from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems, upload_body
-from joulemap.service.http.state import Limit, Offset, ServiceDep
 from joulemap.service.http.uploads import media_type, take_form, take_raw
 from joulemap.service.schemas.base import UnreadableOut
 from joulemap.service.schemas.kept import heightmap_out, listed, shown

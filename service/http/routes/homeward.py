@@ -8,10 +8,10 @@ from fastapi import APIRouter, Request, Response
 
 from joulemap.service.homeward import homeward
 from joulemap.service.http.asked import answer_of, same_robot, warnings_of
+from joulemap.service.http.dependencies import KernelsDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.quick_json import QuickJsonRoute
-from joulemap.service.http.state import KernelsDep
 from joulemap.service.places import Places
 from joulemap.service.schemas.answers import battery_of
 from joulemap.service.schemas.homeward import ReturnOut, ReturnRequest, homeward_out

@@ -10,9 +10,10 @@ from anyio.to_thread import run_sync
 from fastapi import APIRouter
 from sse_starlette import EventSourceResponse, ServerSentEvent
 
+from joulemap.service.http.dependencies import ServiceDep
 from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
-from joulemap.service.http.state import Service, ServiceDep
+from joulemap.service.http.service import Service
 from joulemap.service.schemas.kept import calibration_out, costmap_out
 from joulemap.service.schemas.loop import CalibrationOut
 from joulemap.service.schemas.maps import CostmapOut

@@ -11,9 +11,9 @@ from pydantic import BaseModel, Field
 
 from joulemap.model.errors import NotFoundError
 from joulemap.planner.plan import PLANNERS
+from joulemap.service.http.dependencies import ServiceDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.metrics import MEDIA_TYPE
-from joulemap.service.http.state import ServiceDep
 
 router = APIRouter(tags=["service"])
 _SWAGGER_UI = "fastapi_swagger"  # the package that carries Swagger UI, so that the page needs no address outside

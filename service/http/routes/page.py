@@ -19,7 +19,7 @@ from joulemap.model.errors import NotFoundError
 from joulemap.model.terrain.formats import formats_in_words
 from joulemap.model.terrain.synthesis import SAMPLE_GOAL, SAMPLE_START, sample_terrain
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.service.http.state import ServiceDep
+from joulemap.service.http.dependencies import ServiceDep
 
 router = APIRouter(include_in_schema=False)
 

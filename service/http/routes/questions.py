@@ -12,18 +12,20 @@ from joulemap.planner.budget import battery_along
 from joulemap.planner.stopping import check_stop
 from joulemap.service.exports.track import track_of_plan, track_of_tour
 from joulemap.service.http.asked import answer_of, same_robot, warnings_of
+from joulemap.service.http.dependencies import KernelsDep
 from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import EVENTS, Report, events, while_connected
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, route_file_wanted
-from joulemap.service.http.state import KernelsDep
 from joulemap.service.objectives import limited, plan_by
 from joulemap.service.places import Places
 from joulemap.service.schemas.answers import battery_of, feasibility_values, path_values, verdict_out
 from joulemap.service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
 from joulemap.service.schemas.tours import TourOut, TourRequest, tour_out
 from joulemap.service.workflows import assess, judge_routes
+
+_QUICK = 1_000  # points: the verdict is there sooner than a client can hang up
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["questions"], route_class=QuickJsonRoute)
 
@@ -166,7 +168,8 @@ async def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: 
             along = battery_along(assessment.routes, battery, robot.nominal_voltage_v)
         return answer_of(feasibility_values(assessment, warnings_of(row), along=along))
 
-    return await while_connected(request, queue.do(costmap_id, _judge))
+    work = queue.do(costmap_id, _judge)
+    return await (work if given is not None and len(given) <= _QUICK else while_connected(request, work))
 
 
 def _unless_stopped(report: Report) -> Report:

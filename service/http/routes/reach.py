@@ -11,11 +11,11 @@ from fastapi.responses import JSONResponse
 from joulemap.model.errors import InputError
 from joulemap.service.coordinates import known_crs
 from joulemap.service.http.asked import answer_of, same_robot, warnings_of
+from joulemap.service.http.dependencies import KernelsDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import Coordinates
-from joulemap.service.http.state import KernelsDep
 from joulemap.service.pictures import reach_image
 from joulemap.service.places import Places
 from joulemap.service.reach import reach_map

@@ -11,8 +11,8 @@ from joulemap.model.errors import InputError
 from joulemap.model.ranges import LONGEST_NAME, NAME_PATTERN, TRACK_M
 from joulemap.model.runs.mapping import read_mapping
 from joulemap.model.runs.odometry import Odometry
+from joulemap.service.http.dependencies import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems, runs_body
-from joulemap.service.http.state import KernelsDep, Limit, Offset, ServiceDep
 from joulemap.service.http.uploads import media_type, take_raw_run, take_runs
 from joulemap.service.schemas.base import UnreadableOut, within
 from joulemap.service.schemas.kept import listed, runs_out, shown

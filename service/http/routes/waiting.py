@@ -12,7 +12,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from joulemap.service.http import problem_answers
-from joulemap.service.http.state import Service
+from joulemap.service.http.service import Service
 from joulemap.service.storage.tables import DONE, FAILED
 
 MAX_WAIT_S = 300.0

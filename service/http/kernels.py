@@ -1,0 +1,114 @@
+"""The compiled kernels of a service: loaded on a thread when it starts, awaited by requests that compute."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import threading
+from collections.abc import Callable
+from functools import cache
+
+import anyio
+
+from joulemap.model.errors import BusyError, JoulemapError
+from joulemap.service.workflows import warm_up
+
+_LOG = logging.getLogger("joulemap.service")
+_WAIT_S, _LOOK_S = 120.0, 0.05
+_NEW_OBJECTS = 50_000
+"""Until the collector looks for cycles: with Python's 700, two thirds of the time to read a long path go into that."""
+
+
+class Kernels:
+    """The kernels of a service.
+
+    Attributes
+    ----------
+    seconds : float or None
+        How long loading took [s]; None until then.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: float | None = None
+        self._failure = "see the log"
+        self._ended = threading.Event()
+
+    def load(self, check: Callable[[], object]) -> None:
+        """Load them on a thread.
+
+        Parameters
+        ----------
+        check : callable
+            Is called there first; where it raises a JoulemapError, loading has failed.
+        """
+        threading.Thread(target=self._load, args=(check,), name="warm-up", daemon=True).start()
+
+    async def loaded(self) -> None:
+        """Wait until they are loaded, without a thread.
+
+        Raises
+        ------
+        BusyError
+            If that takes too long.
+        """
+        if not self._ended.is_set():
+            with anyio.move_on_after(_WAIT_S):
+                while not self._ended.is_set():
+                    await anyio.sleep(_LOOK_S)
+            self.wait(0.0)
+
+    def wait(self, seconds: float = _WAIT_S) -> None:
+        """Wait until they are loaded.
+
+        Parameters
+        ----------
+        seconds : float, optional
+            Longest time [s].
+
+        Raises
+        ------
+        BusyError
+            If it takes longer.
+        """
+        if not self._ended.wait(seconds):
+            raise BusyError("the service is still compiling its kernels", retry_after_s=10)
+
+    def check(self) -> float:
+        """Return how long loading took.
+
+        Returns
+        -------
+        float
+            Seconds.
+
+        Raises
+        ------
+        BusyError
+            If they are not loaded yet, or if that failed.
+        """
+        if self.seconds is not None:
+            return self.seconds
+        if self._ended.is_set():
+            raise BusyError(f"not ready: loading failed: {self._failure}", failed=True)
+        raise BusyError("not ready: kernels are being compiled or loaded", failed=False, retry_after_s=2)
+
+    def _load(self, check: Callable[[], object]) -> None:
+        try:
+            check()
+            self.seconds = _loaded()
+            _LOG.info("kernels are loaded after %.1f s", self.seconds)
+        except JoulemapError as error:
+            self._failure = error.message
+            _LOG.error("loading the kernels failed: %s", error.message)
+        finally:
+            self._ended.set()
+
+
+@cache
+def _loaded() -> float:
+    """Load the kernels, once for all services of a process; the time that it took [s]."""
+    seconds = warm_up(models=())
+    gc.collect()
+    gc.freeze()  # a million objects of libraries that stay: to go over them again stalls everything for 0.5 s
+    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
+    return seconds

@@ -1,0 +1,168 @@
+"""Keeps the heightmaps and runs that are sent, once another process has read and checked them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import anyio
+
+from joulemap.model.errors import InputError
+from joulemap.model.runs.odometry import Odometry
+from joulemap.service.intake.limits import RunLimits
+from joulemap.service.intake.readers import Readers
+from joulemap.service.intake.runs import check_together
+from joulemap.service.settings import Settings
+from joulemap.service.storage.runs import safe_name
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import HeightmapRow, RunsRow
+
+
+class SentFiles:
+    """What a service does with files that are sent.
+
+    Attributes
+    ----------
+    settings : Settings
+        Limits.
+    store : Store
+        Where they are kept.
+    readers : Readers
+        Processes that read them.
+    """
+
+    settings: Settings
+    store: Store
+    readers: Readers
+
+    async def keep_heightmap(self, path: Path, *, name: str, **options: Any) -> HeightmapRow:
+        """Read, check and keep a heightmap that was sent.
+
+        Parameters
+        ----------
+        path : Path
+            The file.
+        name : str
+            Its name for people, whose ending may say the format.
+        **options
+            As those of `read_heightmap`.
+
+        Returns
+        -------
+        HeightmapRow
+            The new row.
+
+        Raises
+        ------
+        HeightmapError
+            If it is not a heightmap that can be used.
+        TooLargeError
+            If it has too many cells, or takes too much time or memory to read.
+        BusyError
+            If too many files wait to be read.
+        """
+        made = path.with_name(f"{path.name}.tif")
+        most = self.settings.max_cells
+        try:
+            stats = await self.readers.read(
+                "heightmap", path=str(path), out=str(made), name=name, max_cells=most, options=options
+            )
+
+            def _keep() -> HeightmapRow:
+                return self.store.add_heightmap(made, name=name, stats=stats)
+
+            return await anyio.to_thread.run_sync(_keep)
+        finally:
+            for left in path.parent.glob(f"*{made.name}*"):  # the map, or what a process that was killed had written
+                left.unlink(missing_ok=True)
+
+    async def keep_runs(
+        self,
+        files: Sequence[tuple[str, Path]],
+        *,
+        heightmap_id: str | None = None,
+        odometry: Odometry | None = None,
+        mapping: Mapping[str, str] | None = None,
+        accept_implausible: bool = False,
+    ) -> RunsRow:
+        """Read, check and keep runs that were sent together.
+
+        Parameters
+        ----------
+        files : sequence of (str, Path)
+            Name and file of each.
+        heightmap_id : str, optional
+            Id of the heightmap that they were driven on.
+        odometry : Odometry, optional
+            How runs without positions are read.
+        mapping : mapping of str to str, optional
+            Where columns are taken from, as `read_mapping` returns it.
+        accept_implausible : bool, optional
+            Whether runs are kept whose numbers are hardly in the units that they are read in.
+
+        Returns
+        -------
+        RunsRow
+            The new row. Runs in other formats, columns or units are kept in joulemap's, as CSV.
+
+        Raises
+        ------
+        RunsError
+            If a run cannot be read, contains no segment, or does not lie on the heightmap.
+        TooLargeError
+            If a run is larger than the limits, or takes too much time or memory to read.
+        BusyError
+            If too many files wait to be read.
+        InputError
+            If two runs have the same name.
+        NotFoundError
+            If there is no such heightmap.
+        """
+        names = _distinct([safe_name(name) for name, _ in files])
+        ground = None
+        if heightmap_id is not None:
+            ground = (await anyio.to_thread.run_sync(self.store.heightmap, heightmap_id)).stats
+        asked = {
+            "limits_of_run": asdict(_run_limits(self.settings)),
+            "crs": ground["crs"] if ground is not None else None,
+            "odometry": asdict(odometry) if odometry is not None else None,
+            "mapping": dict(mapping or {}),
+            "accept_implausible": accept_implausible,
+        }
+        made = [path.with_name(f"{path.name}.csv") for _, path in files]
+        try:
+            stats = [
+                await self.readers.read("run", path=str(path), name=name, out=str(out), **asked)
+                for name, (_, path), out in zip(names, files, made, strict=True)
+            ]
+            check_together(stats, ground)
+            kept = [
+                (name, out if one.pop("written") else path)
+                for (name, path), out, one in zip(files, made, stats, strict=True)
+            ]
+            return await anyio.to_thread.run_sync(self.store.add_runs, kept, stats)
+        finally:
+            for out in made:  # or what a process that was killed had written
+                out.unlink(missing_ok=True)
+                out.with_name(f"{out.name}.part").unlink(missing_ok=True)
+
+
+def _distinct(names: list[str]) -> list[str]:
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        raise InputError(f"two runs are called {twice[0]}: send them under different names", name=twice[0])
+    return names
+
+
+def _run_limits(settings: Settings) -> RunLimits:
+    return RunLimits(
+        mb=settings.max_run_mb,
+        rows=settings.max_run_rows,
+        columns=settings.max_run_columns,
+        cells=settings.max_run_cells,
+        text_mb=settings.max_run_text_mb,
+        km=settings.max_run_km,
+    )

@@ -1,0 +1,169 @@
+"""One running service: its store, its jobs, its open cost maps, and whether it is ready."""
+
+from __future__ import annotations
+
+import copy
+from contextlib import suppress
+from importlib.metadata import version
+
+from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
+from joulemap.model.errors import BusyError, JoulemapError
+from joulemap.planner.plan import RoutePlanner
+from joulemap.service.http.health import OK, Health
+from joulemap.service.http.job_events import JobEvents, look_into
+from joulemap.service.http.kernels import Kernels
+from joulemap.service.http.made import Made
+from joulemap.service.http.metrics import Metrics
+from joulemap.service.http.open_maps import OpenMaps
+from joulemap.service.http.plans import plan_queue, price_queue
+from joulemap.service.http.retention import Retention
+from joulemap.service.http.sent_files import SentFiles
+from joulemap.service.http.watched import watch
+from joulemap.service.intake.limits import ReadLimits
+from joulemap.service.intake.readers import Readers
+from joulemap.service.jobs.engine import Jobs
+from joulemap.service.models import find_predictor
+from joulemap.service.settings import Settings
+from joulemap.service.storage.owners import Caller
+from joulemap.service.storage.store import Store
+from joulemap.service.storage.tables import COSTMAP, CalibrationRow, CostmapRow, kind_of
+
+
+class Service(SentFiles, Made):
+    """Everything that requests share; made with the app, started and stopped with it.
+
+    Parameters
+    ----------
+    settings : Settings
+        Limits and folders.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.version = version("joulemap")
+        self.store = Store(settings.data_dir, settings.resolved_database_url, objects=settings.store)
+        self.retention = Retention(
+            settings, self.store, {CostmapRow: self.delete_costmap, CalibrationRow: self.delete_calibration}
+        )
+        self.maps = OpenMaps(
+            self.store.load_lattice,
+            size=settings.open_costmaps,
+            place=lambda costmap_id: self.store.here(self.store.lattice_path(costmap_id)),
+            most_cells=settings.max_cells_in_memory,
+            memory_bytes=int(1e9 * settings.route_memory_gb),
+        )
+        self.metrics, self.health = Metrics(), Health()
+        self.plans = plan_queue(settings, self.maps, self.metrics.saw_work)
+        self.prices = price_queue(settings, self.maps, self.metrics.saw_work)
+        self.job_events = JobEvents(look_into(self.store))
+        queues = [self.plans, self.prices]
+        watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=queues)
+        self.jobs = Jobs(self.store, settings, on_done=self._open_made)
+        self.health.add("workers", self._check_workers)
+        if settings.store is not None:
+            self.health.add("object store", self.store.vault.check)
+        self.readers = Readers(
+            processes=settings.read_processes,
+            queue=settings.read_queue_size,
+            limits=ReadLimits(settings.read_seconds, settings.read_memory_mb),
+        )
+        self.metrics.gauge(
+            "joulemap_sent_files_waiting", "sent files that wait to be read", lambda: float(self.readers.waiting)
+        )
+        self.metrics.gauge(
+            "joulemap_sent_files_running", "sent files that are read now", lambda: float(self.readers.running)
+        )
+        self.metrics.counter(
+            "joulemap_sent_files_refused_total", "refused: the queue was full", lambda: float(self.readers.refused)
+        )
+        self.kernels = Kernels()
+
+    def seen_by(self, caller: Caller) -> Service:
+        """Return this service as a caller sees it.
+
+        Parameters
+        ----------
+        caller : Caller
+            On whose behalf it is asked.
+
+        Returns
+        -------
+        Service
+            With the same jobs and maps; what others own is not in its store.
+        """
+        seen = copy.copy(self)
+        seen.store = self.store.seen_by(caller)
+        return seen
+
+    def find_predictor(self, model: str) -> Predictor:
+        """Return a model that the caller may use.
+
+        Parameters
+        ----------
+        model : str
+            Its name, or the id of a calibration.
+
+        Returns
+        -------
+        Predictor
+            Ready to be asked.
+
+        Raises
+        ------
+        ModelError
+            If there is no such model, or if it belongs to another owner.
+        """
+        self.store.model_here(model, self.settings.resolved_models_dir)
+        return find_predictor(model, models_dir=self.settings.resolved_models_dir, hidden=self.store.hidden_models())
+
+    def start(self) -> None:
+        """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
+        self.store.open()
+        self.health.start()
+        self.readers.start()
+        self.kernels.load(self._find_warm_models)
+        self.jobs.start()
+
+    def stop(self) -> None:
+        """Stop the workers and close the store."""
+        self.health.stop()
+        self.jobs.stop()
+        self.readers.close()
+        self.store.close()
+
+    def check_ready(self) -> float:
+        """Return how long loading the kernels took, from what is known already.
+
+        Returns
+        -------
+        float
+            Seconds.
+
+        Raises
+        ------
+        BusyError
+            If they are not loaded yet, if that failed, or if the latest look at something found that it is not well.
+        """
+        seconds = self.kernels.check()
+        checks = self.health.results()
+        wrong = [f"{name}: {found}" for name, found in checks.items() if found != OK]
+        if wrong:
+            raise BusyError(f"not ready: {'; '.join(wrong)}", failed=False, checks=checks, retry_after_s=5)
+        return seconds
+
+    def _check_workers(self) -> None:
+        """Raise BusyError where nobody can do jobs."""
+        if self.jobs.trouble is not None:
+            raise BusyError(self.jobs.trouble, retry_after_s=10)
+
+    def _open_made(self, job_id: str) -> None:
+        """Have a new cost map in memory before the first question."""
+        if kind_of(job_id) == COSTMAP:
+            with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
+                if isinstance(planner, RoutePlanner):
+                    planner.prepare()
+
+    def _find_warm_models(self) -> None:
+        for model in set(self.settings.warm_models).difference(MODEL_NAMES):  # the workers load them all
+            self.find_predictor(model)
