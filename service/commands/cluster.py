@@ -107,13 +107,12 @@ def costmap_there(
     named: str | Path = model if model in MODEL_NAMES else Path(model).resolve()
     order = MapOrder(out.resolve(), heightmap.resolve(), reading, robot, named, spacing_m, headings, replace=True)
 
+    async def _report(share: float) -> None:
+        progress(share)
+
     async def _make() -> dict[str, Any]:
         async with connected(address, workers=0) as client:
-            async for found in make(client, order, key=f"joulemap-{secrets.token_hex(6)}"):
-                if isinstance(found, dict):
-                    return found
-                progress(found)
-        raise RuntimeError("the cost map has no end")
+            return await make(client, order, key=f"joulemap-{secrets.token_hex(6)}", report=_report)
 
     import asyncio  # loads slowly, and most commands need it not
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from typing import TypeVar
 
-from joulemap.model.errors import ConflictError
+from joulemap.model.errors import BusyError, ConflictError
 from joulemap.service.http.open_maps import OpenMaps
 from joulemap.service.http.retention import Retention
 from joulemap.service.jobs.engine import Jobs
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import CANCELLED, DONE, FAILED, CalibrationRow, CostmapRow
+from joulemap.service.storage.tables import CANCELLED, COSTMAP, DONE, FAILED, WORDS, CalibrationRow, CostmapRow
 
 KNOWN_S = 2.0
 """So long a cost map that another service has deleted is still asked [s]."""
@@ -45,6 +45,28 @@ class Made:
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[float, CostmapRow]] = {}  # a robot asks for the same map 200 times a second
+
+    def check_room(self, kind: str = COSTMAP) -> None:
+        """Check that one more job may be added.
+
+        Parameters
+        ----------
+        kind : str, optional
+            COSTMAP or CALIBRATION.
+
+        Raises
+        ------
+        BusyError
+            If the queue of this kind is full.
+        """
+        waiting, limit = len(self.store.unfinished(kind)), self.settings.queue_size
+        if waiting >= limit:
+            raise BusyError(
+                f"the queue is full: {WORDS[kind]}s that wait or run: {waiting}, limit: {limit}",
+                waiting=waiting,
+                limit=limit,
+                retry_after_s=10,
+            )
 
     def done_costmap(self, costmap_id: str) -> CostmapRow:
         """Return the row of a cost map that is done.

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.robot import Robot
+from joulemap.service.jobs.costmaps import Report
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import named_test_runs
+from joulemap.service.storage.vault import ObjectVault
 from joulemap.service.work.calibrations import calibrate
 from joulemap.service.work.vaulted import calibrate as calibrate_vaulted
 
@@ -42,7 +43,7 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
     def _files(sent: list[str]) -> list[str]:
         return [str(file.resolve()) for runs in sent for file in store.run_files(runs)]
 
-    row = store.calibration(calibration_id)
+    row, vault = store.calibration(calibration_id), store.vault
     asked, ground, usual = row.request, row.heightmap_id, Robot().as_dict()
     robot = {key: value for key, value in asked["robot"].items() if value != usual.get(key)}
     body = {"heightmap_id": ground or "HEIGHTMAP", "model": row.id} | ({"robot": robot} if robot else {})
@@ -63,51 +64,53 @@ def order_of(store: Store, calibration_id: str, models_dir: Path) -> dict[str, A
         "campaigns": asked.get("campaigns", False),  # not in requests of older versions
         "quick": asked.get("quick", False),
         "seed": asked["seed"],
+        "object_store": vault.url if isinstance(vault, ObjectVault) else None,  # where workers share no file system
+        "data_folder": str(store.folder.resolve()),
         "next": f"POST /v1/costmaps {json.dumps(body)}",
     }
 
 
-async def make(
-    client: Client, order: Mapping[str, Any], *, priority: float, vaulted: Mapping[str, Any] | None = None
-) -> AsyncGenerator[float | dict[str, Any]]:
+async def make(client: Client, order: dict[str, Any], *, key: str, priority: float, report: Report) -> dict[str, Any]:
     """Calibrate on a cluster.
 
     Parameters
     ----------
     client : Client
         Of the cluster, in the loop that runs.
-    order : mapping
+    order : dict
         As of `order_of`.
+    key : str
+        Of the task.
     priority : float
         Tasks with a higher one come first.
-    vaulted : mapping, optional
-        Object store and data folder, as `work.vaulted.calibrate` takes them, where workers share no file system.
+    report : callable
+        Is told the share that is done, again and again.
 
-    Yields
-    ------
-    float or dict
-        The share that is done, again and again; at last the report and the id of the model.
+    Returns
+    -------
+    dict
+        The report and the id of the model.
 
     Raises
     ------
     Refused
         If the runs cannot be calibrated.
     """
-    topic, share = f"{order['id']}-progress", -1.0
+    topic, share = f"{key}-progress", -1.0
 
     def _take(event: tuple[float, float]) -> None:
         nonlocal share
         share = event[1]
 
     client.subscribe_topic(topic, _take)
-    work, more = (calibrate, {}) if vaulted is None else (calibrate_vaulted, dict(vaulted))
-    task = client.submit(work, dict(order), topic, key=order["id"], priority=priority, **more)
+    work = calibrate if order["object_store"] is None else calibrate_vaulted
+    task = client.submit(work, order, topic, key=key, priority=priority)
     ended = asyncio.ensure_future(task)
     try:
         while not (await asyncio.wait([ended], timeout=_LOOK_S))[0]:
             if share >= 0.0:
-                yield share
-        yield await ended
+                await report(share)
+        return await ended
     finally:
         ended.cancel()
         task.release()

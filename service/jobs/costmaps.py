@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,8 @@ from joulemap.service.work.vaulted import VaultedOrder
 
 if TYPE_CHECKING:  # which takes half a second to load
     from distributed import Client
+
+Report = Callable[[float], Awaitable[None]]
 
 
 def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | VaultedOrder:
@@ -53,8 +55,8 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
 
 
 async def make(
-    client: Client, order: MapOrder | VaultedOrder, *, key: str, priority: float = 0.0
-) -> AsyncGenerator[float | dict[str, Any]]:
+    client: Client, order: MapOrder | VaultedOrder, *, key: str, priority: float = 0.0, report: Report
+) -> Any:
     """Make a cost map on a cluster.
 
     Parameters
@@ -67,11 +69,13 @@ async def make(
         Beginning of the keys of its tasks. A task that two clients ask for is done once.
     priority : float, optional
         Tasks with a higher one come first.
+    report : callable
+        Is told the share that is done, again and again.
 
-    Yields
-    ------
-    float or dict
-        The share that is done, again and again; at last what `finish` returns.
+    Returns
+    -------
+    dict
+        What `finish` returns.
     """
     from distributed import as_completed
 
@@ -84,15 +88,15 @@ async def make(
 
     try:
         count, missing = await _submit(work.lay_out, name=f"{key}-layout")
-        yield (count - len(missing)) / (count + 1)
+        await report((count - len(missing)) / (count + 1))
         building = [_submit(work.build, number, name=(f"{key}-tile", number)) for number in missing]
         left = len(missing)
         async for tile in as_completed(building, loop=client.loop):
             await tile
             tile.release()
             left -= 1
-            yield (count - left) / (count + 1)
-        yield await _submit(work.finish, name=f"{key}-finish")
+            await report((count - left) / (count + 1))
+        return await _submit(work.finish, name=f"{key}-finish")
     finally:  # by name: an error keeps its task, and the next try would be given the same error without being made
         for task in sent:
             task.release()

@@ -11,20 +11,18 @@ import errno
 import logging
 import threading
 import time
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import Callable
 from concurrent.futures import CancelledError
-from contextlib import aclosing, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy.exc import OperationalError
 
-from joulemap.model.errors import BusyError
 from joulemap.service.jobs import calibrations, costmaps
 from joulemap.service.problems import problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.tables import CALIBRATION, COSTMAP, WORDS, kind_of
-from joulemap.service.storage.vault import ObjectVault
+from joulemap.service.storage.tables import CALIBRATION, kind_of
 from joulemap.service.work.calibrations import Refused
 
 if TYPE_CHECKING:  # which takes half a second to load
@@ -39,7 +37,7 @@ _LATER = (errno.ENOSPC, errno.EDQUOT, errno.EHOSTUNREACH)  # a full disk, an obj
 
 
 class Jobs:
-    """The jobs of one service: how many wait, when one has ended, and the cluster that makes them.
+    """The jobs of one service, and the cluster that makes them.
 
     Parameters
     ----------
@@ -81,28 +79,6 @@ class Jobs:
             with suppress(RuntimeError):  # it has ended
                 self._loop.call_soon_threadsafe(self._wake.set)
 
-    def check_room(self, kind: str = COSTMAP) -> None:
-        """Check that one more job may be added.
-
-        Parameters
-        ----------
-        kind : str, optional
-            COSTMAP or CALIBRATION.
-
-        Raises
-        ------
-        BusyError
-            If the queue of this kind is full.
-        """
-        waiting, limit = len(self._store.unfinished(kind)), self._settings.queue_size
-        if waiting >= limit:
-            raise BusyError(
-                f"the queue is full: {WORDS[kind]}s that wait or run: {waiting}, limit: {limit}",
-                waiting=waiting,
-                limit=limit,
-                retry_after_s=10,
-            )
-
     async def _live(self) -> None:
         """Keep a cluster until the service stops; one that is lost is asked again."""
         from joulemap.service.jobs.cluster import NICE, connected  # which takes half a second to load
@@ -120,11 +96,10 @@ class Jobs:
             except OSError as error:  # a scheduler that restarts comes back
                 self.trouble = f"no Dask scheduler answers at {settings.scheduler or '127.0.0.1'}: {error}"
                 _LOG.warning("%s", self.trouble)
-                await self._pause()
             except Exception:
                 self.trouble = "the workers do not start: see the log"
                 _LOG.exception("%s", self.trouble)
-                await self._pause()
+            await self._pause()
 
     async def _serve(self, client: Client) -> None:
         """Send off what is wanted until the service stops. Raises OSError where the scheduler is lost."""
@@ -164,7 +139,7 @@ class Jobs:
         """Make one job, and note how it ended; what may end otherwise later is left for the next look."""
         try:
             async with slots if kind_of(job_id) == CALIBRATION else nullcontext():
-                summary = await self._result(await self._begin(client, job_id, priority), job_id)
+                summary = await self._made(client, job_id, priority)
             done = await asyncio.to_thread(self._store.finish, job_id, summary)
         except Exception as error:
             await asyncio.to_thread(self._failed, job_id, error, lost=client.status != "running")
@@ -173,27 +148,21 @@ class Jobs:
         if done and self._on_done is not None:
             await asyncio.to_thread(self._on_done, job_id)
 
-    async def _begin(self, client: Client, job_id: str, priority: float) -> AsyncGenerator[float | dict[str, Any]]:
-        models_dir = self._settings.resolved_models_dir.resolve()
-        if kind_of(job_id) == CALIBRATION:
-            told = await asyncio.to_thread(calibrations.order_of, self._store, job_id, models_dir)
-            vault, folder = self._store.vault, self._store.folder.resolve()
-            vaulted = {"url": vault.url, "folder": folder} if isinstance(vault, ObjectVault) else None
-            return calibrations.make(client, told, priority=priority, vaulted=vaulted)
-        order = await asyncio.to_thread(costmaps.order_of, self._store, job_id, models_dir)
-        return costmaps.make(client, order, key=job_id, priority=priority)
-
-    async def _result(self, steps: AsyncGenerator[float | dict[str, Any]], job_id: str) -> dict[str, Any]:
-        """Report the progress of a job until it is made."""
+    async def _made(self, client: Client, job_id: str, priority: float) -> dict[str, Any]:
+        """Make a job; what came out. Its progress is reported now and then."""
+        kind: Any = calibrations if kind_of(job_id) == CALIBRATION else costmaps
         reported = 0.0
-        async with aclosing(steps):
-            async for found in steps:
-                if isinstance(found, dict):
-                    return found
-                if time.monotonic() - reported > _REPORT_S:
-                    await asyncio.to_thread(self._store.report, job_id, found)
-                    reported = time.monotonic()
-        raise RuntimeError(f"job {job_id} has no result")
+
+        async def _report(share: float) -> None:
+            nonlocal reported
+            if time.monotonic() - reported > _REPORT_S:
+                await asyncio.to_thread(self._store.report, job_id, share)
+                reported = time.monotonic()
+
+        models_dir = self._settings.resolved_models_dir.resolve()
+        order = await asyncio.to_thread(kind.order_of, self._store, job_id, models_dir)
+        summary: dict[str, Any] = await kind.make(client, order, key=job_id, priority=priority, report=_report)
+        return summary
 
     def _failed(self, job_id: str, error: Exception, *, lost: bool) -> None:
         """Leave a job for the next look where it is not its fault. lost : whether the scheduler was."""

@@ -140,26 +140,23 @@ def finish(order: VaultedOrder) -> dict[str, Any]:
     return made
 
 
-def calibrate(order: Mapping[str, Any], topic: str, *, url: str, folder: Path) -> dict[str, Any]:
+def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
     """Calibrate; what is in the object store already is not made again.
 
     Parameters
     ----------
     order : mapping
-        As of `order_of`, with places in `folder`.
+        As of `order_of`, with an object store.
     topic : str
         Under which the share of the work that is done is reported.
-    url : str
-        Of the object store.
-    folder : Path
-        Data folder of the service.
 
     Returns
     -------
     dict
         As `calibrations.calibrate`.
     """
-    vault, copies = _vault(url), _copies(folder)
+    folder = Path(order["data_folder"])
+    vault, copies = _vault(order["object_store"]), _copies(folder)
 
     def _here(place: str) -> str:
         return str(copies / Path(place).relative_to(folder))

@@ -147,7 +147,7 @@ def _enqueue(service: Service, wanted: CalibrationRequest) -> CalibrationRow:
     robot = Robot.from_mapping(robot_values(wanted.robot))
     if wanted.model not in MODEL_NAMES:  # those need no check, and only the workers load them
         refuse_calibrated(wanted.model, service.find_predictor(wanted.model))
-    service.jobs.check_room(CALIBRATION)
+    service.check_room(CALIBRATION)
     asked |= {"runs": runs, "base_runs": baseline, "test_runs": test}
     row = service.store.add_calibration(ground, {"robot": robot.as_dict(), "odometry": odometry, **asked})
     service.jobs.submit()

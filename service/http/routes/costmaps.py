@@ -52,7 +52,7 @@ async def make_costmap(
     prefer: Prefer = None,
 ) -> Response:
     """Make a cost map of a heightmap that was sent before, or of one in the same form; it is made in the background."""
-    service.jobs.check_room()
+    service.check_room()
     kind = media_type(request)
     if kind == "multipart/form-data":
         async with request.form(max_files=1, max_fields=20) as form:
@@ -124,7 +124,7 @@ def _enqueue(service: Service, heightmap: HeightmapRow, wanted: CostmapOptions) 
     limit = service.settings.max_lattice_values
     tiling = check_lattice(frame, spacing_m=wanted.spacing_m, headings=wanted.headings, max_values=limit)
     robot = Robot.from_mapping(robot_values(wanted.robot))
-    service.jobs.check_room()
+    service.check_room()
     row = service.store.add_costmap(
         heightmap.id,
         {
