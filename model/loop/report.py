@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from joulemap.model.loop.calibrate import Calibration, Effect
 from joulemap.model.loop.selection import ALPHA
+from joulemap.model.loop.terms import Term
+from joulemap.model.runs.features import FloatArray
 
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:
@@ -48,7 +51,7 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
         "baseline_runs": found.baseline is not None,
         "error": dict(found.errors),
         "base_parameters": _base_parameters(found),
-        "effects": [_effect(e, _energy(found)) for e in found.effects],
+        "effects": [_effect(found, e) for e in found.effects],
         "variation": {
             "run_share": fitted.run_share,
             "serial_share": variation.serial_share,
@@ -65,39 +68,29 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
     }
 
 
-def _energy(found: Calibration) -> str:
-    return "A s" if found.residuals.charge else "J"
+def _coefficients(
+    found: Calibration, term: Term, low: FloatArray, high: FloatArray, start: Mapping[str, float] = MappingProxyType({})
+) -> list[dict[str, Any]]:
+    names, units = term.form.coefficient_names(), term.form.units("A s" if found.residuals.charge else "J")
+    rows = zip(names, units, term.coefficients, low.tolist(), high.tolist(), strict=True)
+    return [
+        {"name": n, "value": start.get(n, 0.0) + v, "unit": u, "ci95": [start.get(n, 0.0) + end for end in ends]}
+        for n, u, v, *ends in rows
+    ]
 
 
 def _base_parameters(found: Calibration) -> list[dict[str, Any]]:
     fitted, robot = found.fitted, found.residuals.features.robot
-    term = fitted.base
     declared = {
         "rolling_resistance": robot.rolling_resistance,
         "energy_of_motion": 1.0,
         "idle_power_w": robot.idle_power_w,
     }
-    rows = zip(
-        term.form.coefficient_names(),
-        term.form.units(_energy(found)),
-        term.coefficients,
-        fitted.base_low.tolist(),
-        fitted.base_high.tolist(),
-        strict=True,
-    )
-    return [
-        {
-            "name": name,
-            "declared": declared.get(name),
-            "value": declared.get(name, 0.0) + value,
-            "ci95": [declared.get(name, 0.0) + low, declared.get(name, 0.0) + high],
-            "unit": unit,
-        }
-        for name, unit, value, low, high in rows
-    ]
+    rows = _coefficients(found, fitted.base, fitted.base_low, fitted.base_high, declared)
+    return [row | {"declared": declared.get(row["name"])} for row in rows]
 
 
-def _effect(effect: Effect, energy: str) -> dict[str, Any]:
+def _effect(found: Calibration, effect: Effect) -> dict[str, Any]:
     form = effect.term.form
     settings = {key: value for key, value in form.as_dict().items() if key != "form"}
     return {
@@ -107,17 +100,7 @@ def _effect(effect: Effect, energy: str) -> dict[str, Any]:
         "form": form.key,
         "meaning": form.meaning,
         "settings": settings,
-        "coefficients": [
-            {"name": name, "value": value, "unit": unit, "ci95": [float(low), float(high)]}
-            for name, value, unit, low, high in zip(
-                form.coefficient_names(),
-                effect.term.coefficients,
-                form.units(energy),
-                effect.low,
-                effect.high,
-                strict=True,
-            )
-        ],
+        "coefficients": _coefficients(found, effect.term, effect.low, effect.high),
         "p_value": effect.p_value,
         "share_of_residual_variance": effect.share,
         "between_runs": effect.between,
