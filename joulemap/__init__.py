@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
     from joulemap.service.library.models import Evaluation, Model, evaluate, train
-    from joulemap.service.library.routes import Feasibility, PlannedRoute, PlannedTour
+    from joulemap.service.library.feasibility import Feasibility
+    from joulemap.service.library.planned_route import PlannedRoute
+    from joulemap.service.library.planned_tour import PlannedTour
     from joulemap.service.library.run_files import Runs, read_runs
 
 __all__ = [
@@ -71,7 +73,9 @@ _HOMES = {
     "joulemap.service.library.costmaps": ("CostMap", "StoredCostMap", "costmap", "open_costmap"),
     "joulemap.service.library.heightmaps": ("heightmap", "heightmap_from_runs"),
     "joulemap.service.library.models": ("Evaluation", "Model", "evaluate", "train"),
-    "joulemap.service.library.routes": ("Feasibility", "PlannedRoute", "PlannedTour"),
+    "joulemap.service.library.feasibility": ("Feasibility",),
+    "joulemap.service.library.planned_route": ("PlannedRoute",),
+    "joulemap.service.library.planned_tour": ("PlannedTour",),
     "joulemap.service.library.run_files": ("Runs", "read_runs"),
 }
 

@@ -15,7 +15,7 @@ from joulemap.model.errors import BusyError
 from joulemap.service.commands.arguments import TYPED
 
 if TYPE_CHECKING:
-    from joulemap.service.workflows import Written
+    from joulemap.service.cost_lattices import Written
 
 _HELP = "Let workers of a Dask scheduler do it, like tcp://HOST:8786. They must find the same files at the same paths."
 
@@ -99,10 +99,10 @@ def costmap_there(
     from joulemap.model.energy.predictor import MODEL_NAMES
     from joulemap.model.frames import GridFrame
     from joulemap.model.robot import Robot
+    from joulemap.service.cost_lattices import Written
     from joulemap.service.jobs.cluster import connected
     from joulemap.service.jobs.costmaps import make
     from joulemap.service.work.tiles import MapOrder
-    from joulemap.service.workflows import Written
 
     named: str | Path = model if model in MODEL_NAMES else Path(model).resolve()
     order = MapOrder(out.resolve(), heightmap.resolve(), reading, robot, named, spacing_m, headings, replace=True)

@@ -118,7 +118,7 @@ def costmap(
     """
     from joulemap.model.terrain.plausible import heightmap_warnings
     from joulemap.model.terrain.readers import open_ground
-    from joulemap.service.workflows import write_cost_lattice
+    from joulemap.service.cost_lattices import write_cost_lattice
 
     output = Output(json_file)
     if out is not None:
@@ -205,7 +205,7 @@ def _say_served(output: Output, made: CostmapOut, source: str, out: Path | None)
 
 def _say_size(output: Output, ground: GridFrame, spacing: float, headings: int, max_values: int) -> None:
     """Say how large a large cost map will be. Raises TooLargeError above `max_values`."""
-    from joulemap.service.workflows import check_lattice
+    from joulemap.service.cost_lattices import check_lattice
 
     tiling = check_lattice(ground, spacing_m=spacing, headings=headings)
     size = (
@@ -428,10 +428,10 @@ def feasibility(
     """
     from joulemap.model.battery import Battery
     from joulemap.service.commands.path_files import read_areas, read_path
+    from joulemap.service.feasibility import assess
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.objectives import Objective, limited
     from joulemap.service.schemas.answers import feasibility_values
-    from joulemap.service.workflows import assess
 
     output = Output(json_file)
     given = battery_values(battery_file, capacity_wh)

@@ -109,7 +109,7 @@ def demo(
 
 def warmup(json_file: JsonFile = None) -> None:
     """Compile every kernel **once and keep it**, so that no request waits for the compiler (after an installation)."""
-    from joulemap.service.workflows import warm_up
+    from joulemap.service.warm_up import warm_up
 
     output = Output(json_file)
     with progress_bar("Compiling") as _:

@@ -55,9 +55,9 @@ def tour(
     """
     from joulemap.model.battery import Battery
     from joulemap.service.commands.path_files import read_areas
+    from joulemap.service.feasibility import judge_routes
     from joulemap.service.library.costmaps import open_costmap
     from joulemap.service.schemas.tours import tour_out
-    from joulemap.service.workflows import judge_routes
 
     output, files = Output(json_file), wanted_files(out, format, coordinates, geojson)
     given = {**battery_values(battery_file, capacity_wh), "charge": charge, "reserve": reserve}

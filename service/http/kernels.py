@@ -11,7 +11,7 @@ from functools import cache
 import anyio
 
 from joulemap.model.errors import BusyError, JoulemapError
-from joulemap.service.workflows import warm_up
+from joulemap.service.warm_up import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
 _WAIT_S, _LOOK_S = 120.0, 0.05

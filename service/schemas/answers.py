@@ -16,6 +16,7 @@ from joulemap.planner.budget import Verdict
 from joulemap.planner.course import Course
 from joulemap.planner.plan import Plan
 from joulemap.planner.route import Route
+from joulemap.service.feasibility import Assessment
 from joulemap.service.problems import jsonable
 from joulemap.service.route_uncertainty import odds_along, quantiles_of_route
 from joulemap.service.schemas.planning import (
@@ -24,7 +25,6 @@ from joulemap.service.schemas.planning import (
     VerdictOut,
 )
 from joulemap.service.words import verdict_words
-from joulemap.service.workflows import Assessment
 
 BAND = 0.05, 0.95
 """Nine of ten drives end between these quantiles."""

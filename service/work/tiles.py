@@ -23,8 +23,8 @@ from joulemap.model.terrain.readers import open_ground
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice_build import build_tile, knows_spread, provenance_of
 from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.service.cost_lattices import prepare_build
 from joulemap.service.work.stored_base import with_stored_base
-from joulemap.service.workflows import prepare_build
 
 _LAYOUT, _SUMMARY = "layout.json", "summary.json"
 _KEPT = threading.local()  # of the latest order, for each thread: an open file is read by one thread at a time

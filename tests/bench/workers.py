@@ -68,7 +68,7 @@ async def _seconds(folder: Path, address: str, count: int, name: str) -> float:
 
 
 def _warm() -> None:
-    from joulemap.service.workflows import warm_up_models
+    from joulemap.service.warm_up import warm_up_models
 
     warm_up_models(["default"])
 

@@ -25,10 +25,10 @@ from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.training.evaluation import evaluate_on_runs
 from joulemap.model.training.measured_runs import train_on_runs
+from joulemap.service.cost_lattices import make_cost_lattice
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop.calibration import calibrate_on_runs
 from joulemap.service.models import find_predictor, planning_robot
-from joulemap.service.workflows import make_cost_lattice
 
 ROBOT = Robot(rolling_resistance=0.1)
 SHIPPED = Path(__file__).resolve().parents[2] / "model" / "weights"

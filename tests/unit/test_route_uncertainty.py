@@ -20,8 +20,8 @@ from joulemap.planner.budget import judge, judge_along
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.route import price_route
+from joulemap.service.feasibility import assess
 from joulemap.service.route_uncertainty import odds_along
-from joulemap.service.workflows import assess
 
 INDEPENDENT = Spread(run_share=0.0, correlation_m=1.0)
 

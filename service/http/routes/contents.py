@@ -22,11 +22,11 @@ from joulemap.service.http.zip_stream import zip_folder
 from joulemap.service.library.costmaps import CostMap
 from joulemap.service.pictures import field_image, lattice_image
 from joulemap.service.places import Places
+from joulemap.service.point_costs import PointCosts, costs_at
 from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate
 from joulemap.service.schemas.base import within as bounds
 from joulemap.service.schemas.maps import AtOut, FieldOut
-from joulemap.service.workflows import PointCosts, costs_at
 
 router = APIRouter(prefix="/costmaps/{costmap_id}", tags=["cost maps"])
 _MAP_FORMATS = ("geotiff", "npz", "zarr", *(name for name in MAP_FORMATS if name != "geotiff"))

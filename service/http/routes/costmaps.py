@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.service.cost_lattices import check_lattice
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import costmap_body, problems
 from joulemap.service.http.routes.waiting import Prefer, job_answer
@@ -22,7 +23,6 @@ from joulemap.service.schemas.base import UnreadableOut, robot_values
 from joulemap.service.schemas.kept import costmap_out, listed, shown
 from joulemap.service.schemas.maps import CostmapOptions, CostmapOut, CostmapRequest, UploadOptions
 from joulemap.service.storage.tables import CostmapRow, HeightmapRow
-from joulemap.service.workflows import check_lattice
 
 router = APIRouter(prefix="/costmaps", tags=["cost maps"])
 MOST_BYTES_PER_VALUE = 8  # a price and its uncertainty, float32 each, before they are compressed

@@ -11,6 +11,7 @@ from sse_starlette import EventSourceResponse
 from joulemap.planner.budget import battery_along
 from joulemap.planner.stopping import check_stop
 from joulemap.service.exports.track import track_of_plan, track_of_tour
+from joulemap.service.feasibility import assess, judge_routes
 from joulemap.service.http.asked import answer_of, same_robot, warnings_of
 from joulemap.service.http.dependencies import KernelsDep
 from joulemap.service.http.document_rules import event_schema
@@ -23,7 +24,6 @@ from joulemap.service.places import Places
 from joulemap.service.schemas.answers import battery_of, feasibility_values, path_values, verdict_out
 from joulemap.service.schemas.planning import FeasibilityOut, FeasibilityRequest, PathOut, PathRequest
 from joulemap.service.schemas.tours import TourOut, TourRequest, tour_out
-from joulemap.service.workflows import assess, judge_routes
 
 _QUICK = 1_000  # points: the verdict is there sooner than a client can hang up
 

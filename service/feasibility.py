@@ -1,0 +1,164 @@
+"""Whether a battery lasts for a task: a given path, or the best route between two places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from joulemap.model.battery import Battery
+from joulemap.model.errors import InputError
+from joulemap.planner.budget import Verdict, judge_course
+from joulemap.planner.course import course_of
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.route import Route
+from joulemap.service.coordinates import PlaceLike
+from joulemap.service.exports.clearance import price_given_path
+from joulemap.service.places import Places
+from joulemap.service.route_uncertainty import odds_along
+
+if TYPE_CHECKING:  # a cost map is made without them, and they take their time to load
+    from joulemap.planner.plan import RoutePlanner
+    from joulemap.planner.stored_planner import StoredPlanner
+    from joulemap.service.objectives import Objective, Weighed
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """Whether a battery lasts for a task, and the routes that this was decided with.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        For all routes together.
+    route_out : Route
+        The way there.
+    route_back : Route or None
+        The way back of a round trip.
+    weighed : Weighed or None
+        How the routes do by their objective; None for the least expected energy, and for a given path.
+    """
+
+    verdict: Verdict
+    route_out: Route
+    route_back: Route | None = None
+    weighed: Weighed | None = None
+
+    @property
+    def routes(self) -> list[Route]:
+        """What is driven, in this order."""
+        return [route for route in (self.route_out, self.route_back) if route is not None]
+
+
+def assess(
+    planner: RoutePlanner | StoredPlanner | CostLattice,
+    *,
+    battery: Battery,
+    path: ArrayLike | Sequence[Any] | None = None,
+    start: PlaceLike | None = None,
+    goal: PlaceLike | None = None,
+    round_trip: bool = False,
+    snap: bool = False,
+    objective: Objective | None = None,
+) -> Assessment:
+    """Return whether a battery lasts for a given path, or for the best route from start to goal.
+
+    Give either `path`, or `start` and `goal`.
+
+    Parameters
+    ----------
+    planner : RoutePlanner, StoredPlanner or CostLattice
+        The map to drive on.
+    battery : Battery
+        Its capacity, charge and reserve.
+    path : array_like, (n, 2), optional
+        World points [m], or places as `Places.path` takes them, in the order of driving.
+    start, goal : sequence of float or mapping, optional
+        World x, y [m], or a place as `world_point` takes it.
+    round_trip : bool, optional
+        Judge the way back too. A given path is driven back in the opposite direction, each leg at its reversed
+        heading. From goal to start the best route is searched anew: on a slope it need not be the same.
+    snap : bool, optional
+        Move a start or goal on blocked ground to the nearest free place; the route's notes say where.
+    objective : Objective, optional
+        What the routes from start to goal and back are chosen by, together. By default their expected energy.
+
+    Returns
+    -------
+    Assessment
+        The verdict and its routes.
+
+    Raises
+    ------
+    InputError
+        If not exactly one of `path`, and `start` with `goal`, is given, or the objective cannot be weighed.
+    PointError
+        If a point lies outside the map.
+    BlockedError
+        If start or goal is on blocked ground without `snap`, or if a leg of the path is.
+    NoRouteError
+        If no route joins start and goal.
+    """
+    from joulemap.planner.plan import RoutePlanner
+    from joulemap.planner.stored_planner import StoredPlanner
+    from joulemap.service.objectives import MEAN, best_routes
+
+    if (path is None) == (start is None and goal is None) or (start is None) != (goal is None):
+        raise InputError("give either `path`, or `start` and `goal`")
+    back = None
+    lattice = planner if isinstance(planner, CostLattice) else planner.lattice
+    places = Places(lattice.frame)
+    if path is not None:
+        points = places.path(path)
+        if isinstance(planner, StoredPlanner):
+            planner.read_along(points)
+        out = price_given_path(lattice, points)
+        if round_trip:
+            back = price_given_path(lattice, points[::-1])
+    else:
+        assert start is not None
+        assert goal is not None
+        router = RoutePlanner(planner) if isinstance(planner, CostLattice) else planner
+        there, home = places(start, "start"), places(goal, "goal")
+        out = router.plan(there, home, snap=snap).route
+        if round_trip:
+            if snap:  # back from where the way there ended, and to where it began
+                there, home = ((float(x), float(y)) for x, y in out.points[[0, -1], :2])
+            back = router.plan(home, there).route
+    routes, weighed = tuple(route for route in (out, back) if route is not None), None
+    if path is None and objective is not None and objective.name != MEAN:
+        routes, weighed = best_routes(router, routes, objective, battery=battery)
+    verdict = judge_routes(lattice, routes, battery)
+    return Assessment(verdict, places.noted(routes[0]), routes[1] if round_trip else None, weighed)
+
+
+def judge_routes(lattice: CostLattice, routes: Sequence[Route], battery: Battery) -> Verdict:
+    """Return the verdict for routes that are driven one after another.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        That all routes were priced with.
+    routes : sequence of Route
+        In the order of driving.
+    battery : Battery
+        Its capacity, charge and reserve.
+
+    Returns
+    -------
+    Verdict
+        With a probability where the lattice's model knows its own uncertainty.
+
+    Raises
+    ------
+    InputError
+        If the battery's cut-off voltage is above every voltage that it has.
+    """
+    return judge_course(
+        course_of(routes),
+        battery,
+        nominal_voltage_v=lattice.robot.nominal_voltage_v,
+        odds=odds_along(routes),
+    )

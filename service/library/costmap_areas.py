@@ -1,0 +1,198 @@
+"""Questions to a cost map about areas and places: how far a charge reaches, energies everywhere, prices at a place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from joulemap.model.battery import Battery
+from joulemap.planner.energy_map import EnergyMap, energy_map
+from joulemap.planner.fields import field_from, field_towards
+from joulemap.planner.moves import move_table
+from joulemap.planner.places import end_point
+from joulemap.planner.reach_map import ReachMap
+from joulemap.service.homeward import CONFIDENCE, Homeward, homeward
+from joulemap.service.library.costmap_base import CostMapBase, Point
+from joulemap.service.places import Places
+from joulemap.service.point_costs import PointCosts, costs_at
+from joulemap.service.reach import reach_map
+
+
+class AreaQuestions(CostMapBase):
+    """What holds everywhere on a cost map, or at one place of it."""
+
+    def reach(
+        self,
+        start: Point,
+        *,
+        charge: float | Sequence[float] = 1.0,
+        reserve: float = 0.0,
+        capacity_wh: float | None = None,
+        battery: Battery | None = None,
+        round_trip: bool = False,
+        confidence: float | None = None,
+        avoid: Sequence[Sequence[Point]] = (),
+        snap: bool = False,
+    ) -> ReachMap:
+        """Say where the battery lasts to from a place, or where it lasts to and back.
+
+        Parameters
+        ----------
+        start : sequence of float
+            World x, y [m].
+        charge : float or sequence of float, optional
+            State of charge at the start, 0..1; several are answered one by one.
+        reserve : float, optional
+            Share of the capacity that must remain, 0..1.
+        capacity_wh : float, optional
+            Energy of the full battery [Wh]. By default that of the robot.
+        battery : Battery, optional
+            Where more is known of it than its energy; capacity and reserve are its own then.
+        round_trip : bool, optional
+            Whether it must come back, by the best way back, which is not the way out.
+        confidence : float, optional
+            With what probability the battery is to last, 0.5..0.99. By default the expected energy decides.
+        avoid : sequence of sequence of points, optional
+            Areas that no route may touch: the corners of each, world x, y [m].
+        snap : bool, optional
+            Whether a start on blocked ground is moved to the nearest free place.
+
+        Returns
+        -------
+        ReachMap
+            What is left at every cell [J], with `polygons`, `area_m2`, `margin_at`, `geotiff` and `to_xarray`.
+
+        Raises
+        ------
+        InputError
+            If a share lies outside 0..1, or a confidence is asked of a model that does not know its uncertainty.
+        PointError
+            If the start lies outside the map.
+        BlockedError
+            If the start lies on blocked ground, and `snap` is false.
+        """
+        charges = (charge,) if isinstance(charge, int | float) else tuple(charge)
+        full = self.robot.battery_wh if capacity_wh is None else capacity_wh
+        given = Battery(full, reserve=reserve) if battery is None else battery
+        places = Places(self._whole.frame)
+        found = reach_map(
+            self.planner.avoiding(places.areas(avoid)),
+            places(start, "start"),
+            given,
+            charges=charges,
+            confidence=confidence,
+            round_trip=round_trip,
+            snap=snap,
+        )
+        return replace(found, notes=(*places.notes, *found.notes))
+
+    def homeward(
+        self,
+        position: Point,
+        home: Point,
+        *,
+        battery: Battery,
+        path: Sequence[Point] | None = None,
+        charging: Sequence[Point] = (),
+        confidence: float | None = CONFIDENCE,
+    ) -> Homeward:
+        """Say until where a robot may follow the rest of its path and still come home: the point of no return.
+
+        Parameters
+        ----------
+        position : sequence of float or mapping
+            Where the robot is, world x, y [m].
+        home : sequence of float or mapping
+            World x, y [m].
+        battery : Battery
+            With its charge now.
+        path : sequence of points, optional
+            The rest of its path.
+        charging : sequence of points, optional
+            Places to charge, at most 16.
+        confidence : float or None, optional
+            Probability with which the battery must last; None where the expected energy decides.
+
+        Returns
+        -------
+        Homeward
+            Answers again about the same home come from kept energies, in milliseconds.
+
+        Raises
+        ------
+        InputError
+            If there are too many places to charge, or the map is not in memory.
+        PointError
+            If a place lies outside the map.
+        BlockedError
+            If home or a place to charge is on blocked ground, or the path crosses it.
+        """
+        places = Places(self.lattice.frame)
+        return homeward(
+            self.planner,
+            places(position, "position"),
+            places(home, "home"),
+            battery,
+            path=None if path is None else places.path(list(path)),
+            charging=[places(place, f"charging place {k}") for k, place in enumerate(charging)],
+            confidence=confidence,
+        )
+
+    def field(
+        self, *, start: Point | None = None, goal: Point | None = None, neighbours: int = 16, snap: bool = False
+    ) -> EnergyMap:
+        """Give the least energy from a start to every cell, from every cell to a goal, or over every cell between both.
+
+        Parameters
+        ----------
+        start, goal : sequence of float, optional
+            World x, y [m]; at least one of them. With both, the energy of a cell is that of the best route over it.
+        neighbours : int, optional
+            Directions of a step on the grid: 8, 16 or 32.
+        snap : bool, optional
+            Whether a place on blocked ground is moved to the nearest free one.
+
+        Returns
+        -------
+        EnergyMap
+            An array [J], with `to_xarray`, `geotiff` and `corridor`. For a map that changes, `planner.replan.Replanner`
+            repairs the field instead of making it anew.
+
+        Raises
+        ------
+        InputError
+            Without start and goal.
+        PointError
+            If a place lies outside the map.
+        BlockedError
+            If a place lies on blocked ground, and `snap` is false.
+        """
+        table = move_table(self._whole, neighbours=neighbours)
+        places = Places(self._whole.frame)
+        ends = [
+            None if place is None else end_point(self._whole, *places(place, name), name=name, snap=snap)[0]
+            for name, place in (("start", start), ("goal", goal))
+        ]
+        out = None if ends[0] is None else field_from(self._whole, table, ends[0])
+        back = None if ends[1] is None else field_towards(self._whole, table, ends[1][None])
+        return energy_map(out, back)
+
+    def at(self, x: float, y: float) -> PointCosts:
+        """Say what driving costs at one place, in every direction.
+
+        Parameters
+        ----------
+        x, y : float
+            World x, y [m].
+
+        Returns
+        -------
+        PointCosts
+            Energy per metre [J/m] by heading, and the reason where a heading is blocked.
+
+        Raises
+        ------
+        PointError
+            If the place lies outside the map.
+        """
+        return costs_at(self.lattice, x, y)

@@ -1,0 +1,152 @@
+"""A planned tour as a Python user has it: its legs, its picture and its files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.plan import RoundTrip
+from joulemap.planner.route import Route
+from joulemap.service.exports.geojson import geojson_document
+from joulemap.service.exports.track import Track, track_of_tour
+from joulemap.service.library.route_output import geodataframe, save_track
+from joulemap.service.words import energy_words
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlannedTour:
+    """A round trip over several stops in the order that takes least energy.
+
+    Attributes
+    ----------
+    found : RoundTrip
+        The planner's answer.
+    lattice : CostLattice
+        The cost map that it was planned on.
+    """
+
+    found: RoundTrip
+    lattice: CostLattice
+
+    @property
+    def legs(self) -> tuple[Route, ...]:
+        """From each stop to the next, and home from the last."""
+        return self.found.legs
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Which stop is visited when, home (0) first."""
+        return self.found.order
+
+    @property
+    def energy_j(self) -> float:
+        """Energy of all legs [J]."""
+        return self.found.energy_j
+
+    @property
+    def length_m(self) -> float:
+        """Horizontal length of all legs [m]."""
+        return sum(leg.length_m for leg in self.legs)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Where map or robot lie outside what the model learned."""
+        return list(self.lattice.provenance.get("warnings", []))
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the tour on the terrain.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Where to draw. By default a new figure is made with pyplot.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The map, in metres of its CRS.
+        """
+        from joulemap.service.map_drawing import OPTIMAL, draw_lattice_ground, new_axes
+
+        ax = new_axes() if ax is None else ax
+        draw_lattice_ground(ax, self.lattice)
+        for leg in self.legs:
+            ax.plot(*leg.points[:, :2].T, color=OPTIMAL, lw=2.5, zorder=3)
+        for number, (leg, stop) in enumerate(zip(self.legs, self.order, strict=True)):
+            ax.plot(*leg.points[0, :2], "o", ms=15, mfc="white", mec=OPTIMAL, zorder=4)
+            name = "home" if number == 0 else str(stop)
+            ax.annotate(name, (leg.points[0, 0], leg.points[0, 1]), ha="center", va="center", fontsize=7, zorder=5)
+        return ax
+
+    @property
+    def track(self) -> Track:
+        """The legs as what files are written from."""
+        return track_of_tour(self.found, self.lattice, warnings=self.warnings)
+
+    def to_geojson(self, *, coordinates: str = "wgs84") -> dict[str, Any]:
+        """Return the legs as GeoJSON.
+
+        Parameters
+        ----------
+        coordinates : str, optional
+            "wgs84" or "map", as for `PlannedRoute.to_geojson`.
+
+        Returns
+        -------
+        dict
+            A FeatureCollection with a line for each leg.
+
+        Raises
+        ------
+        InputError
+            If the map has no CRS, and degrees are wanted.
+        """
+        return geojson_document(self.track, coordinates=coordinates)
+
+    def save(self, path: str | Path, *, format: str | None = None, coordinates: str | None = None) -> Path:
+        """Write the tour for another program, as `PlannedRoute.save`.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; one that is there is replaced.
+        format : str, optional
+            By default the suffix decides.
+        coordinates : str, optional
+            Of GeoJSON.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            If the format is unknown, or the map has no CRS and the format needs degrees.
+        """
+        return save_track(self.track, path, format, coordinates)
+
+    def to_geodataframe(self) -> GeoDataFrame:
+        """Return the legs as a table with a geometry, a row each. Needs the extra `geo`.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Columns `kind`, `energy_j` [J], `length_m` [m], `duration_s` [s] and `geometry` in the CRS of the map.
+
+        Raises
+        ------
+        InputError
+            If geopandas is not installed.
+        """
+        return geodataframe([("leg", leg) for leg in self.legs], self.legs[0].crs)
+
+    def __repr__(self) -> str:
+        return f"<PlannedTour: {len(self.order)} stops, {self.length_m:.1f} m, {energy_words(self.energy_j)}>"
