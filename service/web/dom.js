@@ -60,7 +60,6 @@ export const note = kind("p", { class: "note" }), warn = kind("p", { class: "not
 export const live = (id = null) => make("div", { id, "aria-live": "polite" });
 /** A labelled control, with its unit; or one that needs the width. */
 export const field = (label, control, unit) => make("label", { class: `field${unit === undefined ? " wide" : ""}` }, label, control, unit === undefined ? null : make("span", { class: "unit" }, unit));
-export const fold = (title, own, ...children) => make("details", own, make("summary", {}, title), ...children);
 export const alarm = kind("p", { class: "error", role: "alert" }), button = ({ ...own }, ...children) => make("button", { type: "button", ...own }, ...children);
 
 /** The words of an error, for a person. */

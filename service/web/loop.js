@@ -5,7 +5,7 @@ import { alarm, attempt, button, by, errorNote, fill, energy, h2, h3, make, metr
 import { dropZone } from "./ground.js";
 import * as columns from "./columns.js";
 import { watched } from "./controls.js";
-import { build } from "./map_panel.js";
+import { build, sentRobot } from "./map_panel.js";
 import * as measured from "./measured.js";
 import { leaf, map } from "./map.js";
 import { routeButtons } from "./save_panel.js";
@@ -37,11 +37,11 @@ async function upload(files, mapping = []) {
     listRuns(sent.id);
   } catch (error) {
     const naming = error.status === 422 ? await columns.form(files, mapping => upload(files, mapping)) : null;
-    fill(here, naming ? alarm(error.message.replace(/; a mapping says.*/, ".")) : errorNote(error), naming);
+    fill(here, naming ? alarm(error.message.replace(/; a mapping says.*/, ".")) : errorNote(error), naming, /do not belong together/.test(error.message) ? note("Open the cost map of the ground where they were driven, or send its heightmap: New map.") : null);
   }
 }
 
-const readOf = sent => table([["run", "segments of 1 m", "repaired", "left out"], ...sent.runs.map(run => [run.name, run.segments, counted(run.repairs), counted(run.left_out)])], "What was read of each run");
+const readOf = ({ runs }) => runs.map(run => make("p", { class: "note" }, make("b", {}, run.name), ` ${number(run.segments, 0)} segments of 1 m; repaired: ${counted(run.repairs)}; left out: ${counted(run.left_out)}`));
 
 async function listRuns(chosen) {
   const here = by("runs-list");
@@ -58,7 +58,6 @@ async function listRuns(chosen) {
 }
 
 const baseModel = () => (now.costmap.model.startsWith("cal-") ? now.costmap.provenance?.model?.base?.name ?? "default" : now.costmap.model);
-const robotOf = ({ robot }) => Object.fromEntries(Object.entries(robot).filter(([name, value]) => value !== null && name !== "turn_j_per_rad"));
 
 async function calibrate(runs, quick) {
   const said = by("calibrating");
@@ -66,14 +65,14 @@ async function calibrate(runs, quick) {
   const ends = now.start && now.goal ? { start: now.start, goal: now.goal } : {};
   fill(said, note("Asking…"));
   await attempt(said, async () => {
-    await watch(await send("v1/calibrations", { heightmap_id: now.costmap.heightmap_id, runs, model: baseModel(), robot: robotOf(now.costmap), quick, ...ends }));
+    await watch(await send("v1/calibrations", { heightmap_id: now.costmap.heightmap_id, runs, model: baseModel(), robot: sentRobot(now.costmap.robot), quick, ...ends }));
   });
 }
 
 async function watch(calibration) {
   const made = await watched(by("calibrating"), `v1/calibrations/${calibration.id}`, "Calibration");
   listCalibrations();
-  if (made.status === "done") open(made);
+  if (made.status === "done") { await open(made); by("found").scrollIntoView(); }
 }
 
 async function listCalibrations() {
@@ -103,7 +102,7 @@ async function open(made) {
     h3("Error per metre"),
     table([["", "mean relative", `RMSE [${unit}/m]`], ...Object.entries(STATES).filter(([state]) => report.error[state]).map(([state, name]) => [name, percent(report.error[state].mean_relative, 1), number(report.error[state].rmse, 1)])], "Error before and after"),
     report.validation.whole_procedure ? null : warn("Quick: these are errors of the fit. On new runs they are larger."),
-    note(`${number(report.segments.fit, 0)} segments; left out: ${counted(report.runs.left_out)}; repaired: ${counted(report.runs.repairs)}`),
+    note(`${number(report.segments.fit, 0)} segments; left out: ${counted(report.runs.left_out)}`),
     report.confounded.map(([name, ...rivals]) => warn(`These runs cannot distinguish ${words(name)} from ${rivals.map(words).join(", ")}.`)),
     make("div", { class: "row" },
       made.calibrated_model ? button({ class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
@@ -125,7 +124,7 @@ function again(model) {
   const answer = now.answer;
   if (answer?.path) set({ before: { path: answer.path, energy_j: answer.energy_j, length_m: answer.length_m, model: now.costmap.model } });
   by("tab-map").click();
-  build({ heightmap_id: now.costmap.heightmap_id, robot: robotOf(now.costmap), model, spacing_m: now.costmap.spacing_m, headings: now.costmap.headings });
+  build({ heightmap_id: now.costmap.heightmap_id, robot: sentRobot(now.costmap.robot), model, spacing_m: now.costmap.spacing_m, headings: now.costmap.headings });
 }
 
 on("costmap", show);

@@ -74,16 +74,16 @@ export function show() {
 }
 
 /** A robot without what the service filled in. */
-const sentRobot = robot => Object.fromEntries(Object.entries(robot).filter(([, value]) => value !== null));
+export const sentRobot = robot => Object.fromEntries(Object.entries(robot).filter(([name, value]) => value !== null && name !== "turn_j_per_rad"));
 
 function legend() {
   by("heading").hidden = now.view !== "heading";
   const here = by("legend"), scale = now.layers?.[now.view];
   if (!now.layers) return;
-  const blocked = now.costmap.blocked ?? {};
+  const { blocked = {} } = now.costmap, seen = now.layers.blocked.filter(({ reason }) => blocked[reason] > 0);
   fill(here, scale ? [make("div", { id: "scale", role: "img", "aria-label": `colours from ${number(scale.low, 0)} to ${number(scale.high, 0)} joules per metre` }, scale.colours.map(colour => patch(colour, ""))),
     make("div", { class: "ends number" }, make("span", {}, `${number(scale.low, 0)} J/m`), make("span", { class: "quiet" }, now.view === "directionality" ? "dearest less cheapest heading" : "energy per metre"), make("span", {}, `${number(scale.high, 0)} J/m`))] : null,
-  Object.values(blocked).some(Boolean) ? note("Hatched: blocked in all headings; pale: in some.") : null,
-  now.layers.blocked.filter(({ reason }) => blocked[reason] > 0).map(({ reason, colour }) => note(patch(colour), `${reasonWords(reason)}: ${blocked[reason] < 0.001 ? "under 0.1 %" : percent(blocked[reason], 1)}`)));
+  seen.length ? note("Hatched: blocked in all headings; pale: in some.") : null,
+  seen.map(({ reason, colour }) => note(patch(colour), `${reasonWords(reason)}: ${blocked[reason] < 0.001 ? "under 0.1 %" : percent(blocked[reason], 1)}`)));
 }
 on("view layers", legend);

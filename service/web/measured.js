@@ -38,8 +38,8 @@ export async function show(here, calibration, layer) {
     fill(chart, svg);
   }
   const toggle = make("input", { type: "checkbox", onchange: () => { state.after = toggle.checked; places(); } });
-  fill(here, h3("Measured against predicted"), note("On the map: red took more energy than predicted, blue less."), make("label", { class: "check" }, toggle, "by the calibrated model"),
-    row(which), chart, note(`${found.unit} per segment: `, make("span", {}, "dark measured, "), make("i", { class: "swatch shortest" }), "before ", make("i", { class: "swatch optimal" }), "after"));
+  fill(here, h3("Measured against predicted"), note("On the map: red took more energy than predicted, blue less."), make("label", { class: "check" }, toggle, "Compare with the calibrated model"),
+    row(which), chart, note(`${found.unit} per segment: `, make("i", { class: "swatch" }), "measured ", make("i", { class: "swatch shortest" }), "before ", make("i", { class: "swatch optimal" }), "after"));
   places();
   along();
   const all = found.runs.flatMap(run => run.x.map((x, k) => leaf([x, run.y[k]])));

@@ -1,7 +1,7 @@
 // Reach: how far the battery takes the robot from the start, as shaded contours.
 
 import { Latest, sendForOdds } from "./api.js";
-import { attempt, by, fill, note, number, patch, percent, warn } from "./dom.js";
+import { attempt, by, fill, metres, note, number, patch, percent, warn } from "./dom.js";
 import { leaf, map } from "./map.js";
 import { settled } from "./controls.js";
 import { now, on } from "./state.js";
@@ -30,10 +30,11 @@ async function ask() {
       const rings = geometry.type === "Polygon" ? [geometry.coordinates] : geometry.coordinates;
       L.polygon(rings.map(polygon => polygon.map(ring => ring.map(leaf))), { pane: "reach", color: shade, weight: 1.2, fillColor: shade, fillOpacity: 0.16, smoothFactor: 0.5, interactive: false }).addTo(contours);
       properties.shade = shade;
+      properties.far = Math.max(...rings.flat(2).map(([x, y]) => Math.hypot(x - now.start[0], y - now.start[1])));
     });
     fill(said, note(order.length ? `From the start ${back ? "and back to it" : "one way (tick \"And back again\" for there and back)"}, with the reserve kept:` : "Nothing can be reached with this charge and reserve."),
-      order.map(({ properties }) => note(patch(properties.shade), `with a charge of ${percent(properties.charge)}: ${area(properties.area_m2)}`)),
-      all.length > 1 && order[0] !== all.at(-1) ? note("A higher charge takes it no further: the rest is blocked, not too far.") : null, found.odds ? null : warn("This model gives no probability: the expected energy decides."));
+      order.map(({ properties }) => note(patch(properties.shade), `with a charge of ${percent(properties.charge)}${properties === order[0].properties && levels.at(-1) > properties.charge ? ` to ${percent(levels.at(-1))}` : ""}: up to ${metres(properties.far)} away, ${area(properties.area_m2)}`)),
+      all.length > 1 && order[0] !== all.at(-1) ? note("More charge takes it no further.") : null, found.odds ? null : warn("This model gives no probability: the expected energy decides."));
   });
 }
 

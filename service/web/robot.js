@@ -1,6 +1,6 @@
 // The robot: a form with units and presets, or a TOML file.
 
-import { alarm, field, fill, fold, make, select } from "./dom.js";
+import { alarm, field, fill, make, select } from "./dom.js";
 
 const USUAL = ["mass_kg", "battery_wh", "speed_mps", "wheel_radius_m", "max_grade_deg", "max_cross_slope_deg"];
 /** Places to begin: no robot of any maker, so that its owner looks into its data sheet. */
@@ -55,7 +55,7 @@ export function form(place, said) {
   function show() {
     const unknown = Object.keys(values).filter(name => !(name in fields));
     fill(here, unknown.length ? alarm(`Not fields of a robot: ${unknown.join(", ")}`) : null, USUAL.map(one),
-      fold("All fields", {}, Object.keys(fields).filter(name => !USUAL.includes(name)).map(one)));
+      make("details", {}, make("summary", {}, "All fields"), Object.keys(fields).filter(name => !USUAL.includes(name)).map(one)));
   }
   show();
   fill(place, field("Robot", preset), here, make("label", { class: "row note" }, "or a robot file (TOML) ", file));

@@ -2,39 +2,31 @@
 
 import "./avoid.js";
 import { bind, settled } from "./controls.js";
-import { button, by, energy, errorNote, field, fill, make, metres, minutes, note, number, ofBattery, percent, table, warn } from "./dom.js";
+import { button, by, energy, errorNote, fill, make, metres, minutes, note, number, ofBattery, percent, table, warn } from "./dom.js";
 import "./homeward.js";
 import { groundWarning, reasonWords } from "./map.js";
 import { askAgain, canUndo, expect, expected, undo } from "./question.js";
 import "./reach.js";
 import { now, on, set } from "./state.js";
 
-function placeField(name, label) {
-  const value = now[name], text = value ? value.map(one => +one.toFixed(2)).join(", ") : "";
-  const input = make("input", { type: "text", value: text, id: `place-${name}`, placeholder: "x, y in metres", inputmode: "decimal", onchange: () => {
-    const values = input.value.split(/[\s,;]+/).filter(Boolean).map(Number);
-    const good = values.length === 2 && values.every(Number.isFinite);
-    input.setCustomValidity(good || !input.value ? "" : `write two numbers in metres, such as 12.5, 40; this is ${input.value}`);
-    if (!input.reportValidity()) return;
-    set({ [name]: good ? values : null });
-  } });
-  return field(label, input);
-}
-
 const slow = settled(() => set({ battery: { ...now.battery } }));
 const share = name => [name, "battery", () => +(100 * now.battery[name]).toFixed(1), value => { now.battery[name] = value / 100; slow(); }];
 const aim = changes => set({ aim: { ...now.aim, ...changes } });
 
+const pickers = by("places").querySelectorAll("[value]");
+
 function places() {
-  const pick = (what, label) => button({ "aria-pressed": String(expected() === what), onclick: () => { expect(what); places(); } }, label);
-  fill(by("places"),
-    placeField("start", "Start"), placeField("goal", "Goal"),
-    now.stops.length ? note(`${now.stops.length} stop${now.stops.length > 1 ? "s" : ""}: the service finds the best order and returns to the start. `, button({ class: "plain", onclick: () => set({ stops: [] }) }, "Remove the stops")) : null,
-    make("div", { class: "row tight" }, pick("start", "Set start"), pick("goal", "Set goal"), pick("stop", "Add stop"),
-      button({ onclick: () => set({ start: now.goal, goal: now.start }), disabled: !now.start || !now.goal }, "Swap"),
-      button({ onclick: undo, disabled: !canUndo(), title: "Takes the last change of a place back (Ctrl+Z)" }, "Undo")));
+  for (const one of pickers) one.setAttribute("aria-pressed", expected() === one.value);
+  by("stops").hidden = !now.stops.length;
+  by("stops").firstChild.textContent = `${now.stops.length} stop${now.stops.length > 1 ? "s" : ""}.`;
+  by("swap").disabled = !now.start || !now.goal;
+  by("undo").disabled = !canUndo();
 }
-const settledPlaces = settled(places, 10);
+
+for (const one of pickers) one.onclick = () => { expect(one.value); places(); };
+by("no-stops").onclick = () => set({ stops: [] });
+by("swap").onclick = () => set({ start: now.goal, goal: now.start });
+by("undo").onclick = undo;
 
 export function start(planners) {
   fill(by("planner"), planners.map(name => make("option", { value: name }, name)));
@@ -50,7 +42,8 @@ export function start(planners) {
   bind("power", "aim", () => now.aim.max_power_w, value => aim({ max_power_w: value }));
   bind("planner", "planner", () => now.planner, planner => set({ planner }));
   on("aim", () => { by("share").hidden = now.aim.objective !== "quantile"; });
-  on("start goal stops avoid costmap", () => { if (by("places").contains(document.activeElement)) settledPlaces(); else places(); });
+  for (const name of ["start", "goal"]) bind(`place-${name}`, name, () => now[name]?.map(one => +one.toFixed(2)).join(", "), text => set({ [name]: text?.split(/[\s,;]+/).filter(Boolean).map(Number) ?? null }));
+  on("start goal stops avoid costmap", places);
   places();
   answer();
 }
@@ -69,7 +62,7 @@ function answer() {
   const ways = [["optimal", found.tour ? "tour" : objective ? "this way" : "least energy", found], shortest && ["shortest", "shortest", shortest], ...found.alternatives.map((other, k) => ["other", `alternative ${k + 1}`, other]), found.back && ["back", "way back", found.back], now.before && ["before", `before: model ${now.before.model}`, now.before]].filter(Boolean);
   const [joules, long] = ["energy_j", "length_m"].map(name => Math.max(...ways.map(([,, way]) => way[name])));
   fill(here,
-    verdict ? make("div", { class: `verdict ${verdict.verdict}` }, make("b", {}, TITLES[verdict.verdict]), verdict.verdict_text, make("br"), `Charge: ${percent(verdict.charge_at_start)} at the start, ${verdict.charge_at_end > 0 ? `${percent(verdict.charge_at_end, 1)} expected at the end` : "empty before the end"}.`) : null,
+    verdict ? make("div", { class: `verdict ${verdict.verdict}` }, make("b", {}, TITLES[verdict.verdict]), make("ul", {}, [...verdict.verdict_text.replace(/^\w+[:,] |\.$/g, "").split("; "), `charge ${percent(verdict.charge_at_start)} at the start, ${verdict.charge_at_end > 0 ? `${percent(verdict.charge_at_end, 1)} expected at the end` : "empty before the end"}`].map(words => make("li", {}, words)))) : null,
     objective ? note(objective.name === "quantile" ? `${percent(objective.quantile)} of drives take at most ${energy(objective.quantile_j)}; on the way of least expected energy ${energy(objective.mean_quantile_j)}.` : `It arrives with a probability of ${percent(objective.probability, 1)}; on the way of least expected energy ${percent(objective.mean_probability, 1)}.`) : null,
     shortest ? make("p", {}, found.saving_j > 0.5 ? make("span", {}, "Going this way saves ", make("b", {}, energy(found.saving_j)), ` (${number(found.saving_percent, 1)} %) against the shortest way.`) : "The shortest way is also the cheapest.") : null,
     table([["way", "energy", "battery", "length"], ...ways.map(([kind, name, way]) => [make("span", {}, make("i", { class: `swatch ${kind}` }), name), energy(way.energy_j, joules), ofBattery(way.energy_j, joules), metres(way.length_m, long)])], "The ways"),

@@ -95,9 +95,9 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
         shot(tab, "columns")
         assert not inaccessible(tab.page)
         tab.page.click("#columns button")
-        tab.page.wait_for_selector("#sent table")
+        tab.page.wait_for_selector("#sent .note")
         tab.page.set_input_files("#runs-files", plain)
-        tab.page.wait_for_function("() => document.querySelector('#sent table')?.textContent.includes('run_01.csv')")
+        tab.page.wait_for_function("() => document.querySelector('#sent .note')?.textContent.includes('run_01.csv')")
         tab.page.wait_for_selector("#runs-list input >> nth=2")
         for box in tab.page.query_selector_all("#runs-list input"):
             box.check()
