@@ -179,7 +179,7 @@ class CalibratedPredictor(Predictor):
         std = said.std_j
         if self.correction.spread is not None:
             std = std_of_segments(said, robot, segments) * self.correction.spread.factor
-        return Prediction(np.where(known, volts * energy, np.nan), std, said.traction_per_m, np.zeros(len(segments)))
+        return Prediction(np.where(known, volts * energy, np.nan), std, said.traction_per_m)
 
     def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""

@@ -450,7 +450,7 @@ def _p_value(beta: FloatArray, variance: FloatArray, freedom: float) -> float:
 
 def _of_levels(away: FloatArray, weight: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Weighted least squares: the inverse of the normal equations, the coefficients, and the weighted squares left."""
-    inverse = np.linalg.inv(x.T @ (weight[:, None] * x))
+    inverse = np.asarray(np.linalg.inv(x.T @ (weight[:, None] * x)), dtype=np.float64)
     coefficients = inverse @ (x.T @ (weight * away))
     return inverse, coefficients, float(weight @ (away - x @ coefficients) ** 2)
 

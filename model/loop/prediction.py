@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.robot import Robot
+from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -30,31 +28,11 @@ class Prediction:
         Its standard deviation [J]; None from a model that does not know it.
     traction_per_m : ndarray of float, (n,)
         Of the declared robot, before any calibration [J/m].
-    turning_j : ndarray of float, (n,)
-        The part of the energy beyond straight driving at the declared speed: turning, time and, of a network that was
-        trained on runs, speeding up. Without the effects of a calibration [J].
     """
 
     energy_j: FloatArray
     std_j: FloatArray | None
     traction_per_m: FloatArray
-    turning_j: FloatArray
-
-    def take(self, index: NDArray[np.int64]) -> Prediction:
-        """Return some of the segments.
-
-        Parameters
-        ----------
-        index : ndarray of int
-            Their indices.
-
-        Returns
-        -------
-        Prediction
-            In the order of `index`.
-        """
-        std = None if self.std_j is None else self.std_j[index]
-        return Prediction(self.energy_j[index], std, self.traction_per_m[index], self.turning_j[index])
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:
@@ -75,7 +53,6 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
         np.concatenate([part.energy_j for part in parts]),
         np.concatenate(stds) if len(stds) == len(parts) else None,
         np.concatenate([part.traction_per_m for part in parts]),
-        np.concatenate([part.turning_j for part in parts]),
     )
 
 
@@ -111,7 +88,7 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
         longer_s = segments.duration_s - segments.driven_m / robot.speed_mps
         beyond = robot.turn_j_per_rad * segments.turned_abs_rad + robot.idle_power_w * longer_s
     energy = robot.price_per_m(traction * factor) * segments.driven_m + beyond
-    return Prediction(energy, None if std is None else std * factor * segments.driven_m, traction, beyond)
+    return Prediction(energy, None if std is None else std * factor * segments.driven_m, traction)
 
 
 @runtime_checkable

@@ -81,10 +81,7 @@ def _residuals(
     """Residuals, and the number of the segment of every row; more than there are of stationary intervals."""
     features, measured = describe_segments(segments, heightmap, robot, traction)
     informed = np.concatenate([energy, np.full(len(features) - len(segments), np.nan)])
-    number = np.arange(len(features), dtype=np.int64)
-    return residuals_of(
-        features, measured, segments.runs, charge=segments.charge, informed=informed, number=number, least=least
-    )
+    return residuals_of(features, measured, segments.runs, charge=segments.charge, informed=informed, least=least)
 
 
 def keep_base_runs(

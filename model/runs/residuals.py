@@ -129,7 +129,6 @@ def residuals_of(
     *,
     charge: bool,
     informed: FloatArray | None = None,
-    number: NDArray[np.int64] | None = None,
     least: int = LEAST_SEGMENTS,
 ) -> tuple[Residuals, NDArray[np.int64]]:
     """Return the residuals of rows whose ground is known.
@@ -146,15 +145,13 @@ def residuals_of(
         Whether it is charge.
     informed : ndarray of float, (n,), optional
         See `Residuals`.
-    number : ndarray of int, (n,), optional
-        Of every row.
     least : int
         Smallest number of segments.
 
     Returns
     -------
     tuple of (Residuals, ndarray of int)
-        Of the usable rows, in runs: the stationary intervals of each after its segments; and their numbers.
+        Of the usable rows, in runs: the stationary intervals of each after its segments; and the numbers of these rows.
 
     Raises
     ------
@@ -175,7 +172,7 @@ def residuals_of(
     order = order[np.argsort(features.run[order], kind="stable")]
     informed = None if informed is None else informed[order]
     rows = Residuals(features.take(order), measured[order], runs, charge, informed)
-    return rows, order if number is None else number[order]
+    return rows, order
 
 
 def joined(parts: Sequence[Residuals]) -> Residuals:
