@@ -28,8 +28,8 @@ def verdict_in_words(verdict: Verdict, course: Course) -> str:
     -------
     str
         Such as "Likely: 78 % to return with the reserve; expected 6.58 Wh (90 % between 5.28 and 7.89 Wh) of 8.61 Wh
-        above the reserve; the climb that begins 210 m along the way out takes 51 % of the energy; a charge of 71 %
-        makes it a yes."
+        above the reserve; the climb that begins 210 m along the way out and ends at 260 m takes 51 % of the energy;
+        a charge of 71 % makes it a yes."
     """
     parts = [_odds(verdict, course), _energy(verdict)]
     if verdict.overload_at is not None:
@@ -77,7 +77,9 @@ def _stretch(stretch: Stretch, course: Course) -> str:
     ways = {1: ("the route",), 2: ("the way out", "the way back")}.get(course.ways)
     way = ways[stretch.way] if ways else f"leg {stretch.way + 1}"
     where = (
-        f"that begins {stretch.start_m:.0f} m along {way}" if stretch.start_m >= 0.5 else f"at the beginning of {way}"
+        f"on the first {stretch.end_m:.0f} m of {way}"
+        if stretch.start_m < 0.5
+        else f"that begins {stretch.start_m:.0f} m along {way} and ends at {stretch.end_m:.0f} m"
     )
     return f"the {what} {where} takes {100.0 * stretch.share:.0f} % of the energy"
 
