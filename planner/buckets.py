@@ -158,6 +158,7 @@ def search_cells(
     energy,
     pred,
     price,
+    lengths,
     jump,
     first,
     targets,
@@ -169,7 +170,8 @@ def search_cells(
     backward,
     margin,
     most,
-    ceiling,
+    spent,
+    budget,
     stop,
 ):
     """Settle cells until no bucket may improve the path to a target, or all cells where there is no target.
@@ -183,6 +185,8 @@ def search_cells(
         changed.
     price : ndarray of float32, (cells, N)
         Energy of the move that leaves a cell [J]; NaN where there is none.
+    lengths : ndarray of float64, (N,) or (0,)
+        What every move there is costs instead; empty for its energy.
     jump : ndarray of int64, (N,)
         Step of each move in flat indices.
     first : ndarray of int64, (S,)
@@ -205,8 +209,10 @@ def search_cells(
         Share of the least energy by which paths may exceed it and still have all their cells settled.
     most : float
         Energy beyond which nothing is settled [J].
-    ceiling : ndarray of float32, (cells,) or (0,)
-        Energy above which a cell is left alone [J]; empty for none.
+    spent : ndarray of float64, (cells,) or (0,)
+        Energy that a path through a cell needs beside the one that is searched for [J]; empty for none.
+    budget : float
+        Where both together exceed it [J], the cell is left alone.
     stop : ndarray of uint8, (1,)
         The search ends early once this is not 0, see `stopping`.
 
@@ -227,6 +233,7 @@ def search_cells(
     moves = jump.size
     steps = (-jump if backward else jump).astype(np.uintp)
     prices = price.reshape(-1)
+    metric = lengths.size > 0
     free = guide.pairs.shape[0] == 0
     known = np.full(1 if free else energy.size, np.nan)  # bounds, each computed once
     per_j = 1.0 / width
@@ -240,7 +247,7 @@ def search_cells(
     last = -1
     expanded = 0
     limit = most
-    capped = ceiling.size > 0
+    shared = spent.size > 0
     while waiting > 0 and current * width < limit and stop[0] == 0:
         here = current % BUCKETS
         k = 0
@@ -267,13 +274,16 @@ def search_cells(
                 other = cell + steps[n]
                 if other >= cells:
                     continue
-                reached = so_far + prices[(other if backward else cell) * np.uintp(moves) + np.uintp(n)]
+                step = np.float64(prices[(other if backward else cell) * np.uintp(moves) + np.uintp(n)])
+                if metric:
+                    step = lengths[n] + 0.0 * step  # NaN stays
+                reached = so_far + step
                 before = energy[other]
                 if not reached < before:  # nor where there is no such move
                     continue
                 if slack > 0.0 and not reached + slack * (1.0 + abs(reached)) < before:
                     continue
-                if capped and reached > ceiling[other]:
+                if shared and reached + spent[other] > budget:
                     continue
                 ahead = 0.0
                 if not free:

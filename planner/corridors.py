@@ -127,9 +127,9 @@ def _back(
 ) -> Search:
     """The search back from the goal through all cells of a path that costs at most `most` [J]."""
     so_far = ahead.energy_j if ahead.layers == 1 else ahead.energy_j.reshape(-1, ahead.layers).min(axis=1)
-    ceiling = (most + 1e-6 * abs(most) - so_far).astype(np.float32)
     behind = new_search(table, ahead.layers, targets, rest, backward=True)
-    run_search(behind, table, np.unique(targets), guide_everywhere(table, backward=True), ceiling=ceiling)
+    guide = guide_everywhere(table, backward=True)
+    run_search(behind, table, np.unique(targets), guide, spent=so_far, budget=most + 1e-9 * abs(most))
     return behind
 
 

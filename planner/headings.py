@@ -30,7 +30,8 @@ def search_headings(
     backward,
     margin,
     most,
-    ceiling,
+    spent,
+    budget,
     stop,
 ):
     """Settle states where turning costs, as `search_cells` does without turning.
@@ -69,8 +70,10 @@ def search_headings(
         Share of the least energy by which paths may exceed it and still have all their states settled.
     most : float
         Energy beyond which nothing is settled [J].
-    ceiling : ndarray of float32, (cells,) or (0,)
-        Energy above which a cell is left alone [J]; empty for none.
+    spent : ndarray of float64, (cells,) or (0,)
+        Energy that a path through a cell needs beside the one that is searched for [J]; empty for none.
+    budget : float
+        Where both together exceed it [J], the cell is left alone.
     stop : ndarray of uint8, (1,)
         The search ends early once this is not 0, see `stopping`.
 
@@ -109,7 +112,7 @@ def search_headings(
     last = -1
     expanded = 0
     limit = most
-    capped = ceiling.size > 0
+    shared = spent.size > 0
     while waiting > 0 and current * width < limit and stop[0] == 0:
         here = current % BUCKETS
         q = 0
@@ -147,7 +150,7 @@ def search_headings(
                 state = other * moves + n
                 if not reached + slack * (1.0 + abs(reached)) < energy[state]:
                     continue
-                if capped and reached > ceiling[other]:
+                if shared and reached + spent[other] > budget:
                     continue
                 ahead = 0.0
                 if not free:

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of, wrap_angle
-from joulemap.model.threads import share_out
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import MovePrices
-from joulemap.planner.potential import even_surface, parts_of, spare_bounds
+from joulemap.planner.potential import even_surface, spare_bounds
 
-RISE_SHARES = np.array([0.0, 0.5, 1.0])
+RISE_SHARES = np.array([0.0, 1.0])
 """Shares of the surface's rise that `MoveTable.bound_per_m` is known for."""
 
 
@@ -39,6 +38,8 @@ class MoveTable:
     bound_per_m : ndarray of float64, (B,)
         The largest a [J/m] with energy >= a * length + s * rise for every move of the map (up positive). The heuristics
         and the potential for negative prices are made of it.
+    metric : bool
+        Whether a search counts the length of every move [m] instead of its energy.
     """
 
     offsets: NDArray[np.int64]
@@ -49,6 +50,7 @@ class MoveTable:
     surface: NDArray[np.float64]
     rise_share: NDArray[np.float64]
     bound_per_m: NDArray[np.float64]
+    metric: bool = False
 
     @property
     def jump(self) -> NDArray[np.int64]:
@@ -67,7 +69,9 @@ class MoveTable:
 
     @cached_property
     def typical_j(self) -> float:
-        """Mean size of a price [J], from a sample of the map; 1 where there is none."""
+        """Mean size of a price [J], or length, from a sample of the map; 1 where there is none."""
+        if self.metric:
+            return float(self.length_m.mean())
         sample = np.abs(self.energy[::7, ::7])
         return float(np.nanmean(sample)) or 1.0 if np.isfinite(sample).any() else 1.0
 
@@ -88,16 +92,10 @@ def distance_table(table: MoveTable) -> MoveTable:
     Returns
     -------
     MoveTable
-        The table of distances.
+        The table of distances, which needs no memory of its own.
     """
-    length, lengths = np.empty_like(table.energy), table.length_m.astype(np.float32)
-
-    def _fill(part: slice) -> None:
-        length[part] = np.where(np.isnan(table.energy[part]), np.float32(np.nan), lengths)
-
-    share_out(_fill, parts_of(*table.surface.shape))
     flat = np.zeros(1)
-    return replace(table, energy=length, turn_j=np.zeros_like(table.turn_j), rise_share=flat, bound_per_m=flat + 1.0)
+    return replace(table, turn_j=np.zeros_like(table.turn_j), rise_share=flat, bound_per_m=flat + 1.0, metric=True)
 
 
 def move_table(lattice: CostLattice, *, neighbours: int = 16) -> MoveTable:

@@ -10,6 +10,7 @@ every rise cancels (Bellman-Ford; Johnson 1977).
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -60,8 +61,7 @@ def even_surface(
     ----------
     Johnson 1977; Cherkassky & Goldberg 1999 (negative cycles).
     """
-    for _ in range(SWEEPS):
-        surface = _levelled(energy, offsets, surface)
+    surface = _levelled(energy, offsets, surface)
     least = spare_per_m(energy, offsets, length_m, surface)
     if least.min() < 0.0:
         lower = surface.copy()
@@ -110,33 +110,65 @@ def parts_of(rows: int, cols: int) -> list[slice]:
 def _levelled(
     energy: NDArray[np.float32], offsets: NDArray[np.int64], surface: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    out = surface.copy()
-    share_out(lambda p: _level_rows(energy, offsets, surface, p.start, p.stop, out), parts_of(*surface.shape))
-    return out
+    """The surface after some sweeps, each of which puts every cell where its neighbours and the prices put it."""
+    rows, cols, moves = energy.shape
+    steps = offsets[:: max(moves // 8, 1)][:4]  # of more than eight moves, those between the eight say little new
+    rises = np.empty((rows, cols, 4), dtype=np.float32)
+    share_out(lambda p: _rise_rows(energy, offsets, p.start, p.stop, rises), parts_of(rows, cols))
+    for _ in range(SWEEPS):
+        before, surface = surface, np.empty_like(surface)
+        share_out(partial(_level_part, rises, steps, before, surface), parts_of(rows, cols))
+    return surface
+
+
+def _level_part(
+    rises: NDArray[np.float32],
+    steps: NDArray[np.int64],
+    surface: NDArray[np.float64],
+    out: NDArray[np.float64],
+    part: slice,
+) -> None:
+    _level_rows(rises, steps, surface, part.start, part.stop, out)
 
 
 @njit(cache=True, nogil=True)
-def _level_rows(energy, offsets, surface, first, end, out):
-    """Fill rows first..end - 1 [J]: each cell where its neighbours and the prices there and back put it, on average.
-
-    A sweep towards the surface of least squares: half of what a move costs more than its way back is its rise. Of more
-    than eight moves, those between the eight say little that is new.
-    """
+def _rise_rows(energy, offsets, first, end, rises):
+    """Fill rows first..end - 1 [J]: half of what a move in four directions costs more than its way back, else NaN."""
     _, cols, moves = energy.shape
     stride = max(moves // 8, 1)
     for i in range(first, end):
         for j in range(cols):
-            total, count = 0.0, 0
-            for n in range(0, moves, stride):
-                there = energy[i, j, n]
+            for k in range(4):
+                n = k * stride
+                there, back = energy[i, j, n], np.float32(math.nan)
                 if not math.isnan(there):
-                    r, c = i + offsets[n, 0], j + offsets[n, 1]
-                    back = energy[r, c, (n + moves // 2) % moves]
-                    if not math.isnan(back):
-                        total += surface[r, c] - 0.5 * (there - back)
+                    back = energy[i + offsets[n, 0], j + offsets[n, 1], n + moves // 2]
+                rises[i, j, k] = np.float32(0.5) * (there - back)
+
+
+@njit(cache=True, nogil=True)
+def _level_rows(rises, steps, surface, first, end, out):
+    """Fill rows first..end - 1 [J]: each cell where its neighbours and the rises from them put it, on average.
+
+    A sweep towards the surface of least squares. steps : (4, 2) the directions of the rises.
+    """
+    rows, cols, _ = rises.shape
+    for i in range(first, end):
+        for j in range(cols):
+            total, count = 0.0, 0
+            for k in range(4):
+                r, c = i + steps[k, 0], j + steps[k, 1]
+                rise = rises[i, j, k]
+                if not math.isnan(rise):
+                    total += surface[r, c] - rise
+                    count += 1
+                r, c = i - steps[k, 0], j - steps[k, 1]
+                if 0 <= r < rows and 0 <= c < cols:
+                    rise = rises[r, c, k]
+                    if not math.isnan(rise):
+                        total += surface[r, c] + rise
                         count += 1
-            if count > 0:
-                out[i, j] = total / count
+            out[i, j] = total / count if count > 0 else surface[i, j]
 
 
 def spare_per_m(

@@ -136,7 +136,8 @@ def run_search(
     *,
     margin: float = 0.0,
     most: float = np.inf,
-    ceiling: NDArray[np.float32] | None = None,
+    spent: NDArray[np.float64] | None = None,
+    budget: float = np.inf,
 ) -> tuple[int, float, int]:
     """Settle what follows from some cells, in place.
 
@@ -158,8 +159,10 @@ def run_search(
         Share of the least energy by which paths may exceed it and still have all their states settled.
     most : float, optional
         Energy beyond which nothing is settled [J].
-    ceiling : ndarray of float32, (cells,), optional
-        Energy above which a cell is left alone [J].
+    spent : ndarray of float64, (cells,), optional
+        Energy that a path through a cell needs beside the one that is searched for [J].
+    budget : float, optional
+        Where both together exceed it [J], the cell is left alone.
 
     Returns
     -------
@@ -181,12 +184,13 @@ def run_search(
     if targets is None or rest is None:
         targets, rest = np.empty(0, dtype=np.int64), np.empty((0, layers))
     slack = 0.0 if table.never_pays else _SLACK
-    ceiling = np.empty(0, dtype=np.float32) if ceiling is None else ceiling
+    spent = np.empty(0) if spent is None else spent
     if layers == 1:
         found = search_cells(
             search.energy_j,
             search.pred,
             price,
+            table.length_m if table.metric else np.empty(0),
             table.jump,
             first,
             targets,
@@ -198,7 +202,8 @@ def run_search(
             search.backward,
             margin,
             most,
-            ceiling,
+            spent,
+            budget,
             stop_flag(),
         )
     else:
@@ -219,7 +224,8 @@ def run_search(
             search.backward,
             margin,
             most,
-            ceiling,
+            spent,
+            budget,
             stop_flag(),
         )
     check_stop()
