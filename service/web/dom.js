@@ -36,7 +36,7 @@ export const by = id => document.getElementById(id);
 /** Nothing but these children. */
 export const fill = (node, ...children) => node.replaceChildren(...children.flat().filter(child => child !== null && child !== undefined));
 
-export const number = (value, digits = 1) => value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace(/,/g, "\u2009");
+export const number = (value, digits = 1) => value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits }).replace(/,/g, "\u202f");
 
 /** Decimals of three digits; those of the greatest number of a list are those of all of it. */
 const decimals = most => Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(most) || 1))));
@@ -75,7 +75,7 @@ export const select = (options, chosen, change, own) => make("select", { onchang
 
 /** A table; the first row is the head. Cells are text or nodes; numbers are put to the right. */
 export function table([head, ...rows], caption) {
-  const right = value => (/^[\d.\u2009]+( \S+)?$/.test(value) ? { class: "number" } : {}), cell = value => make("td", right(value), typeof value === "number" ? number(value, 0) : value);
+  const right = value => (/^[\d.\u202f]+( \S+)?$/.test(value) ? { class: "number" } : {}), cell = value => make("td", right(value), typeof value === "number" ? number(value, 0) : value);
   return make("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
     make("table", {}, make("thead", {}, make("tr", {}, head.map((text, k) => make("th", { scope: "col", ...right(rows[0]?.[k]) }, text)))), make("tbody", {}, rows.map(row => make("tr", {}, row.map(cell))))));
 }

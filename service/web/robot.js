@@ -21,7 +21,7 @@ export function use(properties) {
 
 /** What differs from the default robot. */
 export const robot = () => ({ ...values });
-export const set = given => { values = { ...given }; };
+export const set = given => { values = Object.fromEntries(Object.entries(given).filter(([name, value]) => value !== fields[name]?.usual)); };
 
 /** Flat TOML: `key = value` lines. What is wrong with a value, the service says. */
 function fromToml(text) {
@@ -45,13 +45,14 @@ export function form(place, said) {
       if (!input.reportValidity()) return;
       const value = text ? input.value.trim() : input.valueAsNumber;
       if (value === "" || Number.isNaN(value) || value === usual) delete values[name]; else values[name] = value;
+      preset.value = "";
     } });
     return field(label, input, text ? undefined : unit);
   };
   const file = make("input", { type: "file", accept: ".toml", "aria-label": "Robot file (TOML)", onchange: async () => {
-    try { set(fromToml(await file.files[0].text())); show(); preset.append(make("option", { selected: true, value: "" }, file.files[0].name)); said(`robot read from ${file.files[0].name}`); } catch (error) { said(error.message, true); }
+    try { set(fromToml(await file.files[0].text())); show(); preset.value = ""; said(`Robot read from ${file.files[0].name}`); } catch (error) { said(error.message, true); }
   } });
-  const preset = select(Object.keys(PRESETS).map(name => [name, name]), Object.keys(PRESETS).find(name => PRESETS[name].name === values.name), name => { if (name) { set(PRESETS[name]); show(); } });
+  const preset = select([...Object.keys(PRESETS).map(name => [name, name]), ["", "Own values"]], Object.keys(PRESETS).find(name => JSON.stringify(PRESETS[name]) === JSON.stringify(values)) ?? "", name => { if (name) { set(PRESETS[name]); show(); } });
   function show() {
     const unknown = Object.keys(values).filter(name => !(name in fields));
     fill(here, unknown.length ? alarm(`Not fields of a robot: ${unknown.join(", ")}`) : null, USUAL.map(one),
