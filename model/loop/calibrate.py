@@ -206,40 +206,23 @@ def calibrate(
         if progress is not None:
             progress((done + share) / (count + 1))
 
-    fitted = fit(measured, base, refused, progress=_step)
+    fitted = _fit(measured, base, refused, progress=_step)
     held = _states(fitted, measured)
     for k in range(count):
         done = k + 1
         _step(0.0)
         out = np.flatnonzero(fold == k)
-        other = fit(measured.take(np.flatnonzero(fold != k)), base, refused)
+        other = _fit(measured.take(np.flatnonzero(fold != k)), base, refused)
         for key, energy in _states(other, measured.take(out)).items():
             held[key][out] = energy
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
     return Calibration(fitted, measured, base, errors, held, refused, count, rivals_of(fitted.selection))
 
 
-def fit(
+def _fit(
     measured: Residuals, base: Residuals | None, refused: Mapping[str, str], *, progress: Progress | None = None
 ) -> Fitted:
-    """Run the whole procedure once.
-
-    Parameters
-    ----------
-    measured : Residuals
-        Of the new runs.
-    base : Residuals, optional
-        Of the baseline runs.
-    refused : mapping of str to str
-        Logged columns that no effect may depend on.
-    progress : callable, optional
-        Called with the share of the work that is done, 0..1.
-
-    Returns
-    -------
-    Fitted
-        The effects and coefficients.
-    """
+    """Run the whole procedure once."""
     rows = measured if base is None else joined([base, measured])
     new = np.arange(len(rows)) >= len(rows) - len(measured)
     rows, first = base_step(rows, rows if base is None else base)

@@ -147,24 +147,13 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
             if verdict.p_value > ALPHA or rival.form.name in names or rival.form.name in known:
                 continue
             more = model.left_out(np.append(others, rival.both), tau2) - error
-            if within_one_error(more):
+            if _within_one_error(more):
                 out.setdefault(effect.form.name, []).append(rival.form.name)
     return out
 
 
-def within_one_error(gains: FloatArray) -> bool:
-    """Return whether a difference is within one standard error of none.
-
-    Parameters
-    ----------
-    gains : ndarray of float, (units,)
-        By unit.
-
-    Returns
-    -------
-    bool
-        Whether their sum is at most the standard error of the sum.
-    """
+def _within_one_error(gains: FloatArray) -> bool:
+    """Whether the sum of differences by unit, (units,), is at most the standard error of the sum."""
     return float(gains.sum()) <= float(gains.std(ddof=1)) * np.sqrt(gains.size)
 
 
@@ -262,7 +251,7 @@ def _verdict(
         error = float(model.left_out(now, tau2, whole=True).sum())
         gain = max(gain, 1.0 - float(model.left_out(both, tau2, whole=True).sum()) / max(error, 1e-12))
     why_not = ""
-    if within_one_error(gains):
+    if _within_one_error(gains):
         why_not = "its gain on left-out runs is within one standard error of none"
     elif gain < LEAST_GAIN and not replaced:
         why_not = f"it explains less than {LEAST_GAIN:.0%} of the error on left-out runs"
@@ -302,7 +291,7 @@ def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Cand
     if not able:
         return None
     top = verdicts[max(able, key=lambda k: verdicts[k].gain)]
-    close = [k for k in able if within_one_error(top.gains - verdicts[k].gains)]
+    close = [k for k in able if _within_one_error(top.gains - verdicts[k].gains)]
 
     def _complexity(k: int) -> tuple[bool, int]:
         unnamed, count = design.candidates[k].complexity
