@@ -88,7 +88,7 @@ def corridor_paths(
     if direct < math.inf and direct <= total:
         return [GridPath(np.vstack([start, goal]), direct, expanded)], None
     if last == _NONE:
-        raise no_route(lattice, expanded)
+        raise no_route(lattice.robot, expanded)
     first = ahead.trace(table, last)[::-1] // layers
     found = [GridPath(joined_points(lattice, start, first, goal), float(total), expanded)]
     if count == 1:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, NoRouteError
+from joulemap.model.robot import Robot
 from joulemap.planner.edges import Points, leg_prices_between
 from joulemap.planner.heuristics import dijkstra_bounds, energy_bounds, guide_towards
 from joulemap.planner.kernels import turn_angle
@@ -119,18 +120,18 @@ def grid_search(
     if direct < math.inf and direct <= total:
         return GridPath(np.vstack([start, goal]), direct, expanded)
     if last == _NONE:
-        raise no_route(lattice, expanded)
+        raise no_route(lattice.robot, expanded)
     states = search.trace(table, last)[::-1]
     return GridPath(joined_points(lattice, start, states // layers, goal), float(total), expanded)
 
 
-def no_route(lattice: CostLattice, reached: int) -> NoRouteError:
+def no_route(robot: Robot, reached: int) -> NoRouteError:
     """Return the error that says that a goal cannot be reached.
 
     Parameters
     ----------
-    lattice : CostLattice
-        Prices and limits.
+    robot : Robot
+        Whose limits these are.
     reached : int
         Number of states that the search reached.
 
@@ -139,10 +140,10 @@ def no_route(lattice: CostLattice, reached: int) -> NoRouteError:
     NoRouteError
         To be raised.
     """
-    robot = lattice.robot
     return NoRouteError(
-        f"no route: the start reaches {reached:,} places, the goal is not among them within the limits "
-        f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
+        f"no way leads from start to goal within the limits of {robot.name} (grade {robot.max_grade_deg:g} deg, "
+        f"cross slope {robot.max_cross_slope_deg:g} deg): only {reached:,} places can be reached from the start; move "
+        "the start or the goal",
         reached=reached,
     )
 

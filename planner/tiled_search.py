@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.errors import InputError, NoRouteError, TooLargeError
+from joulemap.model.errors import InputError, TooLargeError
 from joulemap.planner import tile_kernels as kernels
 from joulemap.planner.coarse import CoarseLevel
 from joulemap.planner.edges import Points
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lower_bound import Potential, fill_bounds, potentials_towards
 from joulemap.planner.move_prices import MovePrices
-from joulemap.planner.search import direct_energy, joining_legs, without_repeats
+from joulemap.planner.search import direct_energy, joining_legs, no_route, without_repeats
 from joulemap.planner.stored_lattice import StoredLattice
 
 TILE_CELLS = 128
@@ -156,12 +156,7 @@ class TiledSearch:
                 np.vstack([start, goal]), direct, direct, 0 if found is None else found.expanded, self._priced
             )
         if found is None:
-            robot = self._stored.robot
-            raise NoRouteError(
-                f"no route: the start reaches {self._expanded:,} places, the goal is not among them within the limits "
-                f"of {robot.name} (grade {robot.max_grade_deg:g} deg, cross slope {robot.max_cross_slope_deg:g} deg)",
-                reached=self._expanded,
-            )
+            raise no_route(self._stored.robot, self._expanded)
         return found
 
     def _part_around(self, point: Points) -> tuple[CostLattice, NDArray[np.int64]]:
