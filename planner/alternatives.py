@@ -89,7 +89,7 @@ def alternative_paths(
         return found
     separation_m = _separation_m(lattice, best.points) if separation_m is None else separation_m
     ahead, behind = field_from(lattice, table, start).search, field_towards(lattice, table, goal[None]).search
-    states, via, length, _ = plateaus(ahead, behind, table)
+    states, via, length, _ = plateaus(ahead, behind, table, np.flatnonzero(behind.energy_j < np.inf))
     good = (length >= plateau * best.energy_j) & (via <= stretch * best.energy_j)
     states, via, length = states[good], via[good], length[good]
     away_m = _metres_from(lattice, best.points)

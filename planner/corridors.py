@@ -95,7 +95,8 @@ def corridor_paths(
         return found, None
     most = float(total) + margin * abs(float(total))
     behind = _back(ahead, table, targets, rest, most)
-    states, via, length, middle = plateaus(ahead, behind, table)
+    reached = np.flatnonzero(behind.energy_j < math.inf)
+    states, via, length, middle = plateaus(ahead, behind, table, reached)
     good = (length >= PLATEAU * abs(total)) & (via <= most)
     states, via, middle = states[good], via[good], middle[good]
     cols = lattice.frame.cols
@@ -115,7 +116,7 @@ def corridor_paths(
         found.append(GridPath(joined_points(lattice, start, way, goal), float(via[k]), 0))
         if len(found) == count:
             break
-    usual = np.flatnonzero((behind.energy_j < math.inf).reshape(-1, layers).any(axis=1))
+    usual = reached if layers == 1 else np.unique(reached // layers)
     through = path_through_passages(lattice, table, usual, (cells, cost.min(axis=1)), (targets, rest.min(axis=1)))
     if through is None:
         return found, None
@@ -134,7 +135,7 @@ def _back(
 
 
 def plateaus(
-    ahead: Search, behind: Search, table: MoveTable
+    ahead: Search, behind: Search, table: MoveTable, reached: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the stretches of moves that two searches share.
 
@@ -144,6 +145,8 @@ def plateaus(
         From the start, and towards the goal.
     table : MoveTable
         Their moves.
+    reached : ndarray of int64, (n,)
+        States that the search towards the goal has reached.
 
     Returns
     -------
@@ -156,7 +159,6 @@ def plateaus(
     middle : ndarray of int64, (n,)
         The cell half-way along it.
     """
-    reached = np.flatnonzero(behind.energy_j < np.inf)
     labels = ahead.energy_j, ahead.pred, behind.energy_j, behind.pred
     return _measured(reached, *labels, table.jump, ahead.layers)
 

@@ -57,10 +57,10 @@ def path_through_passages(
     """
     rows, cols = lattice.frame.shape
     near = _around(usual, lattice.frame.shape)
-    closed = _closed(table.energy, table.offsets, near)
+    cells = np.flatnonzero(near)
+    closed = _closed(table.energy, table.offsets, cells)
     if not closed.size:
         return None
-    cells = np.flatnonzero(near)
     fine = _around(closed, lattice.frame.shape).ravel()[cells]
     slot = np.full(rows * cols, -1, dtype=np.int64)
     slot[cells] = np.arange(cells.size)
@@ -104,21 +104,19 @@ def mark_around(taken, way, cols, half_side):
 
 
 @njit(cache=True, nogil=True)
-def _closed(energy, offsets, near):
-    """Flat indices of the cells near the path of which a move is closed that does not leave the map."""
-    rows, cols = near.shape
-    out = np.empty(near.sum(), dtype=np.int64)
+def _closed(energy, offsets, cells):
+    """Those of some flat cells of which a move is closed that does not leave the map."""
+    rows, cols, _ = energy.shape
+    out = np.empty(cells.size, dtype=np.int64)
     count = 0
-    for i in range(rows):
-        for j in range(cols):
-            if not near[i, j]:
-                continue
-            for n in range(offsets.shape[0]):
-                r, c = i + offsets[n, 0], j + offsets[n, 1]
-                if 0 <= r < rows and 0 <= c < cols and math.isnan(energy[i, j, n]):
-                    out[count] = i * cols + j
-                    count += 1
-                    break
+    for cell in cells:
+        i, j = cell // cols, cell % cols
+        for n in range(offsets.shape[0]):
+            r, c = i + offsets[n, 0], j + offsets[n, 1]
+            if 0 <= r < rows and 0 <= c < cols and math.isnan(energy[i, j, n]):
+                out[count] = cell
+                count += 1
+                break
     return out[:count]
 
 
