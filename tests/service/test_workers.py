@@ -81,11 +81,13 @@ def test_what_failed_is_made_again_though_somebody_still_holds_the_error(tmp_pat
     ground = tmp_path / "ground.tif"
     order = MapOrder(tmp_path / "map.zarr", ground, {}, Robot().as_dict(), "physics", 1.0, 8)
 
-    async def _make(client: Client) -> dict[str, Any]:
-        async for found in make(client, order, key="cm-again"):
-            if isinstance(found, dict):
-                return found
-        raise AssertionError("the cost map has no end")
+    shares: list[float] = []
+
+    async def _report(share: float) -> None:
+        shares.append(share)
+
+    async def _make(client: Client) -> Any:
+        return await make(client, order, key="cm-again", report=_report)
 
     async def _twice() -> dict[str, Any]:
         async with connected(shared_scheduler(), workers=0) as client:
@@ -98,6 +100,8 @@ def test_what_failed_is_made_again_though_somebody_still_holds_the_error(tmp_pat
             return made
 
     assert asyncio.run(_twice())["frame"]["rows"] == 20
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] < shares[-1] < 1.0
 
 
 @pytest.mark.slow
