@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from joulemap.model.battery import Battery
 from joulemap.model.errors import InputError
@@ -11,14 +12,16 @@ from joulemap.service.exports.clearance import price_given_path
 from joulemap.service.feasibility import assess, judge_routes
 from joulemap.service.library.costmap_base import CostMapBase, Point
 from joulemap.service.library.feasibility import Feasibility
-from joulemap.service.library.heightmaps import GroundLike, ground_of
-from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.library.planned_route import PlannedRoute
 from joulemap.service.library.planned_tour import PlannedTour
 from joulemap.service.models import DEFAULT_MODEL, find_predictor
 from joulemap.service.objectives import Objective, limited, plan_by
 from joulemap.service.places import Places
-from joulemap.service.speeds import Speeds, speeds_along
+
+if TYPE_CHECKING:
+    from joulemap.service.library.heightmaps import GroundLike
+    from joulemap.service.library.models import ModelLike
+    from joulemap.service.speeds import Speeds
 
 
 class RouteQuestions(CostMapBase):
@@ -262,4 +265,9 @@ class RouteQuestions(CostMapBase):
             route = route.route
         if not isinstance(route, Route):
             route = price_given_path(self.lattice, Places(self.lattice.frame).path(list(route)))
+        # readers and models load slowly, and most questions to a cost map need none
+        from joulemap.service.library.heightmaps import ground_of
+        from joulemap.service.library.models import model_folder
+        from joulemap.service.speeds import speeds_along
+
         return speeds_along(route, self.lattice, ground_of(heightmap), find_predictor(model_folder(model)))

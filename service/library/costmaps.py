@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice import CostLattice
@@ -15,10 +16,12 @@ from joulemap.service.cost_lattices import make_cost_lattice
 from joulemap.service.library.costmap_areas import AreaQuestions
 from joulemap.service.library.costmap_output import CostMapOutput
 from joulemap.service.library.costmap_routes import RouteQuestions
-from joulemap.service.library.heightmaps import GroundLike, RobotLike, ground_of, robot_of
-from joulemap.service.library.models import ModelLike, model_folder
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.point_costs import PointCosts
+
+if TYPE_CHECKING:
+    from joulemap.service.library.heightmaps import GroundLike, RobotLike
+    from joulemap.service.library.models import ModelLike
 
 
 class CostMap(RouteQuestions, AreaQuestions, CostMapOutput):
@@ -78,6 +81,10 @@ def costmap(
     >>> costs.plan((3.0, 10.0), (27.0, 10.0)).energy_j > costs.plan((27.0, 10.0), (3.0, 10.0)).energy_j
     True
     """
+    # readers load slowly, and a cost map that is there already needs none
+    from joulemap.service.library.heightmaps import ground_of, robot_of
+    from joulemap.service.library.models import model_folder
+
     lattice = make_cost_lattice(
         ground_of(ground),
         robot_of(robot),
