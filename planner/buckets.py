@@ -164,6 +164,7 @@ def search_cells(
     targets,
     target_rest,
     guide,
+    known,
     cols,
     width,
     slack,
@@ -197,6 +198,8 @@ def search_cells(
         Energy from them to the goal [J].
     guide : Guide
         Lower bounds of the energy to come.
+    known : ndarray of float64, (cells,)
+        Zeros; bounds that were computed stand here. (1,) where the guide has none.
     cols : int
         Columns of the map.
     width : float
@@ -235,7 +238,6 @@ def search_cells(
     prices = price.reshape(-1)
     metric = lengths.size > 0
     free = guide.pairs.shape[0] == 0
-    known = np.full(1 if free else energy.size, np.nan)  # bounds, each computed once
     per_j = 1.0 / width
     queue, count, current, due_first = open_ring(first, energy[first], guide, cols, per_j)
     beyond = False  # whether something may wait in the last bucket of the ring before its time
@@ -288,7 +290,7 @@ def search_cells(
                 ahead = 0.0
                 if not free:
                     ahead = known[other]
-                    if math.isnan(ahead):
+                    if ahead == 0.0:
                         ahead = known[other] = bound_at(guide, other, cols)
                 if ahead == np.inf:
                     continue

@@ -24,6 +24,7 @@ def search_headings(
     targets,
     target_rest,
     guide,
+    known,
     cols,
     width,
     slack,
@@ -58,6 +59,8 @@ def search_headings(
         Energy from them to the goal by heading [J].
     guide : Guide
         Lower bounds of the energy to come.
+    known : ndarray of float64, (cells,)
+        Zeros; bounds that were computed stand here. (1,) where the guide has none.
     cols : int
         Columns of the map.
     width : float
@@ -97,7 +100,6 @@ def search_headings(
     steps = -jump if backward else jump
     prices = price.reshape(-1)
     free = guide.pairs.shape[0] == 0
-    known = np.full(1 if free else cells, np.nan)
     due = np.full(cells, NEVER)  # the bucket in which a cell waits
     to_drive = np.zeros(cells, dtype=np.uint32)  # bit set of headings
     per_j = 1.0 / width
@@ -155,7 +157,7 @@ def search_headings(
                 ahead = 0.0
                 if not free:
                     ahead = known[other]
-                    if math.isnan(ahead):
+                    if ahead == 0.0:
                         ahead = known[other] = bound_at(guide, other, cols)
                 if ahead == np.inf:
                     continue

@@ -185,6 +185,7 @@ def run_search(
         targets, rest = np.empty(0, dtype=np.int64), np.empty((0, layers))
     slack = 0.0 if table.never_pays else _SLACK
     spent = np.empty(0) if spent is None else spent
+    known = np.zeros(table.surface.size if len(guide.pairs) else 1)  # memory that is never touched costs nothing
     if layers == 1:
         found = search_cells(
             search.energy_j,
@@ -196,6 +197,7 @@ def run_search(
             targets,
             np.ascontiguousarray(rest[:, 0]),
             guide,
+            known,
             cols,
             _CELL_WIDTH * table.typical_j,
             slack,
@@ -218,6 +220,7 @@ def run_search(
             targets,
             rest,
             guide,
+            known,
             cols,
             width,
             slack,
