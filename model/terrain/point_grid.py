@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError
-from joulemap.model.ranges import RESOLUTION_M
+from joulemap.model.ranges import COORDINATE_M, RESOLUTION_M
 from joulemap.model.terrain.decoded import check_cells
 
 FloatArray = NDArray[np.float64]
@@ -41,7 +41,7 @@ class PointGrid:
     Raises
     ------
     HeightmapError
-        If the bounds are no area.
+        If the bounds are no area, or lie beyond all coordinates.
     TooLargeError
         If there would be too many cells.
     """
@@ -56,7 +56,9 @@ class PointGrid:
         what: str,
     ) -> None:
         west, south, east, north = bounds
-        if not all(map(math.isfinite, bounds)) or not (east > west and north > south):
+        for beyond in (value for value in bounds if value not in COORDINATE_M):
+            raise HeightmapError(f"{what} has a point at {beyond:g}: coordinates must be {COORDINATE_M}", place=beyond)
+        if not (east > west and north > south):
             raise HeightmapError(f"{what} spans x {west:g}..{east:g}, y {south:g}..{north:g}: there is no area in it")
         if cell_m is None:
             cell_m = float(f"{math.sqrt((east - west) * (north - south) * _POINTS_PER_CELL / max(points, 1)):.2g}")

@@ -114,3 +114,10 @@ def test_too_many_cells_are_refused_before_memory_is_taken(points):
         read_heightmap(cloud(*points), filename="a.las", resolution_m=0.001)
     with pytest.raises(HeightmapError, match="line 2: 'b c' is no point of 3 numbers"):
         read_heightmap(b"1 2 3\nb c\n4 5 6\n7 8 9\n", filename="a.xyz")
+
+
+@pytest.mark.parametrize("far", ["1e308", "-1e308", "3e9"])
+def test_points_beyond_all_coordinates_are_refused_with_their_place(far):
+    lines = [b"0 0 1", b"1 0.3 2", b"0.2 1 3", b"7.1 3.3 1", f"{far} 4 2".encode()]
+    with pytest.raises(HeightmapError, match="coordinates must be"):
+        read_heightmap(b"\n".join(lines), filename="points.xyz")
