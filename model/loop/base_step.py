@@ -52,7 +52,7 @@ def drives_of(residuals: Residuals) -> Drives:
     def _rest(drives: Drives, scale: FloatArray, limit: float | None = None) -> tuple[FloatArray, FloatArray]:
         moved = residuals.driven_by(drives)
         forms = (next(kind.variants(moved.features), None) for kind in NOT_OF_SLOPE)
-        others = [form.columns(moved.features) for form in forms if form is not None]
+        others = [columns for form in forms if form is not None and (columns := form.columns(moved.features)).any()]
         rows = moved.features
         of_run = np.stack([np.maximum(rows.predicted, 0.0), rows.weight_length * rows.pulling], axis=1)
         levels = [(moved.unit == u)[:, None] * of_run for u in np.unique(moved.unit)]
@@ -81,7 +81,7 @@ def drives_of(residuals: Residuals) -> Drives:
     tried = np.linspace(-_MOST_LOST * residuals.features.robot.rolling_resistance, _STEEPEST, 17)
     k = int(np.argmin([_loss(float(shift)) for shift in tried]))
     bounds = (tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)])
-    found = minimize_scalar(_loss, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    found = minimize_scalar(_loss, bounds=bounds, method="bounded", options={"xatol": 1e-5})
     return replace(declared, coasting_shift=float(found.x))
 
 
