@@ -23,7 +23,7 @@ SWEEPS = 5
 """Averages over the eight nearest neighbours: they remove noise, which is all that has to go."""
 HALVINGS = 5
 """How closely the largest `a` is found: the span that it may lie in, which is a few J/m, is halved this many times."""
-EFFORT = 0.25
+EFFORT = 0.5
 """Visits of cells that one try may take, as a share of all cells; where a loop forbids it they never end."""
 CELLS_A_PART = 50_000
 """Cells that are worth a thread."""
