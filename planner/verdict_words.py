@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from joulemap.model.robot import GRAVITY_MPS2
 from joulemap.planner.course import Course, Stretch
 from joulemap.planner.words import probability_words, watt_words
 
 if TYPE_CHECKING:
     from joulemap.planner.budget import Verdict
 
-_LEVEL = 0.02  # rise over length below which a stretch is no climb
+_LIFTED = 0.5  # share of the energy of a stretch that lifts the robot, from which it is a climb
 
 
 def verdict_in_words(verdict: Verdict, course: Course) -> str:
@@ -38,7 +39,7 @@ def verdict_in_words(verdict: Verdict, course: Course) -> str:
             f"{watt_words(verdict.most_power_w)} that the battery can give there"
         )
     if (stretch := course.dearest()) is not None:
-        parts.append(_stretch(stretch, course))
+        parts.append(_stretch(stretch, course, verdict.energy_j))
     if verdict.verdict != "yes":
         parts.append(_advice(verdict))
     return "; ".join(part for part in parts if part) + "."
@@ -70,10 +71,9 @@ def _wh(energy_j: float) -> str:
     return f"{energy_wh:.{max(digits, 0)}f}"
 
 
-def _stretch(stretch: Stretch, course: Course) -> str:
-    length = stretch.end_m - stretch.start_m
-    steep = stretch.rise_m / length if length > 0.0 and math.isfinite(stretch.rise_m) else 0.0
-    what = "climb" if steep > _LEVEL else "stretch"
+def _stretch(stretch: Stretch, course: Course, energy_j: float) -> str:
+    lift_j = math.nan if course.mass_kg is None else GRAVITY_MPS2 * course.mass_kg * stretch.rise_m
+    what = "climb" if lift_j >= _LIFTED * stretch.share * energy_j else "stretch"  # NaN: unknown, so a stretch
     ways = {1: ("the route",), 2: ("the way out", "the way back")}.get(course.ways)
     way = ways[stretch.way] if ways else f"leg {stretch.way + 1}"
     where = (

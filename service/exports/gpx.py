@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 from xml.etree import ElementTree as xml
 
+from joulemap.planner.words import duration_words, energy_words
 from joulemap.service.exports.positions import degree_text, degrees_of
 from joulemap.service.exports.track import Track
 
@@ -59,6 +62,22 @@ def described(properties: dict[str, object]) -> str:
     Returns
     -------
     str
-        Names and values.
+        Names and values, such as "energy 14.11 kJ (3.92 Wh); length 97.1 m".
     """
-    return "; ".join(f"{key} {value}" for key, value in properties.items() if key != "kind")
+    return "; ".join(_words(key, value) for key, value in properties.items() if key != "kind")
+
+
+def _words(key: str, value: Any) -> str:
+    """A property whose name ends with its unit, as a person reads it."""
+    name, _, unit = key.rpartition("_")
+    name = (name if unit in _UNITS else key).replace("_", " ")
+    values = value if isinstance(value, (list, tuple)) else [value]
+    return f"{name} {', '.join(_UNITS.get(unit, str)(one) for one in values)}"
+
+
+_UNITS: dict[str, Callable[[Any], str]] = {
+    "j": energy_words,
+    "s": duration_words,
+    "m": lambda metres: f"{metres:.1f} m",
+    "mps": lambda speed: f"{speed:g} m/s",
+}

@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # it takes its time to load
     from joulemap.planner.plan import Plan, RoundTrip
 
 OPTIMAL, SHORTEST, ALTERNATIVE, TOUR_LEG, DRIVE = "energy_optimal", "shortest", "alternative", "tour_leg", "drive"
+WAY_OUT, WAY_BACK = "way_out", "way_back"
 BESIDE = (SHORTEST, ALTERNATIVE)
 """Kinds of lines that are shown beside what is driven."""
 
@@ -153,6 +154,33 @@ def track_of_tour(trip: RoundTrip, lattice: CostLattice, *, warnings: Sequence[s
     )
     extra = {"warnings": [*warnings, *trip.notes]}
     return Track("joulemap tour", lines, trip.legs[0].crs, lattice.robot.speed_mps, lattice, extra)
+
+
+def track_of_task(
+    routes: Sequence[Route], lattice: CostLattice, *, warnings: Sequence[str] = (), battery: Any = None
+) -> Track:
+    """Return the way out, and the way back of a round trip, as a track.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        One or two, in the order of driving.
+    lattice : CostLattice
+        That they were priced with.
+    warnings : sequence of str, optional
+        Of the cost map.
+    battery : object, optional
+        The verdict, JSON-able.
+
+    Returns
+    -------
+    Track
+        A line for each way.
+    """
+    lines = tuple(line_of(route, kind) for route, kind in zip(routes, (WAY_OUT, WAY_BACK), strict=False))
+    extra = {"warnings": [*warnings, *routes[0].notes], "battery": battery}
+    name = "joulemap there and back" if len(lines) > 1 else "joulemap path"
+    return Track(name, lines, routes[0].crs, lattice.robot.speed_mps, lattice, extra)
 
 
 def track_of_drive(drive: Mapping[str, Any]) -> Track:

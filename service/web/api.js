@@ -4,7 +4,7 @@ import { by, time } from "./dom.js";
 
 const ROOT = new URL("../", import.meta.url);
 const KEY = "joulemap-key";
-const lost = new EventTarget();
+let tell = () => {};
 
 /** An answer that is no success; `message` says what is wrong and what to do. */
 export class Problem extends Error {
@@ -16,11 +16,11 @@ export class Problem extends Error {
 
 /** The service could not be reached. */
 export class Unreachable extends Error {
-  constructor() { super("The service does not answer. Is it still running? The page asks again every two seconds."); this.name = "Unreachable"; }
+  constructor() { super("The service does not answer. Is it still running?"); this.name = "Unreachable"; }
 }
 
 export const address = path => new URL(path.replace(/^\//, ""), ROOT);
-export const onConnection = listener => lost.addEventListener("change", event => listener(event.detail));
+export const onConnection = listener => { tell = listener; };
 
 async function request(path, { method = "GET", body, headers = {}, signal } = {}) {
   const key = sessionStorage.getItem(KEY);
@@ -122,13 +122,13 @@ let watching = false;
 async function watchConnection() {
   if (watching) return;
   watching = true;
-  lost.dispatchEvent(new CustomEvent("change", { detail: false }));
+  tell(false);
   for (let there = false; !there;) {
     await new Promise(done => setTimeout(done, 2000));
     there = await fetch(address("healthz")).then(answer => answer.ok, () => false);
   }
   watching = false;
-  lost.dispatchEvent(new CustomEvent("change", { detail: true }));
+  tell(true);
 }
 
 let asking = null;

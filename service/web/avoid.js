@@ -1,7 +1,7 @@
 // Areas to avoid: drawn corner by corner, blocked in every question.
 
 import { button, by, fill } from "./dom.js";
-import { inside, leaf, map } from "./map.js";
+import { inside, leaf, map, seeMap } from "./map.js";
 import { hint, takers } from "./question.js";
 import { now, on, set } from "./state.js";
 
@@ -9,14 +9,12 @@ const STYLE = { color: "#b3261e", weight: 2, dashArray: "6 4", fillColor: "#b326
 const areas = L.layerGroup().addTo(map), sketch = L.layerGroup().addTo(map);
 let corners = null;
 
-const SAYS = "Click the corners of the area; click the first corner again, or press Enter, to close it. Escape gives up.";
-
 function list() {
   fill(by("areas"), button({ onclick: corners ? close : begin }, corners ? "Close the area" : "Draw an area"),
     now.avoid.map((_, k) => button({ "aria-label": `Remove area ${k + 1}`, onclick: () => set({ avoid: now.avoid.filter((_, i) => i !== k) }) }, `Area ${k + 1} ✕`)));
 }
 
-function begin() { corners = []; hint(SAYS); list(); }
+function begin() { corners = []; hint(by("areas").dataset.says); list(); seeMap(); }
 
 function close() {
   const ring = corners;

@@ -31,6 +31,9 @@ export function patch(colour, kind = "box") {
   return node;
 }
 
+/** Words for a screen that is touched. */
+export const touched = words => (matchMedia("(pointer: coarse)").matches ? words.replaceAll("Click", "Tap").replaceAll("click", "tap") : words);
+
 export const by = id => document.getElementById(id);
 
 /** Nothing but these children. */
@@ -43,7 +46,7 @@ const decimals = most => Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(Math.
 export const metres = (value, most = value) => (Math.abs(most) >= 10_000 ? `${number(value / 1000, 1)} km` : `${number(value, Math.min(1, decimals(most)))} m`);
 /** An energy [J] in Wh, as batteries are labelled, and as a share of the full battery. */
 export const energy = (value, most = value) => `${number(value / 3600, decimals(most / 3600))} Wh`;
-export const ofBattery = (value, most = value) => percent(value / capacity(), decimals(100 * most / capacity()));
+export const ofBattery = (value, most = value, full = capacity()) => percent(value / full, decimals(100 * most / full));
 export const percent = (share, digits = 0) => `${number(100 * share, digits)} %`;
 
 export function minutes(seconds) {

@@ -23,7 +23,7 @@ export function read(hash = location.hash) {
     ...(given.get("back") === "1" && { roundTrip: true }),
     ...(Number(given.get("others")) > 0 && { alternatives: Math.min(Number(given.get("others")), 5) }),
   };
-  const objective = given.get("objective"), quantile = Number(given.get("quantile")), power = Number(given.get("max_power_w"));
+  const objective = given.get("objective"), [quantile, power] = ["quantile", "max_power_w"].map(name => Number(given.get(name)));
   if (objective || power > 0) found.changes.aim = { objective: ["quantile", "arrival"].includes(objective) ? objective : "mean", quantile: quantile >= 0.5 && quantile <= 0.99 ? quantile : 0.95, max_power_w: power > 0 ? power : null };
   const avoid = (given.get("avoid") ?? "").split("|").map(ring => ring.split(";").map(point).filter(Boolean)).filter(ring => ring.length > 2);
   if (avoid.length) found.changes.avoid = avoid;

@@ -9,7 +9,7 @@ import { build, sentRobot } from "./map_panel.js";
 import * as measured from "./measured.js";
 import { leaf, map } from "./map.js";
 import { routeButtons } from "./save_panel.js";
-import { now, on, set } from "./state.js";
+import { now, on } from "./state.js";
 
 const drawn = L.layerGroup().addTo(map);
 const BEFORE = "#6d6d6d", AFTER = "#00634a", DRIVE = "#5b2a86"; // the way of the question stays blue
@@ -23,7 +23,7 @@ export function show() {
 }
 dropZone(by("runs-files"), files => upload(files));
 
-const words = key => key.replaceAll("_", " ");
+const words = key => (key === "held_fixes" ? "repeated positions" : key.replaceAll("_", " "));
 const counted = counts => Object.entries(counts).map(([reason, count]) => `${words(reason)}: ${number(count, 0)}`).join(", ") || "nothing";
 
 async function upload(files, mapping = []) {
@@ -49,10 +49,10 @@ async function listRuns(chosen) {
     const { items } = await ask("v1/runs?limit=100");
     if (!items.length) { fill(here, note("No runs are kept yet.")); return; }
     const boxes = items.filter(one => one.runs).map(one => [one, make("input", { type: "checkbox", checked: one.id === chosen || (!chosen && one === items[0]) })]);
-    const quick = make("input", { type: "checkbox", checked: true, id: "quick" });
+    const quick = make("input", { type: "checkbox", id: "quick" });
     fill(here, make("details", { open: true }, make("summary", {}, "Learn from"),
       boxes.map(([one, box]) => make("label", { class: "check" }, box, `${one.runs.map(run => run.name).slice(0, 3).join(", ")}${one.runs.length > 3 ? `, and ${one.runs.length - 3} more` : ""} (${number(one.runs.reduce((sum, run) => sum + run.segments, 0), 0)} segments)`)),
-      make("label", { class: "check" }, quick, "Quick: done sooner, but errors are those of the fit, which are too small"),
+      make("label", { class: "check" }, quick, "Quick: does not leave each run out in turn; sooner, but the errors shown are too small"),
       row(button({ class: "main", id: "calibrate", onclick: () => calibrate(boxes.filter(([, box]) => box.checked).map(([one]) => one.id), quick.checked) }, "Calibrate the model"))));
   });
 }
@@ -84,7 +84,7 @@ async function listCalibrations() {
   });
 }
 
-const STATES = { before: "model before", corrected: "with base parameters fitted", after: "calibrated", after_planner: "calibrated, known before a drive" };
+const STATES = { before: "model before", corrected: "with its constants fitted", after: "calibrated", after_planner: "calibrated, known before a drive" };
 const interval = ({ value, ci95, unit, name }, alone) => `${alone ? "" : `${words(name)} `}${+value.toPrecision(3)} ${unit} (95 %: ${ci95.map(end => +end.toPrecision(3)).join(" to ")})`;
 const sure = p => (p < 0.001 ? "p < 0.001" : `p = ${p.toPrecision(2)}`);
 
@@ -107,7 +107,7 @@ async function open(made) {
     make("div", { class: "row" },
       made.calibrated_model ? button({ class: "main", id: "use-model", onclick: () => again(made.calibrated_model) }, "Cost map with this model") : null,
       make("a", { class: "button", href: `v1/calibrations/${made.id}/report.html`, target: "_blank", rel: "noopener" }, "Whole report")),
-    route ? make("div", {}, h3("A route before and after"), make("p", {}, `By the calibrated model the way before costs ${energy(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${energy(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
+    route ? make("div", {}, h3("What changes on a route"), make("p", {}, `By the calibrated model the way before costs ${energy(route.before.energy_j)} over ${metres(route.before.length_m)}; the new way costs ${energy(route.after.energy_j)} over ${metres(route.after.length_m)}.`)) : null,
     drive ? make("div", {}, h3("What to drive next"), make("p", {}, `${drive.kind}, ${metres(drive.total_length_m)} in all, at ${drive.speeds_mps.map(speed => number(speed, 2)).join(" and ")} m/s: it measures ${drive.label} more precisely${drive.expected_interval_share ? `; its interval shrinks to ${percent(drive.expected_interval_share)}` : ""}.`), drive.placed ? routeButtons("next-drive", format => [`v1/calibrations/${made.id}/next-drive?format=${format}`]) : null) : null,
     route || drive?.placed ? note("On the map: ", route ? [swatch(BEFORE), "before ", swatch(AFTER), "after "] : "", drive?.placed ? [swatch(DRIVE), "next drive"] : "") : null,
     make("div", { id: "measured" }));
@@ -119,10 +119,8 @@ async function open(made) {
   await measured.show(by("measured"), made, drawn);
 }
 
-/** The same map by the calibrated model; the route before stays on the map to compare. */
+/** The same map by the calibrated model. */
 function again(model) {
-  const answer = now.answer;
-  if (answer?.path) set({ before: { path: answer.path, energy_j: answer.energy_j, length_m: answer.length_m, model: now.costmap.model } });
   by("tab-map").click();
   build({ heightmap_id: now.costmap.heightmap_id, robot: sentRobot(now.costmap.robot), model, spacing_m: now.costmap.spacing_m, headings: now.costmap.headings });
 }

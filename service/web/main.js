@@ -9,12 +9,12 @@ import { map, showCostmap, showHeightmap } from "./map.js";
 import * as mapPanel from "./map_panel.js";
 import "./pieces.js";
 import "./profile.js";
-import { hint } from "./question.js";
+import { hint, question } from "./question.js";
 import * as robots from "./robot.js";
 import "./roses.js";
 import * as routePanel from "./route_panel.js";
 import * as savePanel from "./save_panel.js";
-import { now, on, set } from "./state.js";
+import { capacity, now, on, set } from "./state.js";
 import { open as open3d } from "./three_d.js";
 
 const tabs = [...by("tabs").children];
@@ -59,7 +59,9 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   const former = now.costmap, same = former && former.heightmap_id === costmap.heightmap_id;
   const [layers, heightmap] = await Promise.all([ask(`v1/costmaps/${costmap.id}/layers`), ask(`v1/heightmaps/${costmap.heightmap_id}`)]);
   ground.hide();
-  const route = same && former.id !== costmap.id && now.answer?.path ? { path: now.answer.path, energy_j: now.answer.energy_j, length_m: now.answer.length_m, model: former.model } : null;
+  const { robot, model } = former ?? {}, { answer } = now, other = same && JSON.stringify(robot) !== JSON.stringify(costmap.robot);
+  const words = same && [other && (robot.mass_kg !== costmap.robot.mass_kg ? `robot of ${robot.mass_kg} kg` : "other values of the robot"), model !== costmap.model && `model ${model}`].filter(Boolean).join(", ");
+  const route = words && answer?.path && answer.question === question() ? { ...answer, words, full_j: capacity() } : null;
   const battery = former?.robot.battery_wh === costmap.robot.battery_wh ? now.battery : { ...now.battery, capacity_wh: null };
   set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [] }), battery, before: route, costmap, layers, heightmap, cursor: null, ...changes });
   mapPanel.show();
@@ -67,7 +69,7 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   by("view-3d").hidden = !about.plotly;
   choose(by(now.start && now.goal ? "tab-route" : "tab-map"));
   hint();
-  window.scrollTo(0, 0); // on a phone the map may be above what is seen
+  window.scrollTo(0, 0);
   await Promise.all([showCostmap(costmap, layers, same ? link.read().seen : seen), listMaps()]);
 }
 
@@ -76,9 +78,10 @@ async function openGround({ heightmap, costmap, sample }) {
     if (costmap?.status === "done") { await openCostmap(costmap, { changes: sample ? { start: about.sample.start, goal: about.sample.goal } : {} }); return; }
     const here = heightmap ?? await ask(`v1/heightmaps/${costmap.heightmap_id}`);
     set({ costmap: null, layers: null, heightmap: here, start: null, goal: null, stops: [], answer: null, before: null });
+    document.body.classList.remove("has-map");
     choose(by("tab-map"));
     const wishing = mapPanel.wish(here);
-    await Promise.all([wishing, showHeightmap(here)]);
+    await Promise.all([wishing, showHeightmap(here), listMaps()]);
     if (costmap) await mapPanel.watch(costmap);
     if (sample) { sampleOpen = true; await mapPanel.build({ heightmap_id: here.id, model: "default" }); }
   } catch (error) { ground.welcome(error.message); }

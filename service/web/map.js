@@ -7,6 +7,8 @@ import { now, on } from "./state.js";
 
 /** Leaflet counts [y, x]. */
 export const leaf = ([x, y]) => [y, x];
+/** On a phone the map may be out of sight. */
+export const seeMap = () => by("map").scrollIntoView({ block: "nearest" });
 export const world = ({ lat, lng }) => [lng, lat];
 
 export const map = L.map("map", {
@@ -150,7 +152,9 @@ function say(latlng) {
   }, 50);
 }
 map.on("mousemove", ({ latlng }) => say(latlng));
-map.on("mouseout", () => { clearTimeout(pausing); by("readout").textContent = ""; });
+const silent = () => { clearTimeout(pausing); latest.at.stop(); by("readout").textContent = ""; };
+map.on("mouseout", silent);
+on("costmap", silent);
 
 // By keyboard the middle of the map is the pointer: the arrow keys move the map under it, Space is a click.
 const byKeyboard = () => map.getContainer().matches(":focus-visible");

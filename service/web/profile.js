@@ -2,6 +2,7 @@
 
 import { by, draw, energy, fill, make, metres, number, percent } from "./dom.js";
 import { leaf, map, world } from "./map.js";
+import { TITLES } from "./route_panel.js";
 import { capacity, now, on, set } from "./state.js";
 
 const TALL = 190, LOW = 104, LEFT = 46, RIGHT = 24, GAP = 16, POINTS = 500, NEAR_PX = 14;
@@ -51,7 +52,7 @@ function show() {
   if (empty) { // of the same height, so that the map does not move when a route comes
     dot.remove();
     rows = [];
-    fill(here, make("p", { class: "said quiet" }, "Here height, energy and battery along the route will be shown."), draw("svg", { height: tall }));
+    fill(here, make("p", { class: "said quiet" }, "The curves along the route come here."), draw("svg", { height: tall }));
     return;
   }
   rows = pointsOf(answer);
@@ -85,7 +86,8 @@ function show() {
     event.preventDefault();
     point(end ?? Math.max(0, Math.min(rows.at(-1).d, (now.cursor ?? 0) + step * rows.at(-1).d / 100)));
   });
-  fill(here, make("p", { class: "said", id: "along" }), svg);
+  const said = answer.verdict;
+  fill(here, said ? make("p", { class: `verdict ${said.verdict}` }, make("b", {}, TITLES[said.verdict]), said.verdict_text.split("; ")[0].replace(/^\w+[:,] /, "")) : null, make("p", { class: "said", id: "along" }), svg);
   summary();
   cursor();
 }
@@ -94,7 +96,7 @@ const point = d => set({ cursor: d === null ? null : Math.max(0, Math.min(rows.a
 
 function summary() {
   const { answer } = now;
-  fill(by("along"), make("b", {}, "Along the route"), `${metres(answer.length_m)}, ${energy(answer.energy_j)}${answer.back ? ", way out" : ""}`, make("span", { class: "quiet" }, banded() ? "shaded: 90 % of such drives" : "move over the curves to see where on the map"));
+  fill(by("along"), make("b", {}, "Along the route"), `${metres(answer.length_m)}, ${energy(answer.energy_j)}${answer.back ? ", way out" : ""}`, banded() ? make("span", { class: "quiet" }, "shaded: 90 % of such drives") : null);
 }
 
 function cursor() {

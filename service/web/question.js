@@ -1,14 +1,14 @@
 // The question: markers of start, goal and stops; a question to the service at each change; its routes on the map.
 
 import { Latest, send } from "./api.js";
-import { by, energy, make, metres } from "./dom.js";
-import { inside, leaf, map, world } from "./map.js";
+import { by, energy, make, metres, touched } from "./dom.js";
+import { inside, leaf, map, seeMap, world } from "./map.js";
 import { now, on, set } from "./state.js";
 
 const latest = new Latest();
 const routes = L.layerGroup().addTo(map), pins = L.layerGroup().addTo(map);
-const guide = L.polyline([], { color: "#1d2329", weight: 1.5, dashArray: "4 6", interactive: false }).addTo(map);
-export const COLOURS = { optimal: "#0072B2", shortest: "#D55E00", back: "#b1508a", other: "#3b3f45", before: "#6d6d6d" };
+/** Of each kind of way: its colour, its width, and what is drawn and left out of its dashes. */
+export const WAYS = { optimal: ["#0072B2", 5], shortest: ["#D55E00", 3.5], back: ["#b1508a", 3, 1, 7], other: ["#5a6069", 2, 6, 5], before: ["#6d6d6d", 3, 2, 7] };
 const MANY_CELLS = 250_000; // of a larger map a route along the grid is shown first, until the better one is there
 let wanted = null;
 
@@ -17,11 +17,12 @@ export const expected = () => wanted ?? (!now.costmap ? null : !now.start ? "sta
 export function expect(what) {
   wanted = wanted === what ? null : what;
   hint();
+  if (wanted) seeMap();
 }
 
 export function hint(words) {
   const here = by("hint");
-  here.textContent = words ?? { start: "Click where the robot starts", goal: "Click where it shall go", stop: "Click a place to visit on the way" }[expected()] ?? "";
+  here.textContent = touched(words ?? by("places").querySelector(`[value=${expected()}]`)?.dataset.says ?? "");
   here.hidden = !here.textContent;
 }
 
@@ -55,11 +56,10 @@ function pin(kind, place, label, change) {
   const mark = { start: "S", goal: "G" }[kind] ?? label;
   const icon = L.divIcon({ className: `pin ${kind}`, html: mark, iconSize: [28, 28] });
   const marker = L.marker(leaf(place), { icon, draggable: true, autoPan: true, keyboard: true, alt: label, title: `${label}: drag it, or move it with the arrow keys`, zIndexOffset: 1000 });
-  marker.on("drag", () => drawGuide(kind, world(marker.getLatLng())));
-  marker.on("dragend", () => { guide.setLatLngs([]); change(world(marker.getLatLng()).map(value => +value.toFixed(3))); });
+  marker.on("dragend", () => change(world(marker.getLatLng()).map(value => +value.toFixed(3))));
   marker.addTo(pins);
   const node = marker.getElement();
-  node.setAttribute("aria-label", `${label} at x ${place[0].toFixed(1)}, y ${place[1].toFixed(1)} metres; arrow keys move it`);
+  node.setAttribute("aria-label", `${label} at x ${place[0].toFixed(1)}, y ${place[1].toFixed(1)} metres`);
   node.addEventListener("keydown", event => {
     const [dx, dy] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key] ?? [0, 0];
     if (!dx && !dy) return;
@@ -71,11 +71,6 @@ function pin(kind, place, label, change) {
   });
 }
 
-function drawGuide(kind, place) {
-  const other = kind === "start" ? now.goal : now.start;
-  guide.setLatLngs(other ? [leaf(place), leaf(other)] : []);
-}
-
 function place() {
   pins.clearLayers();
   if (now.start) pin("start", now.start, "Start", start => set({ start }));
@@ -84,18 +79,26 @@ function place() {
   hint();
 }
 
-/** The question as it is now: its address, and its body. */
-export function asked() {
-  if (now.stops.length) return ["tours", { stops: [now.start, ...now.stops, ...(now.goal ? [now.goal] : [])], battery: now.battery, avoid: now.avoid }];
-  return ["paths", { start: now.start, goal: now.goal, battery: now.battery, planner: now.planner, alternatives: now.alternatives, avoid: now.avoid, ...now.aim }];
+/** The question as it is now, or that of the way out and back together: its address, and its body. */
+export function asked(back) {
+  const { start, goal, stops, battery, avoid, planner, alternatives, aim } = now, body = { start, goal, battery, avoid, ...aim };
+  if (stops.length) return ["tours", { stops: [start, ...stops, ...(goal ? [goal] : [])], battery, avoid }];
+  return back ? ["feasibility", { ...body, round_trip: true }] : ["paths", { ...body, planner, alternatives }];
 }
 
 async function search(signal, snap) {
-  const here = `v1/costmaps/${now.costmap.id}`, [kind, body] = asked(), tour = kind === "tours", { rows, cols } = now.costmap.frame;
+  const here = `v1/costmaps/${now.costmap.id}`, [kind, body] = asked(), mine = question(), tour = kind === "tours", { rows, cols } = now.costmap.frame;
   if (!tour && rows * cols > MANY_CELLS && now.planner === "astar" && now.aim.objective === "mean") show(await send(`${here}/paths`, { start: now.start, goal: now.goal, refine: false, snap, avoid: now.avoid, ...now.aim }, { signal }), true);
   const answer = await send(`${here}/${kind}`, { ...body, snap }, { signal });
-  return { alternatives: [], ...answer, tour, verdict: answer.battery };
+  return { alternatives: [], ...answer, tour, verdict: answer.battery, question: mine };
 }
+
+/** The ways of an answer: kind, name and way. */
+export const waysOf = found => [["optimal", found.tour ? "tour" : found.objective ? "this way" : "least energy", found], found.shortest && ["shortest", "shortest", found.shortest], found.back && ["back", "way back", found.back], ...found.alternatives.map((other, k) => ["other", `alternative ${k + 1}`, other]), now.before && ["before", `before: ${now.before.words}`, now.before]].filter(Boolean);
+
+/** What an answer depends on, but for the cost map and the battery. */
+export const question = () => JSON.stringify([now.roundTrip, { ...asked()[1], battery: null }]);
+on("start goal stops planner alternatives roundTrip avoid aim", () => { if (now.before && now.before.question !== question()) set({ before: null }); });
 
 /** Asks again; the answer before stays on the map until the new one is there. With `snap`, places on blocked ground are moved to the nearest free one. */
 export async function askAgain(snap = false) {
@@ -108,8 +111,7 @@ export async function askAgain(snap = false) {
     show(answer);
     set({ answer });
     if (now.roundTrip && !answer.tour) {
-      const body = { start: now.start, goal: now.goal, round_trip: true, battery: now.battery, avoid: now.avoid, ...now.aim };
-      const both = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/feasibility`, body, { signal }));
+      const both = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/feasibility`, asked(true)[1], { signal }));
       if (!both) return;
       set({ answer: { ...answer, verdict: both, back: both.back } });
       show(now.answer);
@@ -120,21 +122,29 @@ export async function askAgain(snap = false) {
   }
 }
 
-function line(path, colour, weight, words, options = {}) {
-  const points = path.map(leaf);
-  L.polyline(points, { color: "#fff", weight: weight + 3, opacity: 0.9, interactive: false, ...options.halo }).addTo(routes);
-  L.polyline(points, { color: colour, weight, lineJoin: "round", dashArray: options.dash, smoothFactor: 0.6 }).bindTooltip(make("span", {}, words), { sticky: true }).addTo(routes);
+const drawn = new Map(); // way -> its line
+
+function line(way, kind, words) {
+  const points = way.path.map(leaf), [color, weight, ...dash] = WAYS[kind];
+  L.polyline(points, { color: "#fff", weight: weight + 3, opacity: 0.9, interactive: false }).addTo(routes);
+  drawn.set(way, L.polyline(points, { color, weight, lineJoin: "round", dashArray: dash.join(" "), smoothFactor: 0.6 }).bindTooltip(make("span", {}, `${words}: ${energy(way.energy_j)}, ${metres(way.length_m)}`), { sticky: true }).addTo(routes));
+}
+
+/** Makes the line of a way stand out, or as it was. */
+export const highlight = (way, kind, on) => drawn.get(way)?.setStyle({ weight: WAYS[kind][1] + (on ? 4 : 0) })[on ? "bringToFront" : "redraw"]();
+
+/** The number of an alternative, where it is farthest from the way of least energy. */
+function numbered({ path }, words, answer) {
+  const far = ([x, y]) => Math.min(...answer.path.map(([a, b]) => Math.hypot(x - a, y - b))), place = path.reduce((best, one) => (far(one) > far(best) ? one : best));
+  L.tooltip({ permanent: true, direction: "center", className: "numbered" }).setLatLng(leaf(place)).setContent(words).addTo(routes);
 }
 
 function show(answer, rough = false) {
-  const words = route => `${energy(route.energy_j)}, ${metres(route.length_m)}`;
   routes.clearLayers();
-  if (now.before) line(now.before.path, COLOURS.before, 3, `before, model ${now.before.model}: ${words(now.before)}`, { dash: "2 7" });
+  drawn.clear();
   if (!answer || answer.error) return;
-  answer.alternatives.forEach((other, k) => line(other.path, COLOURS.other, 2, `alternative ${k + 1}: ${words(other)}`, { dash: "6 5" }));
-  if (answer.shortest) line(answer.shortest.path, COLOURS.shortest, 3.5, `shortest: ${words(answer.shortest)}`);
-  if (answer.back) line(answer.back.path, COLOURS.back, 3, `way back: ${words(answer.back)}`, { dash: "1 7" });
-  line(answer.path, COLOURS.optimal, 5, `least energy: ${words(answer)}`);
+  for (const [kind, name, way] of waysOf(answer).reverse()) line(way, kind, name);
+  answer.alternatives.forEach((other, k) => numbered(other, `${k + 1}`, answer));
   document.dispatchEvent(new CustomEvent(rough ? "drawn-rough" : "drawn"));
 }
 
@@ -146,5 +156,5 @@ on("before", () => show(now.answer));
 export function lines() {
   const answer = now.answer;
   if (!answer || answer.error) return [];
-  return [...(answer.shortest ? [{ path: answer.shortest.path, colour: COLOURS.shortest, width: 4 }] : []), { path: answer.path, colour: COLOURS.optimal, width: 6 }];
+  return waysOf(answer).reverse().map(([kind,, { path }]) => ({ path, colour: WAYS[kind][0], width: WAYS[kind][1] + 1 }));
 }

@@ -34,7 +34,7 @@ async function ask() {
     });
     fill(said, note(order.length ? `From the start ${back ? "and back to it" : "one way (tick \"And back again\" for there and back)"}, with the reserve kept:` : "Nothing can be reached with this charge and reserve."),
       order.map(({ properties }) => note(patch(properties.shade), `charge ${percent(properties.charge)}${properties === order[0].properties && levels.at(-1) > properties.charge ? ` to ${percent(levels.at(-1))}` : ""}: up to ${metres(properties.far)} away, ${area(properties.area_m2)}`)),
-      all.length > 1 && order[0] !== all.at(-1) ? note("More charge takes it no further.") : null, found.odds ? null : warn("This model gives no probability: the expected energy decides."));
+      all.length > 1 && order[0] !== all.at(-1) ? note("Every place of this map that the robot can get to is within reach; the map ends there.") : null, found.odds ? null : warn("This model gives no probability: the expected energy decides."));
   });
 }
 

@@ -1,14 +1,10 @@
 // The robot: a form with units and presets, or a TOML file.
 
-import { alarm, field, fill, make, select } from "./dom.js";
+import { alarm, by, field, fill, make, select } from "./dom.js";
 
 const USUAL = ["mass_kg", "battery_wh", "speed_mps", "wheel_radius_m", "max_grade_deg", "max_cross_slope_deg"];
 /** Places to begin: no robot of any maker, so that its owner looks into its data sheet. */
-const PRESETS = {
-  "The default rover (35 kg)": {},
-  "A small rover (15 kg)": { name: "small-rover", mass_kg: 15, width_m: 0.4, length_m: 0.5, wheel_radius_m: 0.1, battery_wh: 150 },
-  "A large rover (400 kg)": { name: "large-rover", mass_kg: 400, width_m: 1.4, length_m: 1.5, wheel_radius_m: 0.3, battery_wh: 3000 },
-};
+const PRESETS = Object.fromEntries([...by("presets").content.children].map(({ value, text }) => [text, JSON.parse(value)]));
 let fields = {}, values = {};
 
 /** The fields that the service knows, with their limits. */

@@ -2,10 +2,10 @@
 
 import "./avoid.js";
 import { bind, settled } from "./controls.js";
-import { button, by, energy, errorNote, fill, make, metres, minutes, note, number, ofBattery, percent, table, warn } from "./dom.js";
+import { button, by, energy, errorNote, fill, make, metres, minutes, note, number, ofBattery, patch, percent, table, touched, warn } from "./dom.js";
 import "./homeward.js";
 import { groundWarning, reasonWords } from "./map.js";
-import { askAgain, canUndo, expect, expected, undo } from "./question.js";
+import { askAgain, canUndo, expect, expected, highlight, undo, WAYS, waysOf } from "./question.js";
 import "./reach.js";
 import { now, on, set } from "./state.js";
 
@@ -29,7 +29,7 @@ by("swap").onclick = () => set({ start: now.goal, goal: now.start });
 by("undo").onclick = undo;
 
 export function start(planners) {
-  fill(by("planner"), planners.map(name => make("option", { value: name }, name)));
+  fill(by("planner"), planners.map(name => make("option", { value: name }, { astar: "A*", dijkstra: "Dijkstra" }[name] ?? name)));
   bind("capacity", "battery costmap", () => now.battery.capacity_wh ?? now.costmap?.robot.battery_wh, capacity_wh => set({ battery: { ...now.battery, capacity_wh } }));
   bind(...share("charge"));
   bind(...share("reserve"));
@@ -48,26 +48,31 @@ export function start(planners) {
   answer();
 }
 
-const TITLES = { yes: "Yes, the battery lasts", likely: "It probably lasts", marginal: "It may not last", no: "No, the battery does not last" };
+export const TITLES = by("answer").dataset; // verdict -> its words
+
+/** The name of a way in the table; pointed at or in focus, its line on the map stands out. */
+function nameOf(kind, name, way) {
+  const [colour, , on = 1, off = 0] = WAYS[kind], swatch = patch(`repeating-linear-gradient(90deg, ${colour} 0 ${on + 2}px, #fff ${on + 2}px ${on + off}px)`, "swatch way"), stand = out => () => highlight(way, kind, out);
+  return make("span", { tabindex: "0", onmouseenter: stand(true), onfocus: stand(true), onmouseleave: stand(false), onblur: stand(false) }, swatch, name);
+}
 
 function answer() {
   const here = by("answer"), found = now.answer;
-  if (!found) { fill(here, note(!now.costmap ? "Make a cost map first." : now.start && now.goal ? "Searching…" : "Click a start and a goal on the map, or write them above.")); return; }
+  if (!found) { fill(here, note(!now.costmap ? "Make a cost map first." : now.start && now.goal ? "Searching…" : touched("Click a start and a goal on the map, or write them above."))); return; }
   if (found.error) {
     const { reason } = found.error.context ?? {};
     fill(here, errorNote({ message: found.error.message.replace(`: ${reason}`.replace("_", " "), `: ${reasonWords(reason)}`) }), found.error.name === "Unreachable" ? button({ onclick: () => askAgain() }, "Ask again") : found.error.code === "blocked" ? button({ id: "snap", onclick: () => askAgain(true) }, "Use the nearest free place") : null);
     return;
   }
-  const { verdict, shortest, objective } = found;
-  const ways = [["optimal", found.tour ? "tour" : objective ? "this way" : "least energy", found], shortest && ["shortest", "shortest", shortest], ...found.alternatives.map((other, k) => ["other", `alternative ${k + 1}`, other]), found.back && ["back", "way back", found.back], now.before && ["before", `before: model ${now.before.model}`, now.before]].filter(Boolean);
+  const { verdict, shortest, objective, back } = found, ways = waysOf(found), sum = name => found[name] + (back?.[name] ?? 0);
   const [joules, long] = ["energy_j", "length_m"].map(name => Math.max(...ways.map(([,, way]) => way[name])));
   fill(here,
     verdict ? make("div", { class: `verdict ${verdict.verdict}` }, make("b", {}, TITLES[verdict.verdict]), make("ul", {}, [...verdict.verdict_text.replace(/^\w+[:,] |\.$/g, "").split("; "), `charge ${percent(verdict.charge_at_start)} at the start, ${verdict.charge_at_end > 0 ? `${percent(verdict.charge_at_end, 1)} expected at the end` : "empty before the end"}`].map(words => make("li", {}, words)))) : null,
-    objective ? note(objective.name === "quantile" ? `${percent(objective.quantile)} of drives take at most ${energy(objective.quantile_j)}; on the way of least expected energy ${energy(objective.mean_quantile_j)}.` : `It arrives with a probability of ${percent(objective.probability, 1)}; on the way of least expected energy ${percent(objective.mean_probability, 1)}.`) : null,
+    objective ? note((objective.name === "quantile" ? [`${percent(objective.quantile)} of drives take at most ${energy(objective.quantile_j)}`, energy(objective.mean_quantile_j)] : [`It arrives with a probability of ${percent(objective.probability, 1)}`, percent(objective.mean_probability, 1)]).join("; on the way of least expected energy "), ".") : null,
     shortest ? make("p", {}, found.saving_j > 0.5 ? make("span", {}, "Going this way saves ", make("b", {}, energy(found.saving_j)), ` (${number(found.saving_percent, 1)} %) against the shortest way.`) : "The shortest way is also the cheapest.") : null,
-    table([["way", "energy", "battery", "length"], ...ways.map(([kind, name, way]) => [make("span", {}, make("i", { class: `swatch ${kind}` }), name), energy(way.energy_j, joules), ofBattery(way.energy_j, joules), metres(way.length_m, long)])], "The ways"),
-    note(`${minutes(found.duration_s)} at ${number(now.costmap.robot.speed_mps, 1)} m/s, ${metres(found.climb_m)} up, ${metres(found.descent_m)} down`),
+    table([["way", "energy", "battery", "length"], ...ways.map(([kind, name, way]) => [nameOf(kind, name, way), energy(way.energy_j, joules), ofBattery(way.energy_j, joules, way.full_j), metres(way.length_m, long)])], "The ways"),
+    note(`${back ? "There and back: " : ""}${minutes(sum("duration_s"))} at ${number(now.costmap.robot.speed_mps, 1)} m/s, ${metres(sum("climb_m"))} up, ${metres(sum("descent_m"))} down`),
     found.warnings?.map(words => warn(groundWarning(words, found.profile))));
 }
 
-on("answer", answer);
+on("answer before", answer);

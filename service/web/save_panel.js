@@ -39,7 +39,7 @@ export const routeButtons = (name, question) => files(...formats.filter(format =
 export function show() {
   const id = now.costmap?.id, { answer } = now;
   if (!id) return;
-  const [question, body] = asked();
+  const [question, body] = asked(answer?.back);
   fill(by("save-route"), answer?.path ? routeButtons(answer.tour ? "tour" : "route", format => [`v1/costmaps/${id}/${question}?format=${format}`, { method: "POST", body }]) : note("Set a start and a goal first."));
   fill(by("save-map"), files(["Picture (PNG)", "map.png", () => asPicture(lines())], ["GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)], ["Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`)]));
   by("link").value = new URL(link.address(), window.location.href).href;

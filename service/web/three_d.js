@@ -2,7 +2,7 @@
 
 import { address, ask } from "./api.js";
 import { by, make } from "./dom.js";
-import { COLOURS } from "./question.js";
+import { WAYS, waysOf } from "./question.js";
 import { now } from "./state.js";
 
 export async function open(plotly) {
@@ -11,7 +11,7 @@ export async function open(plotly) {
   box.append(frame);
   box.onclose = () => frame.remove();
   box.showModal();
-  const [surface] = await Promise.all([ask(`v1/costmaps/${now.costmap.id}/surface`), new Promise(done => window.addEventListener("message", event => event.source === frame.contentWindow && event.data === "ready" && done(), { once: false }))]);
-  const { answer } = now, routes = answer?.path ? [["least energy", COLOURS.optimal, answer], ["shortest", COLOURS.shortest, answer.shortest], ["way back", COLOURS.back, answer.back], ...answer.alternatives.map((one, k) => [`alternative ${k + 1}`, "#777777", one])] : [];
-  frame.contentWindow.postMessage({ surface, routes: routes.filter(([,, way]) => way).map(([name, colour, { path }]) => ({ name, colour, path })), plotly, dark: matchMedia("(prefers-color-scheme: dark)").matches }, window.location.origin);
+  const [surface] = await Promise.all([ask(`v1/costmaps/${now.costmap.id}/surface`), new Promise(done => window.addEventListener("message", event => event.source === frame.contentWindow && event.data === "ready" && done()))]);
+  const routes = now.answer?.path ? waysOf(now.answer).map(([kind, name, { path }]) => ({ name, colour: WAYS[kind][0], path })) : [];
+  frame.contentWindow.postMessage({ surface, routes, plotly, dark: matchMedia("(prefers-color-scheme: dark)").matches }, window.location.origin);
 }

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gpxpy
 import httpx
 import numpy as np
 import pytest
@@ -124,6 +125,10 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
         tab.page.wait_for_function("() => joulemap.now.before !== null", timeout=60_000)
         tab.page.wait_for_function("before => joulemap.now.answer?.energy_j > before", arg=before)  # turns cost
         shot(tab, "before-and-after")
+        assert "before: model physics" in tab.text("#answer")
+        tab.page.click("#tab-route")
+        tab.page.click("#swap")
+        tab.page.wait_for_function("() => joulemap.now.before === null")
 
 
 def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -> None:
@@ -172,6 +177,15 @@ def test_files(browser: Any, address: str, calibrated_on: str) -> None:
         assert saved("PNG").startswith(b"\x89PNG")
         assert saved("GeoTIFF")[:2] in (b"II", b"MM")
         assert saved("Zarr").startswith(b"PK")
+        tab.page.click("#tab-route")
+        tab.page.check("#round-trip")
+        tab.page.wait_for_function("() => joulemap.now.answer?.back")
+        tab.page.click("#tab-save")
+        there = gpxpy.parse(saved("GPX").decode()).tracks
+        assert [track.name for track in there] == ["way out", "way back"]
+        ends = [(track.segments[0].points[0], track.segments[0].points[-1]) for track in there]
+        assert ends[0][1].distance_2d(ends[1][0]) < 0.1
+        assert ends[0][0].distance_2d(ends[1][1]) < 0.1
 
 
 def test_a_slow_cost_map_shows_its_progress_and_is_cancelled(browser: Any, address: str, tmp_path: Path) -> None:

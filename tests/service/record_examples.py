@@ -121,6 +121,7 @@ def record(client: TestClient) -> dict[str, Any]:
     for kind in ("qgc-plan", "ros-path", "geojson"):
         ask("find_path", "POST", f"{here}/paths", body={**task, "alternatives": 1}, query={"format": kind})
         ask("find_tour", "POST", f"{here}/tours", body=stops, query={"format": kind})
+        ask("ask_feasibility", "POST", f"{here}/feasibility", body={**task, "round_trip": True}, query={"format": kind})
     ask("ask_feasibility", "POST", f"{here}/feasibility", body={**task, "round_trip": True})
     way = {"position": START, "home": START, "path": [START, GOAL], "charging": [GOAL], "battery": {"charge": 0.01}}
     ask("find_point_of_no_return", "POST", f"{here}/return", body=way)

@@ -27,6 +27,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.edges import leg_prices, price_world_path, world_points
 from joulemap.planner.lattice import Blocked
+from joulemap.planner.words import energy_words
 from joulemap.service.commands.path_files import read_path
 from joulemap.service.exports.clearance import READ_FURTHEST_M, price_given_path
 from joulemap.service.exports.nav2_graph import write as write_graph
@@ -298,6 +299,12 @@ def test_rosbags_opens_the_file_as_a_bag(route: jm.PlannedRoute, tmp_path: Path)
     with Reader(tmp_path / "plan.mcap") as bag:
         assert [(c.topic, c.msgtype) for c in bag.connections] == [("/plan", "nav_msgs/msg/Path")]
         assert len(list(bag.messages())) == 1
+
+
+def test_gpx_describes_a_route_in_units(route: jm.PlannedRoute) -> None:
+    said = gpxpy.parse(written(route.track, "gpx").decode()).tracks[0].description
+    assert f"energy {energy_words(route.energy_j)}; length {route.length_m:.1f} m; duration " in said
+    assert "_" not in said
 
 
 def test_csv_is_the_route_metre_by_metre(tour: jm.PlannedTour) -> None:

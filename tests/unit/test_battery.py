@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -69,6 +71,16 @@ def test_a_power_near_the_limit_is_no_yes() -> None:
     assert verdict.verdict == "likely"
     limited = Battery(100.0, max_power_w=15.0)
     assert not judge_course(course(40.0), limited, nominal_voltage_v=24.0).feasible
+
+
+@pytest.mark.parametrize(
+    ("top_m", "mass_kg", "word"), [(1.0, 10.0, "climb"), (0.2, 10.0, "stretch"), (1.0, None, "stretch")]
+)
+def test_a_climb_is_where_lifting_takes_most(top_m: float, mass_kg: float | None, word: str) -> None:
+    """10 kg lifted by 1 m are 98 J of 110 J; by 0.2 m they are 20 J."""
+    way = replace(course(10.0, 55.0, 55.0, 10.0), z=np.array([0.0, top_m / 2, top_m, top_m]), mass_kg=mass_kg)
+    said = judge_course(way, Battery(capacity_wh=10.0)).verdict_text
+    assert f"the {word} that begins 1 m along the route and ends at 3 m takes 85 % of the energy" in said
 
 
 def test_where_and_when_the_reserve_is_touched() -> None:

@@ -10,7 +10,7 @@ from sse_starlette import EventSourceResponse
 
 from joulemap.planner.budget import battery_along
 from joulemap.planner.stopping import check_stop
-from joulemap.service.exports.track import track_of_plan, track_of_tour
+from joulemap.service.exports.track import track_of_plan, track_of_task, track_of_tour
 from joulemap.service.feasibility import assess, judge_routes
 from joulemap.service.http.asked import answer_of, same_robot, warnings_of
 from joulemap.service.http.dependencies import KernelsDep
@@ -136,14 +136,25 @@ async def find_tour(
     return await while_connected(request, service.plans.do(costmap_id, _find))
 
 
-@router.post("/feasibility", response_model=FeasibilityOut, responses=problems(404, 409, 503))
-async def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: KernelsDep, request: Request) -> Any:
+@router.post(
+    "/feasibility", response_model=FeasibilityOut, responses={200: {"content": dict(FILES)}, **problems(404, 409, 503)}
+)
+async def ask_feasibility(
+    costmap_id: str,
+    wanted: FeasibilityRequest,
+    service: KernelsDep,
+    request: Request,
+    format: FileFormat = None,
+    coordinates: Coordinates = None,
+    accept: Annotated[str | None, Header(include_in_schema=False)] = None,
+) -> Any:
     """Whether a battery lasts for a given path, or for the best path from start to goal; also for a round trip.
 
     A given path is only priced: it does not wait for the plans of others. So a robot may ask again and again with the
-    rest of its path.
+    rest of its path. With a `format` the answer is a file of what is driven: the way out, and the way back of a round
+    trip.
     """
-    given = wanted.path
+    given, file = wanted.path, route_file_wanted(format, accept, coordinates)
     queue, lend = (
         (service.plans, service.maps.for_routes) if given is None else (service.prices, service.maps.for_pricing)
     )
@@ -153,6 +164,7 @@ async def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: 
         robot = same_robot(row, wanted.robot)
         battery, along = battery_of(wanted.battery, robot), None
         with lend(costmap_id) as planner:
+            file.check(planner.lattice.frame)
             planner = planner.avoiding(Places(planner.lattice.frame).areas(wanted.avoid))
             assessment = assess(
                 limited(planner, wanted.max_power_w),
@@ -164,6 +176,12 @@ async def ask_feasibility(costmap_id: str, wanted: FeasibilityRequest, service: 
                 snap=wanted.snap,
                 objective=wanted.chosen_by,
             )
+            if file.chosen is not None:
+                told, battery_out = warnings_of(row), verdict_out(assessment.verdict).model_dump()
+                track = track_of_task(assessment.routes, planner.lattice, warnings=told, battery=battery_out)
+                return file.response(
+                    track, f"{costmap_id}-there-and-back" if wanted.round_trip else f"{costmap_id}-path"
+                )
         if wanted.profile:
             along = battery_along(assessment.routes, battery, robot.nominal_voltage_v)
         return answer_of(feasibility_values(assessment, warnings_of(row), along=along))
