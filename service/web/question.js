@@ -130,8 +130,8 @@ function line(way, kind, words) {
   drawn.set(way, L.polyline(points, { color, weight, lineJoin: "round", dashArray: dash.join(" "), smoothFactor: 0.6 }).bindTooltip(make("span", {}, `${words}: ${energy(way.energy_j)}, ${metres(way.length_m)}`), { sticky: true }).addTo(routes));
 }
 
-/** Makes the line of a way stand out, or as it was. */
-export const highlight = (way, kind, on) => drawn.get(way)?.setStyle({ weight: WAYS[kind][1] + (on ? 4 : 0) })[on ? "bringToFront" : "redraw"]();
+/** Draws the line of a way thick, or as it was. */
+export const thicken = (way, kind, on) => drawn.get(way)?.setStyle({ weight: WAYS[kind][1] + (on ? 4 : 0) })[on ? "bringToFront" : "redraw"]();
 
 /** The number of an alternative, where it is farthest from the way of least energy. */
 function numbered({ path }, words, answer) {

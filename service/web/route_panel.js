@@ -5,7 +5,7 @@ import { bind, settled } from "./controls.js";
 import { button, by, energy, errorNote, fill, make, metres, minutes, note, number, ofBattery, patch, percent, table, touched, warn } from "./dom.js";
 import "./homeward.js";
 import { groundWarning, reasonWords } from "./map.js";
-import { askAgain, canUndo, expect, expected, highlight, undo, WAYS, waysOf } from "./question.js";
+import { askAgain, canUndo, expect, expected, thicken, undo, WAYS, waysOf } from "./question.js";
 import "./reach.js";
 import { now, on, set } from "./state.js";
 
@@ -50,10 +50,10 @@ export function start(planners) {
 
 export const TITLES = by("answer").dataset; // verdict -> its words
 
-/** The name of a way in the table; pointed at or in focus, its line on the map stands out. */
+/** The name of a way in the table; pointed at or in focus, its line on the map is thick. */
 function nameOf(kind, name, way) {
-  const [colour, , on = 1, off = 0] = WAYS[kind], swatch = patch(`repeating-linear-gradient(90deg, ${colour} 0 ${on + 2}px, #fff ${on + 2}px ${on + off}px)`, "swatch way"), stand = out => () => highlight(way, kind, out);
-  return make("span", { tabindex: "0", onmouseenter: stand(true), onfocus: stand(true), onmouseleave: stand(false), onblur: stand(false) }, swatch, name);
+  const [colour, , on = 1, off = 0] = WAYS[kind], swatch = patch(`repeating-linear-gradient(90deg, ${colour} 0 ${on + 2}px, #fff ${on + 2}px ${on + off}px)`, "swatch way"), thick = out => () => thicken(way, kind, out);
+  return make("span", { tabindex: "0", onmouseenter: thick(true), onfocus: thick(true), onmouseleave: thick(false), onblur: thick(false) }, swatch, name);
 }
 
 function answer() {
