@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from joulemap.service.client import Client
     from joulemap.service.library.calibrations import CalibrationResult, calibrate
     from joulemap.service.library.costmaps import CostMap, StoredCostMap, costmap, open_costmap
+    from joulemap.service.library.feasibility import Feasibility
     from joulemap.service.library.heightmaps import heightmap, heightmap_from_runs
     from joulemap.service.library.models import Evaluation, Model, evaluate, train
-    from joulemap.service.library.feasibility import Feasibility
     from joulemap.service.library.planned_route import PlannedRoute
     from joulemap.service.library.planned_tour import PlannedTour
     from joulemap.service.library.run_files import Runs, read_runs
