@@ -56,6 +56,7 @@ $(BIN)/python:
 # Installed anew when the dependencies change. The kernels are compiled here so that nobody waits for them later; those
 # of an earlier version are removed first, because their cache remembers module names.
 $(INSTALLED): pyproject.toml | $(BIN)/python
+	@echo "joulemap and its libraries are installed, which takes a few minutes once"
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[dev]'
 	find model planner service -name '*.nb[ci]' -delete
 	$(BIN)/joulemap warmup

@@ -112,6 +112,7 @@ def warmup(json_file: JsonFile = None) -> None:
     from joulemap.service.warm_up import warm_up
 
     output = Output(json_file)
+    output.say("kernels are compiled once, which takes one to three minutes; later calls take seconds")
     with progress_bar("Compiling") as _:
         seconds = warm_up()
     output.say(f"ready: kernels and the default model loaded in {seconds:.1f} s")
