@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
@@ -15,6 +14,7 @@ from joulemap.model.runs.residuals import Residuals
 _MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
 _COPY = 0.95
 _LEAST_ROWS = 10
+_SPIKE = 8.0  # times the median size
 
 
 def refused_columns(residuals: Residuals, electric: Mapping[str, FloatArray]) -> dict[str, str]:
@@ -88,24 +88,26 @@ def _alike(values: FloatArray, electric: FloatArray, expected: Sequence[FloatArr
     """Whether a column follows a reading of the battery from segment to segment.
 
     Both may follow a slow course over the day (a voltage sinks while the air warms), so a straight line in time is
-    subtracted in each run. Ranks are compared, so that spikes do not matter. A column that follows one of `expected`
+    subtracted in each run. Spikes are left out, since the reading has none. A column that follows one of `expected`
     more closely, which needs no meter, is no copy (a pitch on hills).
     """
     both = np.isfinite(values) & np.isfinite(electric)
-    if both.sum() < _LEAST_ROWS:
+    for _ in range(3):
+        if both.sum() < _LEAST_ROWS:
+            return False
+        run, since = rows.run[both], rows.since_s[both]
+        a, b, *others = (_without_lines(v[both], run, since) for v in (values, electric, *expected))
+        near = np.all([np.abs(v) <= _SPIKE * np.median(np.abs(v)) for v in (a, b)], axis=0)
+        both[both] = near
+    if a[near].std() <= 1e-9 * max(1.0, float(np.abs(values[both]).max())):
         return False
-    column, *others = (
-        _without_lines(v[both], rows.run[both], rows.since_s[both]) for v in (values, electric, *expected)
-    )
-    if column.std() <= 1e-9 * max(1.0, float(np.abs(values[both]).max())):
-        return False
-    follows, *usual = (_likeness(column, other) for other in others)
-    return follows > max(_COPY, *usual)
+    follows = _likeness(a[near], b[near])
+    return follows > max(_COPY, *(_likeness(a[near], other[near]) for other in others))
 
 
 def _likeness(a: FloatArray, b: FloatArray) -> float:
-    """Magnitude of the rank correlation; 0 with what is constant."""
-    return float(abs(spearmanr(a, b).statistic)) if b.std() > 1e-9 else 0.0
+    """Magnitude of the correlation; 0 with what is constant."""
+    return float(abs(np.corrcoef(a, b)[0, 1])) if min(a.std(), b.std()) > 1e-9 else 0.0
 
 
 def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray) -> FloatArray:
