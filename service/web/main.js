@@ -60,7 +60,7 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   const [layers, heightmap] = await Promise.all([ask(`v1/costmaps/${costmap.id}/layers`), ask(`v1/heightmaps/${costmap.heightmap_id}`)]);
   ground.hide();
   const { robot, model } = former ?? {}, { answer } = now, other = same && JSON.stringify(robot) !== JSON.stringify(costmap.robot);
-  const words = same && [other && (robot.mass_kg !== costmap.robot.mass_kg ? `robot of ${robot.mass_kg} kg` : "other values of the robot"), model !== costmap.model && `model ${model}`].filter(Boolean).join(", ");
+  const words = same && [other && (robot.mass_kg !== costmap.robot.mass_kg ? `robot of ${robot.mass_kg} kg` : model === costmap.model && "other values of the robot"), model !== costmap.model && `model ${model}`].filter(Boolean).join(", ");
   const route = words && answer?.path && answer.question === question() ? { ...answer, words, full_j: capacity() } : null;
   const battery = former?.robot.battery_wh === costmap.robot.battery_wh ? now.battery : { ...now.battery, capacity_wh: null };
   set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [] }), battery, before: route, costmap, layers, heightmap, cursor: null, ...changes });
