@@ -177,8 +177,8 @@ async def ask_feasibility(
                 objective=wanted.chosen_by,
             )
             if file.chosen is not None:
-                told, battery_out = warnings_of(row), verdict_out(assessment.verdict).model_dump()
-                track = track_of_task(assessment.routes, planner.lattice, warnings=told, battery=battery_out)
+                notes, battery_out = warnings_of(row), verdict_out(assessment.verdict).model_dump()
+                track = track_of_task(assessment.routes, planner.lattice, warnings=notes, battery=battery_out)
                 return file.response(
                     track, f"{costmap_id}-there-and-back" if wanted.round_trip else f"{costmap_id}-path"
                 )
