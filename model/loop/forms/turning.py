@@ -9,10 +9,13 @@ from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import LEAST_M, Features, FloatArray
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
+_HALF = 2.0
+"""Setting: cruising speeds at which a radian costs half of what it costs on the spot."""
+
 
 @dataclass(frozen=True)
 class Turning(Form):
-    """Turning to either side, up to a rate or a curvature at which scrubbing saturates.
+    """Turning to either side, up to a rate or a curvature at which scrubbing saturates, or less the faster it drives.
 
     Attributes
     ----------
@@ -21,14 +24,19 @@ class Turning(Form):
         costs the same.
     limit_per_m : float, optional
         Curvature above which a tighter turn takes no more current from motors [rad/m].
+    eases : bool
+        Whether a radian costs less at speed, because friction sinks with the speed of sliding. It is stated at cruising
+        speed, and costs 1.5 times as much on the spot.
 
     References
     ----------
-    Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain".
+    Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain". Dugoff,
+    Fancher & Segel 1970, "An analysis of tire traction properties" (friction and speed of sliding).
     """
 
     limit_radps: float | None = None
     limit_per_m: float | None = None
+    eases: bool = False
 
     key = "turning"
     label = "turning"
@@ -45,12 +53,16 @@ class Turning(Form):
     def column(self, rows: Features) -> FloatArray:
         if self.limit_radps is not None:
             return rows.gentle_turn_rad[:, TURN_LIMITS_RADPS.index(self.limit_radps)]
+        if self.eases:
+            half = _HALF * rows.robot.speed_mps
+            return rows.turned_abs_rad * (half + rows.robot.speed_mps) / (half + rows.speed_mps)
         return rows.slowness * rows.turned_up_to(self.limit_per_m)
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
         if rows.drives.motor_speed_mps is None:
             yield cls()
+            yield cls(eases=True)
             yield from (cls(limit) for limit in TURN_LIMITS_RADPS)
         else:
             yield from (cls(limit_per_m=limit) for limit in turn_limits_per_m(rows))
@@ -62,6 +74,8 @@ class Turning(Form):
             )
         if self.limit_per_m is not None:
             return f"everywhere; a curve of a radius below {1.0 / self.limit_per_m:.2g} m takes no more current"
+        if self.eases:
+            return f"everywhere, at cruising speed; on the spot {1.0 + 1.0 / _HALF:.2g} times as much"
         return "everywhere"
 
 
