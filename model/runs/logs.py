@@ -26,6 +26,7 @@ from joulemap.model.runs.table import (
     TableLimits,
     TextArray,
     not_a_number,
+    numbers_of,
     usable,
 )
 from joulemap.model.runs.units import conversion, own_unit, quantity_of
@@ -263,7 +264,11 @@ def _value(target: str, source: Source, home: Mapping[str, Stream], t: FloatArra
         stream = home[column]
         logged = stream.numbers.get(column)
         if logged is None:
-            raise not_a_number(name, column, stream.texts[column].tolist(), 0)
+            words = stream.texts[column].tolist()  # a cell of NUL characters, which numpy drops, is blank here
+            try:
+                logged = numbers_of(words)
+            except ValueError:
+                raise not_a_number(name, column, words, 0) from None
         if t is not None and stream.t is not None:
             logged = _at(t, stream.t, logged * factor, turning=target in _TURNING) / factor
         total = sign * logged if total is None else total + sign * logged

@@ -127,8 +127,12 @@ class Scaling:
 
         Notes
         -----
-        Large arrays are converted in parts, so that a big map needs no second copy of itself.
+        Large arrays are converted in parts, so that a big map needs no second copy of itself. Of unsigned integers
+        of 8 or 16 bits each possible value is converted once.
         """
+        found = self._by_table(values, band_scale, band_offset, known)
+        if found is not None:
+            return found
         if values.size <= _PART_CELLS or len(values) < 2:
             return self._part_to_metres(values, band_scale, band_offset, known)
         metres = np.empty(values.shape, dtype=np.float32)
@@ -137,6 +141,22 @@ class Scaling:
             part = slice(start, start + step)
             mask = None if known is None else known[part]
             metres[part] = self._part_to_metres(values[part], band_scale, band_offset, mask)
+        return metres
+
+    def _by_table(
+        self, values: NDArray, band_scale: float, band_offset: float, known: NDArray[np.bool_] | None
+    ) -> NDArray[np.float32] | None:
+        """The metres of many small unsigned integers; None where there are few, or where a value may have to be refused."""
+        kind = values.dtype
+        if kind.kind != "u" or kind.itemsize > 2 or values.size <= 256**kind.itemsize:
+            return None
+        try:
+            table = self._part_to_metres(np.arange(256**kind.itemsize, dtype=kind), band_scale, band_offset, None)
+        except HeightmapError:
+            return None
+        metres: NDArray[np.float32] = table[values]
+        if known is not None:
+            metres[~known] = np.nan
         return metres
 
     def _part_to_metres(

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
@@ -17,8 +18,9 @@ from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.formats.contract import WindowReader
 from joulemap.model.terrain.heightmap import Heightmap
 
-_STRIP_CELLS = 16_000_000  # of a file that are held at a time while it is read through once
-_SAMPLE_CELLS = 16_000_000  # a larger map is judged by windows spread over it
+_KEPT_CELLS = 32_000_000  # a file of up to so many is read once and kept, as windows would read most of it many times
+_STRIP_CELLS = 16_000_000  # of a larger one that are held at a time while it is read through once
+_SAMPLE_CELLS = 4_000_000  # a larger map is judged by windows spread over it
 _BLOCKS = 8  # of them along each side
 
 
@@ -64,6 +66,8 @@ class Ground(Protocol):
 class HeightmapFile:
     """A file read by windows, with the same heights, identity and refusals as reading it whole.
 
+    A small file is kept in memory after it was read for the first window.
+
     Attributes
     ----------
     reader : WindowReader
@@ -102,8 +106,17 @@ class HeightmapFile:
         HeightmapError
             If the window cannot be read.
         """
-        heights = self.reader.read(self.scaling, slice(row0, row1), slice(col0, col1))
+        kept = self._kept
+        if kept is None:
+            heights = self.reader.read(self.scaling, slice(row0, row1), slice(col0, col1))
+        else:
+            heights = kept[row0:row1, col0:col1]
         return Heightmap(heights, self.frame.window(row0, row1, col0, col1), self.source, part=True)
+
+    @cached_property
+    def _kept(self) -> NDArray[np.float32] | None:
+        rows, cols = self.frame.shape
+        return self.reader.read(self.scaling, slice(0, rows), slice(0, cols)) if rows * cols <= _KEPT_CELLS else None
 
     @property
     def data_hash(self) -> str:
@@ -132,7 +145,10 @@ class HeightmapFile:
             raise HeightmapError("every cell of the heightmap is unknown: there is no ground to plan on")
         return digest.hexdigest()[:16], known / (self.frame.rows * self.frame.cols)
 
-    def _strips(self) -> Iterator[np.ndarray]:
+    def _strips(self) -> Iterator[NDArray[np.float32]]:
+        if self._kept is not None:
+            yield self._kept
+            return
         step = max(1, _STRIP_CELLS // self.frame.cols)
         for row in range(0, self.frame.rows, step):
             rows = slice(row, min(row + step, self.frame.rows))
@@ -150,7 +166,7 @@ def overview(ground: Ground) -> Heightmap:
     Returns
     -------
     Heightmap
-        The map itself up to 16 million cells; of a larger one, windows spread over it with unknown cells between them.
+        The map itself up to 4 million cells; of a larger one, windows spread over it with unknown cells between them.
     """
     frame = ground.frame
     if frame.rows * frame.cols <= _SAMPLE_CELLS:

@@ -42,7 +42,7 @@ WRITERS: dict[str, Callable[[Path, Drive], Path]] = {
 def logs(kind: str) -> list[bytes]:
     """A drive of some seconds as a log of a kind; MCAP with each of its compressions."""
     with tempfile.TemporaryDirectory() as folder:
-        place, drive = Path(folder) / f"drive.{kind}", log_files.drive(12.0)
+        place, drive = Path(folder) / f"drive.{kind}", log_files.drive(6.0)
         found = [WRITERS[kind](place, drive).read_bytes()]
         if kind == "mcap":
             for compression in ("LZ4", "NONE"):

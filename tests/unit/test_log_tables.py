@@ -140,6 +140,17 @@ def test_mappings_that_cannot_be_are_refused_in_words(mapping, message):
         parse_run(table(PLAIN), name="r", mapping=read_mapping(mapping))
 
 
+def test_a_cell_of_a_nul_character_is_blank():
+    columns = {"time": T, "x": X, "y": np.full(ROWS, 4_000_000.0), "volts": np.full(ROWS, 24.5)}
+    mapping = read_mapping(["t=time:s,voltage=volts:V,current=amps:A"])
+    runs = []
+    for cell in ("", "\0"):
+        amps = [str(value) for value in CURRENT]
+        amps[7] = cell
+        runs.append(parse_run(table(columns | {"amps": amps}), name="r", mapping=mapping))
+    np.testing.assert_array_equal(runs[1].current_a, runs[0].current_a)
+
+
 def test_a_mapping_in_toml(tmp_path):
     (tmp_path / "map.toml").write_text('t = "t"\ncurrent = "current:mA"\n')
     assert read_mapping(tmp_path / "map.toml") == {"t": "t", "current": "current:mA"}

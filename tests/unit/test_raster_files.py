@@ -15,6 +15,7 @@ from rasterio.transform import Affine
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.decoded import Scaling
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_bands_geotiff, write_geotiff
@@ -247,6 +248,27 @@ def test_png_counts_become_metres(dtype: type) -> None:
     heightmap = read_heightmap(png(counts), resolution_m=0.5, scale_m=0.02, offset_m=100.0)
     np.testing.assert_allclose(heightmap.heights, counts * 0.02 + 100.0, rtol=1e-6)
     assert heightmap.frame.bounds == (0.0, 0.0, 4.0, 3.0)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, ">u2"])
+def test_many_counts_become_the_same_metres_as_few(dtype: type | str) -> None:
+    most = np.iinfo(dtype).max
+    counts = np.random.default_rng(3).integers(0, most, (300, 300), endpoint=True).astype(dtype)
+    known = counts % 7 != 0
+    scaling = Scaling(scale_m=0.1, offset_m=-3.0, nodata=5.0)
+    many = scaling.to_metres(counts, band_scale=0.5, band_offset=2.0, known=known)
+    few = [scaling.to_metres(r, band_scale=0.5, band_offset=2.0, known=k) for r, k in zip(counts, known, strict=True)]
+    np.testing.assert_array_equal(many, np.stack(few))
+    expected = np.where(known & (counts != 5), 0.1 * (0.5 * counts.astype(float) + 2.0) - 3.0, np.nan)
+    np.testing.assert_allclose(many, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_a_count_too_high_is_refused_only_where_it_is() -> None:
+    counts = np.full((300, 300), 100, np.uint8)
+    scaling = Scaling(scale_m=1000.0)
+    with pytest.raises(HeightmapError, match="a height of 100000 m"):
+        scaling.to_metres(counts)
+    np.testing.assert_array_equal(scaling.to_metres(np.full((300, 300), 2, np.uint8)), 2000.0)
 
 
 def test_png_needs_scale_and_resolution_and_one_channel() -> None:
