@@ -146,7 +146,7 @@ class Scaling:
     def _by_table(
         self, values: NDArray, band_scale: float, band_offset: float, known: NDArray[np.bool_] | None
     ) -> NDArray[np.float32] | None:
-        """The metres of many small unsigned integers; None where there are few, or where a value may have to be refused."""
+        """The metres of many small unsigned integers; None where there are few, or where some may be refused."""
         kind = values.dtype
         if kind.kind != "u" or kind.itemsize > 2 or values.size <= 256**kind.itemsize:
             return None
