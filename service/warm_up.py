@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -22,8 +23,8 @@ from joulemap.service.point_costs import costs_at
 def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:
     """Load every compiled kernel and the named models, and return how long it took.
 
-    Runs everything once on a tiny map: lattice, every planner with and without turning, verdicts, a measured run. A
-    kernel that is in no cache is compiled.
+    Runs everything once on a tiny map: lattice, every planner with and without turning, verdicts, a search on disk, a
+    measured run. A kernel that is in no cache is compiled.
 
     Parameters
     ----------
@@ -44,7 +45,9 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.reader import run_of
+    from joulemap.planner.lattice_io import save_lattice
     from joulemap.planner.plan import PLANNERS, RoutePlanner
+    from joulemap.planner.stored_planner import StoredPlanner
 
     began = time.perf_counter()
     heightmap = _small_map()
@@ -58,6 +61,9 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
             with suppress(NoRouteError):  # a sampling planner on a busy machine may find none in so short a time
                 router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05, alternatives=1)
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
+        with tempfile.TemporaryDirectory() as folder:
+            save_lattice(lattice, f"{folder}/map.zarr")
+            StoredPlanner(f"{folder}/map.zarr").plan((2.2, 2.3), (9.1, 8.7))
     seconds = np.arange(0.0, 20.0, 0.1)
     columns = {"t": seconds, "x": 0.5 * seconds, "y": np.sin(seconds), "current": np.ones(seconds.size)}
     cut_segments(run_of(columns, {}, name="warm-up"), charge=True)

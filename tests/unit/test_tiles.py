@@ -17,6 +17,7 @@ from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import HeightmapError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.model.terrain import windows
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.readers import open_ground, read_heightmap
 from joulemap.model.terrain.windows import HeightmapFile, overview
@@ -126,8 +127,10 @@ def test_a_tile_of_unknown_ground_is_blocked() -> None:
     assert np.isnan(tiled.traction_per_m[:, 20:]).all()
 
 
+@pytest.mark.parametrize("kept", [True, False])
 @pytest.mark.parametrize("side", [16, 600])
-def test_a_file_read_by_windows_is_the_file_read_whole(tmp_path, side: int) -> None:
+def test_a_file_read_by_windows_is_the_file_read_whole(tmp_path, monkeypatch, side: int, kept: bool) -> None:
+    monkeypatch.setattr(windows, "_KEPT_CELLS", 611 * 587 if kept else 0)
     heightmap = rough(611, 587, resolution_m=0.25)
     write_geotiff(tmp_path / "dem.tif", heightmap)
     ground, whole = open_ground(tmp_path / "dem.tif"), read_heightmap(tmp_path / "dem.tif")
