@@ -10,7 +10,7 @@ from joulemap.planner.words import duration_words, energy_words
 if TYPE_CHECKING:
     from joulemap.planner.budget import Verdict
 
-__all__ = ["duration_words", "energy_words", "route_words", "runs_words", "saving_words", "verdict_words"]
+__all__ = ["duration_words", "energy_words", "p_words", "route_words", "runs_words", "saving_words", "verdict_words"]
 
 
 def runs_words(count: int) -> str:
@@ -27,6 +27,22 @@ def runs_words(count: int) -> str:
         "1 run", "2 runs".
     """
     return "1 run" if count == 1 else f"{count} runs"
+
+
+def p_words(p_value: float) -> str:
+    """Return a p-value with its relation, to be written after "p".
+
+    Parameters
+    ----------
+    p_value : float
+        Of a significance test.
+
+    Returns
+    -------
+    str
+        Such as "= 0.02", or "< 1e-9": smaller ones rest on the far tail of a distribution, which no data can check.
+    """
+    return "< 1e-9" if p_value < 1e-9 else f"= {p_value:.2g}"
 
 
 def route_words(route: Mapping[str, Any]) -> str:

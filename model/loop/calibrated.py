@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from joulemap.model.energy.prediction import Prediction, assumed_std, predict_segments, std_of_segments
 from joulemap.model.energy.predictor import Predictor
-from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
+from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.prediction import Prediction, predict_segments
 from joulemap.model.loop.terms import Correction, Term
-from joulemap.model.loop.words import quantity_name, quantity_value
 from joulemap.model.robot import Robot
 from joulemap.model.runs.features import Features, FloatArray, describe_segments, planned_features
 from joulemap.model.runs.segments import Segments
+from joulemap.model.runs.words import quantity_name, quantity_value
 from joulemap.model.terrain.heightmap import Heightmap
 
 CALIBRATION_FILE = "calibration.json"
@@ -30,36 +30,6 @@ _CHUNK = 400_000  # cells x headings described at a time
 _PLACES = 2000  # of a map, for warnings
 _HEADINGS = np.arange(4) * 0.5 * np.pi
 _OTHER_GROUND = 0.05  # of a map beyond a range: less is not worth a warning
-
-
-def std_of_segments(said: Prediction, robot: Robot, segments: Segments) -> FloatArray:
-    """Return the standard deviation of measured segments before a calibration.
-
-    Parameters
-    ----------
-    said : Prediction
-        Of the base model.
-    robot : Robot
-        As declared.
-    segments : Segments
-        Measured.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        Standard deviation [J]: the model's own, or a usual share of the price.
-    """
-    return _assumed_std(None, said.traction_per_m, robot) * segments.driven_m if said.std_j is None else said.std_j
-
-
-def _assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
-    """Standard deviation of 1 m segments before a calibration [J]; a usual share of the price where the base model
-    gives none.
-    """
-    if std_j is not None:
-        return std_j
-    level = robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
-    return segment_std(robot.price_per_m(traction_per_m), USUAL_SPREAD, level, factor=1.0).astype(traction_per_m.dtype)
 
 
 class CalibratedPredictor(Predictor):
@@ -213,7 +183,7 @@ class CalibratedPredictor(Predictor):
         """Standard deviation of 1 m segments after the calibration [J]."""
         if self.correction.spread is None:
             return std_j
-        return _assumed_std(std_j, traction_per_m, robot) * traction_per_m.dtype.type(self.correction.spread.factor)
+        return assumed_std(std_j, traction_per_m, robot) * traction_per_m.dtype.type(self.correction.spread.factor)
 
     def _with_effects(
         self,

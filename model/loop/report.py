@@ -146,22 +146,3 @@ def _remaining(found: Calibration) -> dict[str, Any]:
         "alpha": ALPHA,
         "std_relative": float((away / np.maximum(after, 0.05 * usual)).std()),
     }
-
-
-def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float]]:
-    """Return a fitted curve of a report.
-
-    Parameters
-    ----------
-    effect : mapping
-        Of the form `curve`.
-
-    Returns
-    -------
-    tuple of list of float
-        Values of the covariate, and what is added there.
-    """
-    knots = list(effect["settings"]["knots"])
-    values = [c["value"] for c in effect["coefficients"]]
-    values.insert(len(knots) // 2, 0.0)
-    return knots, values

@@ -14,13 +14,13 @@ from joulemap.model.energy.architectures.contract import Network
 from joulemap.model.energy.architectures.resnet18 import ResNet18, ResNetEnergy
 from joulemap.model.energy.artifact import CONFIG_FILE, Artifact, read_artifact, save_artifact
 from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
+from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.predictor import SHIPPED_WEIGHTS, Predictor, load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.field.drives import drive_along, random_waypoints
 from joulemap.model.field.robot_dynamics import FieldRobot
 from joulemap.model.field.simulation import simulate_segments
 from joulemap.model.field.sites import random_site
-from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.reproduction.measured import Measured
 from joulemap.model.reproduction.profiles import STRATEGIES, Profile
 from joulemap.model.robot import Robot

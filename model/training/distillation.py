@@ -17,10 +17,10 @@ from joulemap.model.energy.architectures import find_architecture
 from joulemap.model.energy.artifact import Artifact, load_artifact, predictor_of, read_artifact, save_artifact
 from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.prediction import Prediction, predict_segments
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import InputError, ModelError
-from joulemap.model.loop.prediction import Prediction, predict_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.files import read_segments

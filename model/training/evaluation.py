@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from joulemap.model.energy.metrics import LEAST_J, relative_errors
+from joulemap.model.energy.prediction import joined, predict_segments
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import LEVELS, Spread
 from joulemap.model.errors import InputError
-from joulemap.model.loop.prediction import joined, predict_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.sites import Site, read_sites
 from joulemap.model.terrain.heightmap import Heightmap

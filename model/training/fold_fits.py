@@ -17,10 +17,10 @@ from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples
 from joulemap.model.energy.grade import tan_grade
+from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.shape_regression import shape_features
 from joulemap.model.energy.uncertainty import FEWEST, LEAST_SHARE
 from joulemap.model.errors import InputError
-from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.sites import SiteRuns
 from joulemap.model.training.baselines import baseline_predictions

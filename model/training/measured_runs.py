@@ -12,9 +12,9 @@ import numpy as np
 from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
 from joulemap.model.energy.architectures.contract import Network, check_start
 from joulemap.model.energy.artifact import read_artifact, save_artifact
+from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.energy.uncertainty import FEWEST, Spread, fit_spread
 from joulemap.model.errors import InputError
-from joulemap.model.loop.residuals_of_runs import keep_base_runs
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import Protocol
 from joulemap.model.runs.record import RECORD_FILE

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.predictor import Predictor
+from joulemap.model.energy.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.errors import RunsError
-from joulemap.model.loop.residuals_of_runs import base_residuals, residuals_on
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import CalibrationRuns, SiteSegments
 from joulemap.model.runs.residuals import LEAST_SEGMENTS, Residuals, joined

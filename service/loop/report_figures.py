@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.loop.calibrate import Calibration
-from joulemap.model.loop.report import curve_points
-from joulemap.model.loop.words import quantity_words
 from joulemap.model.runs.features import quantity
+from joulemap.model.runs.words import quantity_words
 from joulemap.service.loop.rerouting import Comparison
+from joulemap.service.loop.summary import curve_points
 
 matplotlib.use("Agg")
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from joulemap.model.energy.metrics import LEAST_J
 from joulemap.model.loop.selection import ALPHA
-from joulemap.model.loop.words import count_words, p_words, quantity_name, quantity_words
+from joulemap.model.runs.words import count_words, quantity_name, quantity_words
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (
     LEAST_SPAN,
@@ -43,6 +43,7 @@ from joulemap.service.loop.summary import (
     variation_words,
 )
 from joulemap.service.pictures import route_picture
+from joulemap.service.words import p_words
 
 _STYLE = """
 :root { color-scheme: light dark; --back: #f6f7f8; --card: #fff; --ink: #1d2329; --quiet: #56606a; --line: #d6dbe0;

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from joulemap.model.loop.forms import FORMS
-from joulemap.model.loop.report import curve_points
-from joulemap.model.loop.words import p_words, quantity_name, quantity_value
+from joulemap.model.runs.words import quantity_name, quantity_value
+from joulemap.service.words import p_words
 
 _FEW = 4  # coefficients of an effect that are all written out
 _SAME = 0.005  # of what turning costs in plans: less than this is no further part of it
@@ -29,6 +29,25 @@ _BASE = {
     "standing_current": "current drawn all the time",
 }
 _SAID_RANGES = ("speed", "grade", "turning")  # in sentences; the report's table has all
+
+
+def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float]]:
+    """Return a fitted curve of a report.
+
+    Parameters
+    ----------
+    effect : mapping
+        Of the form `curve`.
+
+    Returns
+    -------
+    tuple of list of float
+        Values of the covariate, and what is added there.
+    """
+    knots = list(effect["settings"]["knots"])
+    values = [c["value"] for c in effect["coefficients"]]
+    values.insert(len(knots) // 2, 0.0)
+    return knots, values
 
 
 @dataclass(frozen=True)

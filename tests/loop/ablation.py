@@ -18,9 +18,9 @@ from unittest.mock import patch
 import numpy as np
 
 from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.residuals_of_runs import residuals_on
 from joulemap.model.loop import base_step, design, mixed_model, selection, variation
 from joulemap.model.loop.calibrate import calibrate
-from joulemap.model.loop.residuals_of_runs import residuals_on
 from joulemap.model.runs.residuals import Residuals
 from tests.loop import blind, nulls
 from tests.loop.calibrator import answer_of, segments_of

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from joulemap.model.energy.physics import PhysicsPredictor
+from joulemap.model.energy.residuals_of_runs import residuals_on
 from joulemap.model.loop.calibrate import Effect, calibrate
-from joulemap.model.loop.residuals_of_runs import residuals_on
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.reader import run_of

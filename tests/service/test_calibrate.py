@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.errors import InputError
-from joulemap.model.loop.residuals_of_runs import keep_base_runs
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.record import read_record

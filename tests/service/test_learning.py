@@ -11,11 +11,11 @@ from joulemap.model.energy.artifact import read_artifact
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade
+from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import InputError, ModelError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.loop.calibrated import CalibratedPredictor
-from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.loop.terms import Correction
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import read_calibration_runs

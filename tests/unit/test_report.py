@@ -13,7 +13,7 @@ from joulemap.model.loop.forms.log_faults import MeterLag
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.suggest import Suggestion
 from joulemap.model.loop.terms import Term
-from joulemap.model.loop.words import count_words, p_words, quantity_name
+from joulemap.model.runs.words import count_words, quantity_name
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
@@ -36,6 +36,7 @@ from joulemap.service.loop.summary import (
     summary_lines,
     variation_words,
 )
+from joulemap.service.words import p_words
 from tests.reference.drives import ROBOT, found_in, made_up, noisy
 from tests.reference.words import PRIVATE, shown
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from itertools import product
 from typing import Any, ClassVar, Self
 
@@ -191,7 +191,9 @@ class Form:
             If a setting is missing, or is not known.
         """
         given = {k: _as_tuple(v) for k, v in values.items() if k != "form"}
-        if set(given) != (known := {f.name for f in fields(cls)}):
+        known = {f.name for f in fields(cls)}
+        needed = {f.name for f in fields(cls) if f.default is MISSING}  # a model of before may lack a newer setting
+        if not needed <= set(given) <= known:
             raise ModelError(f"the effect {cls.key!r} needs the settings {sorted(known)}, got {sorted(given)}")
         return cls(**given)
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.energy.prediction import predict_segments, std_of_segments
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import RunsError
-from joulemap.model.loop.calibrated import std_of_segments
-from joulemap.model.loop.prediction import predict_segments
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.features import describe_segments

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.predictor import Predictor
+from joulemap.model.energy.uncertainty import USUAL_SPREAD, segment_std
 from joulemap.model.robot import Robot
 from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.segments import Segments
@@ -89,6 +91,49 @@ def predict_segments(predictor: Predictor, heightmap: Heightmap, robot: Robot, s
         beyond = robot.turn_j_per_rad * segments.turned_abs_rad + robot.idle_power_w * longer_s
     energy = robot.price_per_m(traction * factor) * segments.driven_m + beyond
     return Prediction(energy, None if std is None else std * factor * segments.driven_m, traction)
+
+
+def std_of_segments(said: Prediction, robot: Robot, segments: Segments) -> FloatArray:
+    """Return the standard deviation of measured segments before a calibration.
+
+    Parameters
+    ----------
+    said : Prediction
+        Of the base model.
+    robot : Robot
+        As declared.
+    segments : Segments
+        Measured.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Standard deviation [J]: the model's own, or a usual share of the price.
+    """
+    return assumed_std(None, said.traction_per_m, robot) * segments.driven_m if said.std_j is None else said.std_j
+
+
+def assumed_std(std_j: NDArray[Any] | None, traction_per_m: NDArray[Any], robot: Robot) -> NDArray[Any]:
+    """Return the standard deviation of 1 m segments before a calibration.
+
+    Parameters
+    ----------
+    std_j : ndarray, optional
+        As the model gives it [J]; None from a model that does not know it.
+    traction_per_m : ndarray
+        Of the same segments [J/m].
+    robot : Robot
+        As declared.
+
+    Returns
+    -------
+    ndarray
+        Standard deviation [J]: the model's own, or a usual share of the price.
+    """
+    if std_j is not None:
+        return std_j
+    level = robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
+    return segment_std(robot.price_per_m(traction_per_m), USUAL_SPREAD, level, factor=1.0).astype(traction_per_m.dtype)
 
 
 @runtime_checkable

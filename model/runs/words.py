@@ -83,22 +83,6 @@ def count_words(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count:,} {_words(key, count)}" for key, count in counts.items() if count)
 
 
-def p_words(p_value: float) -> str:
-    """Return a p-value with its relation, to be written after "p".
-
-    Parameters
-    ----------
-    p_value : float
-        Of a significance test.
-
-    Returns
-    -------
-    str
-        Such as "= 0.02", or "< 1e-9": smaller ones rest on the far tail of a distribution, which no data can check.
-    """
-    return "< 1e-9" if p_value < 1e-9 else f"= {p_value:.2g}"
-
-
 def quantity_name(key: str) -> str:
     """Return what a quantity that effects depend on is called.
 
