@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from joulemap.model.runs.residuals import Residuals
 
 LEAST_J = 1.0
 """Energy of a 1 m segment [J] that relative errors are at least relative to: loggers do not resolve less. It only keeps
@@ -47,3 +52,36 @@ def mean_relative_error(predicted_j: ArrayLike, energy_j: ArrayLike) -> float:
         0.1 means 10 %.
     """
     return float(relative_errors(predicted_j, energy_j).mean())
+
+
+def errors_of(measured: Residuals, predicted: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the errors of a prediction over all driven metres.
+
+    Parameters
+    ----------
+    measured : Residuals
+        The rows.
+    predicted : ndarray of float, (n,)
+        Energy [J], or charge [A s].
+
+    Returns
+    -------
+    dict
+        `mean_relative` (Wei & Isler 2022, eq. 3, over segments whose energy is positive), `absolute_share` (sum of the
+        magnitudes of the errors over the energy), `rmse`, `bias` (measured minus predicted), and `by_run`, the mean
+        relative error of each run.
+    """
+    moving = measured.moving
+    energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
+    run, unit_j = measured.run[moving], measured.features.unit_j
+    positive = energy > 0.0
+    relative = np.where(positive, relative_errors(unit_j * (energy - away), unit_j * energy), np.nan)
+    return {
+        "mean_relative": float(np.nanmean(relative)),
+        "absolute_share": float(np.abs(away).sum() / max(float(np.abs(energy).sum()), 1e-12)),
+        "rmse": float(np.sqrt(np.mean(away**2))),
+        "bias": float(away.mean()),
+        "by_run": {
+            measured.runs[k]: float(np.nanmean(relative[run == k])) for k in np.unique(run) if positive[run == k].any()
+        },
+    }

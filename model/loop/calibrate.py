@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.metrics import relative_errors
-from joulemap.model.loop.base_step import base_step, scale_of
-from joulemap.model.loop.design import make_design
+from joulemap.model.energy.metrics import errors_of
+from joulemap.model.loop._base_step import base_step, scale_of
+from joulemap.model.loop._design import make_design
+from joulemap.model.loop._refused_columns import refused_columns
+from joulemap.model.loop._selection import Selection, rivals_of, select
 from joulemap.model.loop.forms import Form
 from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, BaseParameters
-from joulemap.model.loop.refused_columns import refused_columns
-from joulemap.model.loop.selection import Selection, rivals_of, select
 from joulemap.model.loop.terms import Correction, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
 from joulemap.model.runs.residuals import Residuals, joined
@@ -301,36 +301,3 @@ def _folds(measured: Residuals, groups: Sequence[str] | None) -> NDArray[np.int6
     if count < 2:
         return measured.unit
     return np.asarray(group * min(count, MOST_FOLDS) // count, dtype=np.int64)
-
-
-def errors_of(measured: Residuals, predicted: FloatArray) -> dict[str, Any]:
-    """Return the errors of a prediction over all driven metres.
-
-    Parameters
-    ----------
-    measured : Residuals
-        The rows.
-    predicted : ndarray of float, (n,)
-        Energy [J], or charge [A s].
-
-    Returns
-    -------
-    dict
-        `mean_relative` (Wei & Isler 2022, eq. 3, over segments whose energy is positive), `absolute_share` (sum of the
-        magnitudes of the errors over the energy), `rmse`, `bias` (measured minus predicted), and `by_run`, the mean
-        relative error of each run.
-    """
-    moving = measured.moving
-    energy, away = measured.measured[moving], (measured.measured - predicted)[moving]
-    run, unit_j = measured.run[moving], measured.features.unit_j
-    positive = energy > 0.0
-    relative = np.where(positive, relative_errors(unit_j * (energy - away), unit_j * energy), np.nan)
-    return {
-        "mean_relative": float(np.nanmean(relative)),
-        "absolute_share": float(np.abs(away).sum() / max(float(np.abs(energy).sum()), 1e-12)),
-        "rmse": float(np.sqrt(np.mean(away**2))),
-        "bias": float(away.mean()),
-        "by_run": {
-            measured.runs[k]: float(np.nanmean(relative[run == k])) for k in np.unique(run) if positive[run == k].any()
-        },
-    }

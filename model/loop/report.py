@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from joulemap.model.loop._selection import ALPHA
 from joulemap.model.loop.calibrate import Calibration, Effect
-from joulemap.model.loop.selection import ALPHA
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import FloatArray
+
+__all__ = ["ALPHA", "report_document"]
 
 
 def report_document(found: Calibration, *, before: Mapping[str, Any], after: str | None) -> dict[str, Any]:

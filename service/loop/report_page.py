@@ -10,7 +10,7 @@ from html import escape
 from typing import Any
 
 from joulemap.model.energy.metrics import LEAST_J
-from joulemap.model.loop.selection import ALPHA
+from joulemap.model.loop.report import ALPHA
 from joulemap.model.runs.words import count_words, quantity_name, quantity_words
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.report_figures import (

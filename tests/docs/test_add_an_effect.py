@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from joulemap.model.loop import design, forms
+from joulemap.model.loop import _design as design
+from joulemap.model.loop import forms
 from joulemap.model.loop.forms import FORMS, form_from_dict
 from joulemap.model.loop.forms.base import Form
 from joulemap.service.models import load_model

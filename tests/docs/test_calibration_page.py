@@ -35,7 +35,8 @@ NO_THRESHOLDS = {"variation._STARTS"}
 def source_of(name: str) -> Path:
     """File of a module of the loop, of its forms, or of the runs that it works on."""
     folders = ("model/loop", "model/loop/forms", "model/runs")
-    return next(path for folder in folders if (path := ROOT / folder / f"{name}.py").is_file())
+    files = [ROOT / folder / f"{start}{name}.py" for folder in folders for start in ("", "_")]
+    return next(path for path in files if path.is_file())
 
 
 def module_of(name: str) -> str:

@@ -19,7 +19,11 @@ import numpy as np
 
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.residuals_of_runs import residuals_on
-from joulemap.model.loop import base_step, design, mixed_model, selection, variation
+from joulemap.model.loop import _base_step as base_step
+from joulemap.model.loop import _design as design
+from joulemap.model.loop import _mixed_model as mixed_model
+from joulemap.model.loop import _selection as selection
+from joulemap.model.loop import _variation as variation
 from joulemap.model.loop.calibrate import calibrate
 from joulemap.model.runs.residuals import Residuals
 from tests.loop import blind, nulls

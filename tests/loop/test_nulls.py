@@ -7,7 +7,7 @@ import pytest
 
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.residuals_of_runs import residuals_on
-from joulemap.model.loop.base_step import drives_of
+from joulemap.model.loop._base_step import drives_of
 from tests.loop.blind import try_blind
 from tests.loop.calibrator import segments_of
 from tests.loop.generators.case import make_case

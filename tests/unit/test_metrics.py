@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from joulemap.model.energy.metrics import LEAST_J, mean_relative_error, relative_errors
-from joulemap.model.loop.calibrate import errors_of
+from joulemap.model.energy.metrics import LEAST_J, errors_of, mean_relative_error, relative_errors
 from joulemap.model.training.evaluation import errors
 from tests.reference.drives import even, measured_on
 

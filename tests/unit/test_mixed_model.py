@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import linregress
 from statsmodels.regression.mixed_linear_model import MixedLM
 
-from joulemap.model.loop.mixed_model import MixedModel
-from joulemap.model.loop.variation import Variation
+from joulemap.model.loop._mixed_model import MixedModel
+from joulemap.model.loop._variation import Variation
 
 NONE = np.zeros(0, dtype=np.int64)
 FIRST, SECOND = np.array([0]), np.array([1])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from joulemap.model.loop.variation import Variation, fit_variation, spread_of
+from joulemap.model.loop._variation import Variation, fit_variation, spread_of
 
 
 def _series(phi: float, share: float, rng: np.random.Generator, runs: int = 8, rows: int = 300):

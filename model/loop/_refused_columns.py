@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 
-_MEASUREMENT = re.compile(r"^(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$")
+_MEASUREMENT = re.compile(
+    r"^(left_|right_)?(voltage|current|power|energy|charge|amps?|volts?|watts?)(_|$)|_(a|v|w|wh|amps?|volts?)$"
+)
 _COPY = 0.95
 _LEAST_ROWS = 10
 _SPIKE = 8.0  # times the median size

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.loop._mixed_model import IntArray, MixedModel
+from joulemap.model.loop._variation import Variation, fit_variation
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
 from joulemap.model.loop.forms.base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
-from joulemap.model.loop.mixed_model import IntArray, MixedModel
 from joulemap.model.loop.terms import Term
-from joulemap.model.loop.variation import Variation, fit_variation
 from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.residuals import Residuals
 
@@ -91,42 +91,16 @@ class Design:
         return {c.form.name: c for c in reversed(self.candidates)}
 
     def index(self, chosen: Sequence[Candidate]) -> IntArray:
-        """Return the columns of the base parameters and of some candidates.
-
-        Parameters
-        ----------
-        chosen : sequence of Candidate
-            Any number.
-
-        Returns
-        -------
-        ndarray of int, (q,)
-            One after the other.
-        """
+        """Columns of the base parameters and of some candidates, one after the other, (q,)."""
         return np.concatenate([self.fixed, *(c.both for c in chosen)])
 
 
 def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str], first: Term) -> Design:
-    """Return the columns of all forms on some rows.
+    """The columns of all forms on the rows of all runs, without forms whose columns are nil there.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of all runs.
-    new : ndarray of bool, (n,)
-        False in the baseline runs.
-    refused : sequence of str
-        Logged columns that no effect may depend on.
-    first : Term
-        The base parameters before any effect.
+    new : False in the baseline runs, (n,). refused : logged columns that no effect may depend on. first : the base
+    parameters before any effect.
 
-    Returns
-    -------
-    Design
-        Forms whose columns are nil on these rows are left out.
-
-    Notes
-    -----
     With baseline runs a law of the robot or of the ground is tested by its columns in the new runs, beside the same
     columns in all runs, as far as these cover them: what the baseline runs show as well is the base model's own error.
     A law of the weather may hold in both, and is tested so too.
@@ -198,23 +172,10 @@ def fit_model(
     start: Variation | None = None,
     names: tuple[str, ...] | None = None,
 ) -> tuple[Variation, MixedModel]:
-    """Fit the variation around a choice of effects.
+    """Fit the variation around a choice of effects: the variation, and all columns under it.
 
-    Parameters
-    ----------
-    design : Design
-        With the columns.
-    chosen : sequence of Candidate
-        The choice.
-    start : Variation, optional
-        Around another choice, from which the fit starts.
-    names : tuple of str, optional
-        Base parameters in the model; all without it.
-
-    Returns
-    -------
-    tuple of (Variation, MixedModel)
-        The variation, and all columns under it.
+    start : the variation around another choice, from which the fit starts. names : base parameters in the model; all
+    without it.
     """
     residuals = design.residuals
     index, low, high = limits_of(design, chosen, names)
@@ -248,21 +209,10 @@ def fit_model(
 def limits_of(
     design: Design, chosen: Sequence[Candidate], names: tuple[str, ...] | None = None
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the columns of the base parameters and of a choice, with the physical limits of their coefficients.
+    """Columns of the base parameters and of a choice, (q,), with the lower and upper physical limits of their
+    coefficients.
 
-    Parameters
-    ----------
-    design : Design
-        With the columns.
-    chosen : sequence of Candidate
-        The choice.
-    names : tuple of str, optional
-        Base parameters in the model; all without it.
-
-    Returns
-    -------
-    tuple of ndarray, (q,)
-        Columns, lower and upper limits.
+    names : base parameters in the model; all without it.
     """
     kept = np.array([names is None or name in names for name in design.base.names])
     base = design.base.lowest(design.residuals.features)[kept]

@@ -23,7 +23,7 @@ from scipy.optimize import lsq_linear, minimize_scalar
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
-from joulemap.model.loop.variation import Variation
+from joulemap.model.loop._variation import Variation
 from joulemap.model.runs.features import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -43,16 +43,8 @@ _ROUNDS = 3  # the variance between units follows the coefficients and the coeff
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients of a choice of columns.
-
-    Attributes
-    ----------
-    coefficients : ndarray of float, (q,)
-        Within their limits.
-    variance : ndarray of float, (q, q)
-        Of the coefficients, between-unit variation included.
-    freedom : ndarray of float, (q,)
-        Degrees of freedom of each.
+    """Coefficients of a choice of columns, (q,), within their limits; their variance, (q, q), with between-unit
+    variation in it; and the degrees of freedom of each, (q,).
     """
 
     coefficients: FloatArray
@@ -60,18 +52,7 @@ class Estimate:
     freedom: FloatArray
 
     def interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
-        """Return confidence intervals.
-
-        Parameters
-        ----------
-        level : float
-            Their coverage.
-
-        Returns
-        -------
-        tuple of ndarray of float, (q,)
-            Lower and upper ends.
-        """
+        """Lower and upper ends of confidence intervals, (q,), of the given coverage."""
         reach = student.ppf(0.5 + 0.5 * level, np.maximum(self.freedom, 1.0)) * np.sqrt(np.diag(self.variance))
         return self.coefficients - reach, self.coefficients + reach
 
@@ -94,7 +75,7 @@ class _Within:
 
 
 class MixedModel:
-    """Cross products of scaled columns, by unit.
+    """Cross products of scaled columns, by unit. Columns in the model are given by their numbers, (q,).
 
     Parameters
     ----------
@@ -155,27 +136,12 @@ class MixedModel:
         return np.asarray((self._gamma + more) / self._gamma**2)
 
     def tau2(self, chosen: IntArray) -> float:
-        """Return the variance between units over that of the noise.
+        """Variance between units over that of the noise: that of the largest restricted likelihood (Harville 1977),
+        with a half-normal prior on the standard deviation, of scale `RUN_SPREAD` (Gelman 2006); 0 for fewer than
+        three units.
 
-        Parameters
-        ----------
-        chosen : ndarray of int
-            Columns in the model.
-
-        Returns
-        -------
-        float
-            That of the largest restricted likelihood, with a half-normal prior on the standard deviation, of scale
-            `RUN_SPREAD`; 0 for fewer than three units.
-
-        Notes
-        -----
         The likelihood of four or five runs may be flat. Without a prior it may prefer runs that all differ, by the same
         multiple, from a prediction that is as many times too large.
-
-        References
-        ----------
-        Harville 1977 (restricted maximum likelihood). Gelman 2006 (priors of a standard deviation between few groups).
         """
         if self.units < 3:
             return 0.0
@@ -200,18 +166,7 @@ class MixedModel:
         return float(np.exp(found.x)) if float(found.fun) < _loss(0.0) else 0.0
 
     def sigma2(self, chosen: IntArray) -> float:
-        """Return the variance of the noise beside some columns.
-
-        Parameters
-        ----------
-        chosen : ndarray of int, (q,)
-            Columns in the model.
-
-        Returns
-        -------
-        float
-            With n - q - units in the denominator.
-        """
+        """Variance of the noise beside some columns, with n - q - units in the denominator."""
         index = np.append(chosen, -1)
         gram = self._scaled.gram[np.ix_(index, index)]
         c = np.append(-np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]), 1.0)
@@ -236,37 +191,15 @@ class MixedModel:
         return self.gram[:, index[:, None], index[None, :]] - share[:, None, None] * h[:, :, None] * h[:, None, :]
 
     def coefficients(self, chosen: IntArray) -> FloatArray:
-        """Fit coefficients by generalised least squares, without limits.
-
-        Parameters
-        ----------
-        chosen : ndarray of int, (q,)
-            Columns in the model.
-
-        Returns
-        -------
-        ndarray of float, (q,)
-            Of these columns.
-        """
+        """Coefficients (q,) by generalised least squares, without limits."""
         gram = self._marginal(chosen, self.tau2(chosen)).sum(axis=0)
         return np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]) / self.size[chosen]
 
     def left_out(self, chosen: IntArray, tau2: float, *, whole: bool = False) -> FloatArray:
-        """Return the error of every unit by a fit to the others.
+        """Error of every unit by a fit to the others, (units,), in variances of the noise, beside random levels of
+        variance `tau2` over that of the noise: minus two log likelihoods of the unit.
 
-        Parameters
-        ----------
-        chosen : ndarray of int, (q,)
-            Columns in the model.
-        tau2 : float
-            Variance of the levels of units over that of the noise.
-        whole : bool
-            Of predictions of the rows, with what differs between units in the error; otherwise beside a random level.
-
-        Returns
-        -------
-        ndarray of float, (units,)
-            Squared error in variances of the noise; beside a random level, minus two log likelihoods of the unit.
+        whole : squared error of predictions of the rows instead, with what differs between units in it.
         """
         part = self._marginal(chosen, tau2)
         total, q = part.sum(axis=0), len(chosen)
@@ -278,24 +211,11 @@ class MixedModel:
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
 
     def test_within(self, tested: IntArray, beside: IntArray) -> float:
-        """Test columns by their course inside units, with a free level of every unit.
+        """p-value of columns by their course inside units, with a free level of every unit: Wald's test by generalised
+        least squares; 1 where there is nothing to test.
 
-        Parameters
-        ----------
-        tested : ndarray of int
-            Columns of the effect.
-        beside : ndarray of int
-            Columns in the model.
-
-        Returns
-        -------
-        float
-            p-value of a Wald test by generalised least squares; 1 where there is nothing to test. Its variance is the
-            larger of the model's and of the one that is robust against unequal spread.
-
-        References
-        ----------
-        MacKinnon & White 1985 (HC3); Bell & McCaffrey 2002 (degrees of freedom, their mean over the columns).
+        The variance is the larger of the model's and of the one that is robust against unequal spread (HC3: MacKinnon &
+        White 1985), with the mean over the columns of the degrees of freedom of Bell & McCaffrey 2002.
         """
         found = self._fit(self._white, tested, beside)
         return 1.0 if found is None else _p_value(*found[:3])
@@ -335,26 +255,13 @@ class MixedModel:
         return beta, variance * self.efficiency**2, freedom, turned
 
     def test_between(self, tested: IntArray, beside: IntArray, levels: IntArray) -> float:
-        """Test columns by the levels of units, with the degrees of freedom that units give.
+        """p-value of columns by the levels of units, with the degrees of freedom that units give: a random-effects
+        meta-regression (DerSimonian & Laird 1986; Knapp & Hartung 2003; within and between: Mundlak 1978); 1 where
+        there is nothing to test.
 
-        Parameters
-        ----------
-        tested : ndarray of int
-            Columns of the effect.
-        beside : ndarray of int
-            Columns in the model. Their coefficients follow from all rows by generalised least squares.
-        levels : ndarray of int
-            Those of them that are fitted to the levels alone.
-
-        Returns
-        -------
-        float
-            p-value of a random-effects meta-regression of the levels; 1 where there is nothing to test. Degrees of
-            freedom are lost to the other columns as far as these are fitted to the levels too.
-
-        References
-        ----------
-        Knapp & Hartung 2003; DerSimonian & Laird 1986; Mundlak 1978 (within and between).
+        beside : columns in the model, whose coefficients follow from all rows by generalised least squares. levels :
+        those of them that are fitted to the levels alone. Degrees of freedom are lost to the other columns as far as
+        these are fitted to the levels too.
         """
         k, fixed = len(tested), np.setdiff1d(beside, levels)
         x = np.column_stack([np.ones(self.units), self._h[:, np.append(levels, tested)] / self._gamma[:, None]])
@@ -384,22 +291,11 @@ class MixedModel:
         return _p_value(coefficients[-k:], (inverse * max(misfit / freedom, 1.0))[-k:, -k:], freedom)
 
     def estimate(self, chosen: IntArray, low: FloatArray, high: FloatArray, levels: IntArray) -> Estimate:
-        """Fit coefficients by generalised least squares within limits.
+        """Coefficients by generalised least squares within limits, (q,).
 
-        Parameters
-        ----------
-        chosen : ndarray of int
-            Columns in the model.
-        low, high : ndarray of float, (q,)
-            Limits of the coefficients.
-        levels : ndarray of int
-            Columns whose effect was found in the levels of units.
-
-        Returns
-        -------
-        Estimate
-            Degrees of freedom follow Satterthwaite (1946): information inside units counts rows, or independent
-            stretches of an autoregression (Bartlett 1946); information between them counts units.
+        levels : columns whose effect was found in the levels of units. Degrees of freedom follow Satterthwaite (1946):
+        information inside units counts rows, or independent stretches of an autoregression (Bartlett 1946); information
+        between them counts units.
         """
         sigma2, tau2 = self.sigma2(chosen), self.tau2(chosen)
         gram = self._marginal(chosen, tau2).sum(axis=0)

@@ -112,32 +112,14 @@ class Variation:
         return first
 
     def scaled(self, columns: FloatArray) -> FloatArray:
-        """Return columns in standard deviations of their rows, outliers with less weight.
-
-        Parameters
-        ----------
-        columns : ndarray of float, (n, k)
-            Energies [J, or A s].
-
-        Returns
-        -------
-        ndarray of float, (n, k)
-            Ready for least squares.
+        """Columns (n, k) [J, or A s] in standard deviations of their rows, outliers with less weight: ready for least
+        squares.
         """
         return np.ascontiguousarray(columns * (np.sqrt(self.weight) / self.scale)[:, None])
 
     def whitened(self, columns: FloatArray) -> FloatArray:
-        """Return columns as rows that are independent, for generalised least squares.
-
-        Parameters
-        ----------
-        columns : ndarray of float, (n, k)
-            Energies [J, or A s].
-
-        Returns
-        -------
-        ndarray of float, (n, k)
-            In standard deviations of the noise.
+        """Columns (n, k) [J, or A s] as independent rows, in standard deviations of the noise, for generalised least
+        squares.
         """
         return self._filtered(columns / self.scale[:, None])[0]
 
@@ -152,17 +134,9 @@ class Variation:
         return self.process / (1.0 + self.process)
 
     def carried(self, columns: FloatArray) -> FloatArray:
-        """Return the sum of all earlier rows of the run, each times its correlation with the row.
-
-        Parameters
-        ----------
-        columns : ndarray of float, (n, k)
-            As `scaled` returns them.
-
-        Returns
-        -------
-        ndarray of float, (n, k)
-            The variance of a sum of correlated rows is that of independent ones and twice the product with this.
+        """Sum of all earlier rows of the run, each times its correlation with the row, (n, k), of columns as `scaled`
+        returns them: the variance of a sum of correlated rows is that of independent ones and twice the product with
+        this.
         """
         weighted = np.ascontiguousarray(columns * np.sqrt(self.weight)[:, None])
         return _carried(weighted, self.fresh, self.phi) * np.sqrt(self.weight)[:, None]
@@ -174,21 +148,8 @@ class Variation:
 
 
 def spread_of(predicted: FloatArray, residual: FloatArray, moving: BoolArray) -> FloatArray:
-    """Return the standard deviation of each row.
-
-    Parameters
-    ----------
-    predicted : ndarray of float, (n,)
-        Energy [J, or A s].
-    residual : ndarray of float, (n,)
-        Of every row.
-    moving : ndarray of bool, (n,)
-        Whether the robot moves. A stationary interval varies in proportion to its energy.
-
-    Returns
-    -------
-    ndarray of float, (n,)
-        A constant and a part proportional to the prediction, fitted to the spread in ten bands of the prediction.
+    """Standard deviation of each row, (n,): a constant and a part proportional to the prediction, fitted to the spread
+    in ten bands of the prediction. A stationary interval varies in proportion to its energy.
     """
     p, r = np.maximum(predicted[moving], 0.0), residual[moving]
     bands = [b for b in np.array_split(np.argsort(p), min(_BANDS, max(1, p.size // _BANDS))) if b.size]
@@ -206,21 +167,9 @@ def spread_of(predicted: FloatArray, residual: FloatArray, moving: BoolArray) ->
 def fit_variation(start: Variation, predicted: FloatArray, residual: FloatArray, fixed: FloatArray) -> Variation:
     """Fit spread, serial correlation and weights to the residuals of a model.
 
-    Parameters
-    ----------
-    start : Variation
-        Of the same rows: an earlier fit, or one without correlation.
-    predicted : ndarray of float, (n,)
-        Fitted energy [J, or A s].
-    residual : ndarray of float, (n,)
-        Measured minus fitted.
-    fixed : ndarray of float, (n, k)
-        Columns of the fit: the restricted likelihood leaves out what they could explain.
-
-    Returns
-    -------
-    Variation
-        Of these rows.
+    start : an earlier fit to the same rows, or one without correlation. predicted, residual : fitted energy, and
+    measured minus fitted, (n,) [J, or A s]. fixed : columns of the fit, (n, k); the restricted likelihood leaves out
+    what they could explain.
     """
     run, moving = start.run, start.moving
     scale = spread_of(predicted, residual, moving)

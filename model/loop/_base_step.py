@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from joulemap.model.loop.design import Design, fit_model, limits_of
+from joulemap.model.loop._design import Design, fit_model, limits_of
+from joulemap.model.loop._variation import HUBER, spread_of
 from joulemap.model.loop.forms import NOT_OF_SLOPE
 from joulemap.model.loop.forms.base_parameters import SCALE, BaseParameters, with_base_parameters
 from joulemap.model.loop.terms import Term
-from joulemap.model.loop.variation import HUBER, spread_of
 from joulemap.model.runs.features import Drives
 from joulemap.model.runs.residuals import Residuals
 
@@ -28,24 +28,13 @@ _ROUNDING = 1e-9
 
 
 def drives_of(residuals: Residuals) -> Drives:
-    """Return where the drives coast.
+    """Where the drives coast, by the rows of all runs as declared.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of all runs, as declared.
-
-    Returns
-    -------
-    Drives
-        With the largest posterior density: the likelihood of the base parameters beside effects that say nothing of the
-        slope and beside levels of the runs, with Huber's density; and a normal prior around the declared rolling
-        resistance, as wide as that is large, which decides where no run coasts.
-
-    Notes
-    -----
-    A point that is not found bends the prediction, and the bend looks like an effect of the square of the force.
-    Levels are shares of the prediction with the point that is tried: shares of another would know that one too.
+    It has the largest posterior density: the likelihood of the base parameters beside effects that say nothing of the
+    slope and beside levels of the runs, with Huber's density; and a normal prior around the declared rolling
+    resistance, as wide as that is large, which decides where no run coasts. A point that is not found bends the
+    prediction, and the bend looks like an effect of the square of the force. Levels are shares of the prediction with
+    the point that is tried: shares of another would know that one too.
     """
     declared, width = residuals.features.drives, max(residuals.features.robot.rolling_resistance, _ROUNDING)
 
@@ -86,19 +75,9 @@ def drives_of(residuals: Residuals) -> Drives:
 
 
 def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:
-    """Fit the base parameters alone, before any effect.
+    """Fit the base parameters alone, before any effect: all rows with what they make of the energy of motion, and they.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of all runs, as declared.
-    known : Residuals
-        Of the runs to fit: those of the baseline, where there are any, since no effect is at work there.
-
-    Returns
-    -------
-    tuple of (Residuals, Term)
-        All rows with what the base parameters make of the energy of motion; and the base parameters.
+    known : the runs to fit, which are those of the baseline, where there are any, since no effect is at work there.
     """
     drives = drives_of(known)
     moved, fitted = residuals.driven_by(drives), known.driven_by(drives)
@@ -108,17 +87,8 @@ def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:
 
 
 def scale_of(residuals: Residuals) -> Term:
-    """Fit the scale and the zero that make a charge of the base model's prediction, as that of a battery.
-
-    Parameters
-    ----------
-    residuals : Residuals
-        Of a charge.
-
-    Returns
-    -------
-    Term
-        What the base model says before a calibration.
+    """Fit the scale and the zero that make a charge of the base model's prediction, as that of a battery: what it says
+    before a calibration.
     """
     plain = replace(residuals, features=replace(residuals.features, drives=Drives(), corrected=None))
     return _alone(plain, BaseParameters(SCALE))

@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulemap.model.loop.design import Candidate, Design, fit_model, limits_of
+from joulemap.model.loop._design import Candidate, Design, fit_model, limits_of
+from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
+from joulemap.model.loop._variation import Variation
 from joulemap.model.loop.forms import UNNAMED, Form
 from joulemap.model.loop.forms.structure import PlaceField
-from joulemap.model.loop.mixed_model import Estimate, IntArray, MixedModel
-from joulemap.model.loop.variation import Variation
 from joulemap.model.runs.features import FloatArray
 
 ALPHA = 0.01
@@ -98,19 +98,10 @@ class Selection:
     def estimate(
         self, keep: Callable[[Form], bool] = lambda form: True, names: tuple[str, ...] | None = None
     ) -> tuple[list[Candidate], Estimate, IntArray]:
-        """Fit the coefficients of the chosen effects.
+        """Fit the coefficients of the chosen effects: those that `keep` says, their estimate, and the columns to which
+        it belongs, (q,).
 
-        Parameters
-        ----------
-        keep : callable
-            Says which forms are fitted.
-        names : tuple of str, optional
-            Base parameters that are fitted; all without it.
-
-        Returns
-        -------
-        tuple of (list of Candidate, Estimate, ndarray of int)
-            Those that are kept; the coefficients; and the columns to which they belong.
+        names : base parameters that are fitted; all without it.
         """
         kept = [c for c in self.chosen if keep(c.form)]
         between = [c for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
@@ -120,18 +111,8 @@ class Selection:
 
 
 def rivals_of(selection: Selection) -> dict[str, list[str]]:
-    """Return the candidates that these runs cannot distinguish from the effects that were chosen.
-
-    Parameters
-    ----------
-    selection : Selection
-        What was chosen.
-
-    Returns
-    -------
-    dict of str to list of str
-        For an effect, the candidates in whose place the left-out error is within one standard error; only effects that
-        have any.
+    """Candidates that these runs cannot distinguish from the effects that were chosen, by effect: in its place their
+    left-out error is within one standard error. Only effects that have any.
     """
     design, model = selection.design, selection.model
     now = design.index(selection.chosen)
@@ -158,19 +139,8 @@ def _within_one_error(gains: FloatArray) -> bool:
 
 
 def select(design: Design, *, progress: Callable[[float], None] | None = None) -> Selection:
-    """Choose effects.
-
-    Parameters
-    ----------
-    design : Design
-        With the candidates.
-    progress : callable, optional
-        Called with the share of the work that is done, 0..1.
-
-    Returns
-    -------
-    Selection
-        Without effects where none is significant.
+    """Choose effects; none where none is significant. `progress` is called with the share of the work that is done,
+    0..1.
     """
     chosen: list[Candidate] = []
     between: dict[str, bool] = {}
