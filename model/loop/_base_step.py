@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from joulemap.model.loop._design import Design, fit_model, limits_of
 from joulemap.model.loop._variation import HUBER, spread_of
 from joulemap.model.loop.forms import NOT_OF_SLOPE
-from joulemap.model.loop.forms.base_parameters import SCALE, BaseParameters, with_base_parameters
+from joulemap.model.loop.forms._base_parameters import SCALE, BaseParameters, with_base_parameters
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Drives
 from joulemap.model.runs.residuals import Residuals

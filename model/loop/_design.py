@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from joulemap.model.loop._mixed_model import IntArray, MixedModel
 from joulemap.model.loop._variation import Variation, fit_variation
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
-from joulemap.model.loop.forms.base_parameters import BaseParameters
+from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import FloatArray
@@ -23,24 +23,12 @@ _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something e
 
 @dataclass(frozen=True)
 class Candidate:
-    """A form with its columns in the design.
+    """A form with its columns in the design."""
 
-    Attributes
-    ----------
-    form : Form
-        With its settings.
-    tested : ndarray of int
-        Columns whose coefficients are the effect.
-    beside : ndarray of int
-        Columns in the baseline runs too, whose coefficients are the base model's own error.
-    shared : ndarray of int
-        To which of the tested ones each of them belongs.
-    """
-
-    form: Form
-    tested: IntArray
-    beside: IntArray
-    shared: IntArray
+    form: Form  # with its settings
+    tested: IntArray  # columns whose coefficients are the effect
+    beside: IntArray  # columns in the baseline runs too, whose coefficients are the base model's own error
+    shared: IntArray  # to which of the tested ones each of them belongs
 
     @property
     def both(self) -> IntArray:
@@ -55,30 +43,14 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Columns of everything that may be chosen, on the rows of all runs.
+    """Columns of everything that may be chosen, on the n rows of all runs."""
 
-    Attributes
-    ----------
-    residuals : Residuals
-        Of new runs, and of baseline runs where there are any.
-    new : ndarray of bool, (n,)
-        False in the baseline runs.
-    columns : ndarray of float, (n, k)
-        The base parameters first.
-    base : Form
-        Of the base parameters.
-    candidates : tuple of Candidate
-        All that are tested.
-    level_of : ndarray of float, (b,), optional
-        The base parameters before any effect, of whose prediction the levels of runs are shares.
-    """
-
-    residuals: Residuals
-    new: NDArray[np.bool_]
-    columns: FloatArray = field(repr=False)
+    residuals: Residuals  # of new runs, and of baseline runs where there are any
+    new: NDArray[np.bool_]  # (n,), False in the baseline runs
+    columns: FloatArray = field(repr=False)  # (n, k), the base parameters first
     base: BaseParameters
-    candidates: tuple[Candidate, ...] = field(repr=False)
-    level_of: FloatArray | None = None
+    candidates: tuple[Candidate, ...] = field(repr=False)  # all that are tested
+    level_of: FloatArray | None = None  # base parameters before any effect: levels are shares of their prediction
 
     @property
     def fixed(self) -> IntArray:

@@ -43,13 +43,11 @@ _ROUNDS = 3  # the variance between units follows the coefficients and the coeff
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients of a choice of columns, (q,), within their limits; their variance, (q, q), with between-unit
-    variation in it; and the degrees of freedom of each, (q,).
-    """
+    """Coefficients of a choice of columns."""
 
-    coefficients: FloatArray
-    variance: FloatArray
-    freedom: FloatArray
+    coefficients: FloatArray  # (q,), within their limits
+    variance: FloatArray  # (q, q), with between-unit variation in it
+    freedom: FloatArray  # (q,) degrees of freedom
 
     def interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """Lower and upper ends of confidence intervals, (q,), of the given coverage."""

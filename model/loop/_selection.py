@@ -36,56 +36,26 @@ MOST_EFFECTS = 8
 
 
 class Verdict(NamedTuple):
-    """What the runs say of a candidate beside the chosen ones.
+    """What the runs say of a candidate beside the chosen ones."""
 
-    Attributes
-    ----------
-    p_value : float
-        Allowing for every test.
-    gain : float
-        Reduction of the left-out error, as a share of the error without it.
-    gains : ndarray of float, (units,)
-        Reduction by unit.
-    between : bool
-        Whether the levels of runs show it more clearly than their course.
-    why_not : str
-        Why it cannot be taken; empty where it can.
-    """
-
-    p_value: float
-    gain: float
-    gains: FloatArray
-    between: bool
-    why_not: str = ""
+    p_value: float  # allowing for every test
+    gain: float  # reduction of the left-out error, as a share of the error without it
+    gains: FloatArray  # (units,), the reduction by unit
+    between: bool  # whether the levels of runs show it more clearly than their course
+    why_not: str = ""  # why it cannot be taken; empty where it can
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What was chosen.
+    """What was chosen."""
 
-    Attributes
-    ----------
-    chosen : tuple of Candidate
-        In the order in which they were taken.
-    verdicts : tuple of Verdict
-        Of each chosen one beside the others.
-    design : Design
-        From which they were chosen.
-    variation : Variation
-        Around the chosen model.
-    alone, last : list of Verdict
-        Of every candidate beside the base parameters, and beside the chosen ones.
-    model : MixedModel
-        Of the chosen variation.
-    """
-
-    chosen: tuple[Candidate, ...]
-    verdicts: tuple[Verdict, ...]
+    chosen: tuple[Candidate, ...]  # in the order in which they were taken
+    verdicts: tuple[Verdict, ...]  # of each chosen one beside the others
     design: Design
-    variation: Variation
-    alone: list[Verdict]
-    last: list[Verdict]
-    model: MixedModel
+    variation: Variation  # around the chosen model
+    alone: list[Verdict]  # of every candidate beside the base parameters
+    last: list[Verdict]  # of every candidate beside the chosen ones
+    model: MixedModel  # of the chosen variation
 
     @property
     def best(self) -> dict[str, int]:

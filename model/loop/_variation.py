@@ -79,30 +79,14 @@ def _carried(columns: FloatArray, fresh: BoolArray, phi: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Variation:
-    """The variation of rows around a model.
+    """The variation of n rows around a model."""
 
-    Attributes
-    ----------
-    run : ndarray of int, (n,)
-        Number of the run of each row.
-    moving : ndarray of bool, (n,)
-        False for stationary intervals, which are correlated with nothing.
-    scale : ndarray of float, (n,)
-        `s_i` [J, or A s].
-    weight : ndarray of float, (n,)
-        Of an outlier less than 1.
-    length_rows : float
-        Rows over which the correlation falls to 1/e.
-    process : float
-        Variance of the autoregression over that of the noise.
-    """
-
-    run: NDArray[np.int64]
-    moving: BoolArray
-    scale: FloatArray
-    weight: FloatArray
-    length_rows: float = 1.0
-    process: float = 0.0
+    run: NDArray[np.int64]  # number of the run
+    moving: BoolArray  # False for stationary intervals, which are correlated with nothing
+    scale: FloatArray  # `s_i` [J, or A s]
+    weight: FloatArray  # less than 1 of an outlier
+    length_rows: float = 1.0  # over which the correlation falls to 1/e
+    process: float = 0.0  # variance of the autoregression over that of the noise
 
     @cached_property
     def fresh(self) -> BoolArray:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.loop._base_step import base_step, scale_of
 from joulemap.model.loop._design import make_design
-from joulemap.model.loop._refused_columns import refused_columns
 from joulemap.model.loop._selection import Selection, rivals_of, select
 from joulemap.model.loop.forms import Form
-from joulemap.model.loop.forms.base_parameters import MEASURED_SLOPE, BaseParameters
+from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE, BaseParameters
 from joulemap.model.loop.terms import Correction, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
+from joulemap.model.runs.refused_columns import refused_columns
 from joulemap.model.runs.residuals import Residuals, joined
 
 Progress = Callable[[float], None]

@@ -11,7 +11,7 @@ import numpy as np
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms import Form, form_from_dict
-from joulemap.model.loop.forms.base_parameters import BaseParameters, with_base_parameters
+from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters
 from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.errors import ModelError, RunsError
-from joulemap.model.loop._refused_columns import refused_columns
 from joulemap.model.loop.report import report_document
 from joulemap.model.runs.record import RECORD_FILE, read_record, save_record
+from joulemap.model.runs.refused_columns import refused_columns
 from tests.reference.drives import ROBOT, found_in, made_up, measured_on, noisy, smooth_noise
 
 BEFORE = {"name": "made up", "version": "1"}

@@ -8,7 +8,7 @@ import pytest
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.forms.base_parameters import PARTS
+from joulemap.model.loop.forms._base_parameters import PARTS
 from joulemap.model.loop.forms.log_faults import MeterLag
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.suggest import Suggestion

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from joulemap.model.errors import ModelError
+from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.acceleration import Acceleration
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.loop.forms.base_parameters import BaseParameters
 from joulemap.model.loop.forms.baseline_change import HotelLoad, Mass, RollingResistance, SensorGain
 from joulemap.model.loop.forms.braking import Braking
 from joulemap.model.loop.forms.climbing import Climbing

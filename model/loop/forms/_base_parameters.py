@@ -14,12 +14,8 @@ from joulemap.model.runs.features import Features, FloatArray
 
 @dataclass(frozen=True)
 class BaseParameters(Form):
-    """Corrections of what an owner declares, or a prediction from nothing where only charge was logged.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The parameters, of `PARTS`.
+    """Corrections of what an owner declares, or a prediction from nothing where only charge was logged; `names` are
+    parameters of `PARTS`.
     """
 
     names: tuple[str, ...]
@@ -40,57 +36,23 @@ class BaseParameters(Form):
         return np.stack([np.nan_to_num(PARTS[name].column(rows)) for name in self.names], axis=1)
 
     def lowest(self, rows: Features) -> FloatArray:
-        """Return the lower physical limit of each coefficient.
-
-        Parameters
-        ----------
-        rows : Features
-            Whose robot's declared values count: no rolling resistance, mass, power or loss is negative, and descents
-            return no more than they release.
-
-        Returns
-        -------
-        ndarray of float, (k,)
-            Limits.
+        """Lower physical limit of each coefficient, (k,), by the declared values of the robot: no rolling resistance,
+        mass, power or loss is negative, and descents return no more than they release.
         """
         return np.array([PARTS[name].lowest(rows) for name in self.names])
 
     @classmethod
     def of(cls, *, charge: bool, motors: bool = False) -> BaseParameters:
-        """Return all parameters.
+        """All parameters of measured runs.
 
-        Parameters
-        ----------
-        charge : bool
-            Whether scale and zero of the energy are unknown, so that nothing of the base model's prediction is kept.
-        motors : bool
-            Whether the charge is that of the motors.
-
-        Returns
-        -------
-        BaseParameters
-            Of measured runs.
+        charge : whether scale and zero of the energy are unknown, so that nothing of the base model's prediction is
+        kept. motors : whether the charge is that of the motors.
         """
         return cls((*(SCALE if charge else _DECLARED), *(_DRIVING_OF_MOTORS if motors else _DRIVING), MEASURED_SLOPE))
 
 
 def with_base_parameters(rows: Features, base: BaseParameters, coefficients: FloatArray) -> Features:
-    """Return rows whose energy of motion has the base parameters in it.
-
-    Parameters
-    ----------
-    rows : Features
-        Of n rows.
-    base : BaseParameters
-        The parameters.
-    coefficients : ndarray of float, (k,)
-        Their values.
-
-    Returns
-    -------
-    Features
-        With `corrected`.
-    """
+    """Rows whose energy of motion has base parameters of these values, (k,), in it, as `corrected`."""
     of_motion = np.array([name not in _OF_TIME for name in base.names])
     energy = base.columns(rows)[:, of_motion] @ np.asarray(coefficients)[of_motion]
     of_charge = set(SCALE) & set(base.names)  # then nothing of the base model's own prediction is kept
