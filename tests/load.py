@@ -70,6 +70,13 @@ class Seen:
     name: str
     seconds: list[float] = field(default_factory=list)
     statuses: Counter[int] = field(default_factory=Counter)
+    refusals: Counter[str] = field(default_factory=Counter)
+
+    def saw(self, status: int, content: bytes) -> int:
+        """Note why something was refused; the status."""
+        if status >= 400:
+            self.refusals[json.loads(content)["detail"]] += 1
+        return status
 
     def summary(self, duration_s: float) -> dict[str, Any]:
         """Rate, percentiles [ms] and statuses."""
@@ -85,6 +92,7 @@ class Seen:
             "max_ms": 1e3 * found.max(),
             "p99_by_p50": p99 / p50,
             "statuses": dict(self.statuses),
+            "refusals": dict(self.refusals),
         }
 
 
@@ -127,10 +135,17 @@ class Server:
         values = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(values[11]) + int(values[12])) / _TICK_HZ
 
-    def memory_mb(self) -> float:
-        """Memory that the server itself holds [MB]."""
-        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
-        return pages * _PAGE_BYTES / 1e6
+    def memory_mb(self) -> tuple[float, float]:
+        """Memory that the server itself holds, and that its workers and readers hold besides [MB]."""
+        own, *others = (_resident_mb(pid) for pid in self.family())
+        return own, sum(others)
+
+
+def _resident_mb(pid: int) -> float:
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES / 1e6
+    except OSError:  # it has ended
+        return 0.0
 
 
 async def _until_ready(server: Server, connection: Connection, deadline_s: float = 300.0) -> None:
@@ -210,7 +225,7 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
         client = Connection(server.port)
 
         async def _path(client: Connection = client) -> int:
-            return (await client.ask("POST", f"{place}/paths", _question()))[0]
+            return seen["paths"].saw(*await client.ask("POST", f"{place}/paths", _question()))
 
         tasks.append(_repeat(seen["paths"], until, _path))
     for _ in range(options.robots):
@@ -219,24 +234,28 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
         async def _position(client: Connection = client) -> int:
             at = chance.randrange(len(route) - 1)
             task = {"path": route[at:], "battery": {"charge": 0.6, "reserve": 0.2}}
-            return (await client.ask("POST", f"{place}/feasibility", json.dumps(task).encode()))[0]
+            return seen["positions"].saw(*await client.ask("POST", f"{place}/feasibility", json.dumps(task).encode()))
 
         tasks.append(_repeat(seen["positions"], until, _position))
     for name in ("readyz", "healthz"):
         client = Connection(server.port)
 
         async def _probe(client: Connection = client, name: str = name) -> int:
-            return (await client.ask("GET", f"/{name}"))[0]
+            return seen[name].saw(*await client.ask("GET", f"/{name}"))
 
         tasks.append(_repeat(seen[name], until, _probe, 0.05))
-    memory: list[float] = []
+    memory: list[tuple[float, float]] = []
 
     async def _watch() -> None:
-        while time.perf_counter() < until:
+        said = 0.0
+        while (now := time.perf_counter()) < until:
             memory.append(server.memory_mb())
-            if options.every:
-                print(f"{time.perf_counter() - began:6.0f} s {memory[-1]:8.0f} MB {len(seen['paths'].seconds)} paths")
-            await asyncio.sleep(options.every or 1.0)
+            if options.every and now - began >= said:
+                said += options.every
+                own, others = memory[-1]
+                count = len(seen["paths"].seconds)
+                print(f"{now - began:6.0f} s  {own:6.0f} MB, its workers {others:6.0f} MB, {count:6} paths", flush=True)
+            await asyncio.sleep(1.0)
 
     tasks.append(_watch())
     built = Seen("a cost map is built")
@@ -253,14 +272,14 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
     duration = time.perf_counter() - began
     after = await _stalls(server)
     stalls = {bound: after[bound] - stalls[bound] for bound in after}
-    half = memory[len(memory) // 2 :]
+    quarters = [np.median(part, axis=0).tolist() for part in np.array_split(np.array(memory), 4)]
     return {
         "questions": [one.summary(duration) for one in seen.values() if one.seconds],
         "seconds": duration,
         "cpu_share": (server.cpu_s() - cpu) / duration,
         "cpu_ms_per_path": 1e3 * (server.cpu_s() - cpu) / max(len(seen["paths"].seconds), 1),
         "stalls": {f"{1e3 * bound:g} ms": max(stalls.values()) - count for bound, count in stalls.items()},
-        "memory_mb": [memory[0], half[0], memory[-1]],
+        "memory_mb": quarters,
         "load": os.getloadavg()[0],
     }
 
@@ -273,12 +292,14 @@ def _told(found: dict[str, Any]) -> str:
             f"p90 {one['p90_ms']:7.1f}  p99 {one['p99_ms']:7.1f} ({one['p99_by_p50']:.1f} x p50)  "
             f"max {one['max_ms']:7.1f}  {one['statuses']}"
         )
+        lines += [f"  {count} times: {words}" for words, count in one["refusals"].items()]
     stalls = {bound: round(count) for bound, count in found["stalls"].items() if bound in ("25 ms", "50 ms", "100 ms")}
     lines.append(
         f"server: {found['cpu_share']:.2f} cores, {found['cpu_ms_per_path']:.0f} ms of processor a path; stalls of the "
-        f"event loop longer than {stalls}; memory {' -> '.join(f'{mb:.0f}' for mb in found['memory_mb'])} MB; "
-        f"load of the machine {found['load']:.1f}"
+        f"event loop longer than {stalls}; load of the machine {found['load']:.1f}"
     )
+    for name, medians in zip(("the service", "its workers"), zip(*found["memory_mb"], strict=True), strict=True):
+        lines.append(f"memory of {name}, median by quarter: {' -> '.join(f'{mb:.0f}' for mb in medians)} MB")
     return "\n".join(lines)
 
 

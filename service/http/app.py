@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 from collections.abc import AsyncIterator
@@ -62,7 +63,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
     @asynccontextmanager
     async def _lifespan(_app: FastAPI) -> AsyncIterator[None]:
-        await anyio.to_thread.run_sync(service.start)
+        await anyio.to_thread.run_sync(service.start, asyncio.get_running_loop())
         threading.Thread(target=app.openapi, name="openapi", daemon=True).start()  # seconds, which the page would wait
         await anyio.to_thread.run_sync(warn_if_open, service.store, settings.host)
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import copy
 from contextlib import suppress
 from importlib.metadata import version
@@ -22,6 +23,7 @@ from joulemap.service.http.watched import watch
 from joulemap.service.intake.limits import ReadLimits
 from joulemap.service.intake.readers import Readers
 from joulemap.service.jobs.engine import Jobs
+from joulemap.service.memory import give_back_large_blocks
 from joulemap.service.models import find_predictor
 from joulemap.service.settings import Settings
 from joulemap.service.storage.owners import Caller
@@ -78,6 +80,7 @@ class Service(SentFiles, Made):
             "joulemap_sent_files_refused_total", "refused: the queue was full", lambda: float(self.readers.refused)
         )
         self.kernels = Kernels()
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     def seen_by(self, caller: Caller) -> Service:
         """Return this service as a caller sees it.
@@ -117,8 +120,16 @@ class Service(SentFiles, Made):
         self.store.model_here(model, self.settings.resolved_models_dir)
         return find_predictor(model, models_dir=self.settings.resolved_models_dir, hidden=self.store.hidden_models())
 
-    def start(self) -> None:
-        """Open the store, load the kernels in a thread, and go on with unfinished jobs."""
+    def start(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Open the store, load the kernels in a thread, and go on with unfinished jobs.
+
+        Parameters
+        ----------
+        loop : asyncio.AbstractEventLoop
+            That of the requests.
+        """
+        self._loop = loop
+        give_back_large_blocks()
         self.store.open()
         self.health.start()
         self.readers.start()
@@ -158,11 +169,19 @@ class Service(SentFiles, Made):
             raise BusyError(self.jobs.trouble, retry_after_s=10)
 
     def _open_made(self, job_id: str) -> None:
-        """Have a new cost map in memory before the first question."""
-        if kind_of(job_id) == COSTMAP:
+        """Have a new cost map in memory before the first question, in turn with the questions of others."""
+
+        def _open() -> None:
             with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
                 if isinstance(planner, RoutePlanner):
                     planner.prepare()
+
+        async def _in_turn() -> None:
+            with suppress(BusyError):
+                await self.plans.do(job_id, _open)
+
+        if kind_of(job_id) == COSTMAP and self._loop is not None:
+            asyncio.run_coroutine_threadsafe(_in_turn(), self._loop)
 
     def _find_warm_models(self) -> None:
         for model in set(self.settings.warm_models).difference(MODEL_NAMES):  # the workers load them all

@@ -14,6 +14,8 @@ from contextlib import asynccontextmanager, suppress
 import dask
 from distributed import Client, LocalCluster, Security
 
+from joulemap.service.memory import BLOCK_BYTES
+
 CONNECT_S = 10.0
 """Longest time until a scheduler answers [s]."""
 NICE = 10
@@ -27,7 +29,10 @@ _CONFIG = {
     "distributed.admin.tick.interval": "1s",  # of 20 ms, for these warnings: a tenth of a core while nothing is done
     "distributed.admin.system-monitor.interval": "2s",
     "distributed.diagnostics.nvml": False,
-    "distributed.nanny.pre-spawn-environ": {"DASK_LOGGING__DISTRIBUTED": "warning"},  # it is this process's for a while
+    "distributed.nanny.pre-spawn-environ": {  # it is this process's for a while
+        "DASK_LOGGING__DISTRIBUTED": "warning",
+        "MALLOC_MMAP_THRESHOLD_": str(BLOCK_BYTES),
+    },
 }
 _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 

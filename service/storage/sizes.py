@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -16,15 +18,13 @@ def bytes_of(place: Path) -> int:
     Returns
     -------
     int
-        Bytes; 0 where there is nothing. A file that disappears meanwhile does not count.
+        Bytes; 0 where there is nothing. What disappears meanwhile does not count.
     """
     if not place.is_dir():
         return place.stat().st_size if place.exists() else 0
     total = 0
-    for path in place.rglob("*"):
-        try:
-            if path.is_file():
-                total += path.stat().st_size
-        except FileNotFoundError:
-            continue
+    for folder, _, names in os.walk(place):  # passes over a folder that disappears, at which `Path.rglob` ends
+        for name in names:
+            with suppress(FileNotFoundError):
+                total += os.stat(os.path.join(folder, name)).st_size
     return total

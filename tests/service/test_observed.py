@@ -5,7 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
 import re
+import shutil
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +25,7 @@ from joulemap.service.http.health import OK, Health, disk_check
 from joulemap.service.http.job_events import JobEvents, JobState
 from joulemap.service.http.logs import JsonLines, WithRequestId, log_config
 from joulemap.service.http.metrics import Metrics
+from joulemap.service.storage.sizes import bytes_of
 from tests.service.conftest import GOAL, START
 
 GENEROUS_S = 30.0
@@ -269,3 +274,44 @@ def test_what_is_done_cannot_be_cancelled(client, costmap_id):
     assert answer.status_code == 409
     assert "is done" in answer.json()["detail"]
     assert client.get(f"/v1/costmaps/{costmap_id}").json()["status"] == "done"
+
+
+def test_a_folder_that_disappears_while_sizes_are_summed_does_not_count(tmp_path: Path, monkeypatch):
+    for name in ("kept", "gone"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").write_bytes(bytes(10))
+    scandir = os.scandir
+
+    def _after_a_deletion(place):
+        if str(place).endswith("gone"):
+            shutil.rmtree(place)
+        return scandir(place)
+
+    monkeypatch.setattr(os, "scandir", _after_a_deletion)
+    assert bytes_of(tmp_path) == 10
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc keeps freed blocks")
+def test_freed_arrays_are_given_back():
+    """Blocks of 4 MB between small ones that stay: without the setting most of what is freed is kept."""
+    code = """if True:
+        import os, sys
+        from joulemap.service.memory import give_back_large_blocks
+        def held():
+            return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        if sys.argv[1] == "set" and not give_back_large_blocks():
+            print(0)
+            sys.exit()
+        bytearray(30_000_000)  # glibc raises its threshold when such a block is freed
+        before, blocks, small = held(), [], []
+        for _ in range(50):
+            blocks.append(bytearray(4_000_000))
+            small.append(bytearray(100_000))
+        blocks.clear()
+        print(held() - before)
+    """
+    found = {}
+    for how in ("set", "not"):
+        out = subprocess.run([sys.executable, "-c", code, how], capture_output=True, text=True, check=True)
+        found[how] = float(out.stdout)
+    assert found["set"] < 20 < 150 < found["not"]
