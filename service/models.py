@@ -79,7 +79,8 @@ def load_model(spec: str | Path) -> Predictor:
     """
     if spec in MODEL_NAMES:
         return load_predictor(spec)
-    from joulemap.model.loop.calibrated import CALIBRATION_FILE, CalibratedPredictor, read_calibrated  # loads slowly
+    from joulemap.model.energy.calibrated import CalibratedPredictor  # loads slowly
+    from joulemap.model.loop.calibration_file import CALIBRATION_FILE, read_calibrated
 
     if not (Path(spec) / CALIBRATION_FILE).is_file():
         return load_predictor(spec)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame, wrap_angle
-from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.course import course_of

@@ -102,7 +102,7 @@ class Fitted:
             Energy [J], or charge [A s].
         """
         moved = residuals.driven_by(self.correction.drives)
-        return moved.said + self.correction.added_energy(terms, moved.features)
+        return moved.said + self.correction.energy_of(terms, moved.features)
 
 
 @dataclass(frozen=True, eq=False)

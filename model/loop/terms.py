@@ -117,7 +117,7 @@ class Correction:
     def as_dict(self) -> dict[str, Any]:
         """Return it as a JSON-able mapping."""
         return {
-            "terms": [t.as_dict() for t in self.terms],
+            "terms": self.effects,
             "planner_terms": [t.as_dict() for t in self.planner_terms],
             "ranges": {key: list(ends) for key, ends in self.ranges.items()},
             "drives": asdict(self.drives),
@@ -165,7 +165,35 @@ class Correction:
         except (KeyError, TypeError, ValueError) as error:
             raise ModelError(f"a calibration is not complete: {error!r}") from error
 
-    def added_energy(self, terms: Sequence[Term], rows: Features) -> FloatArray:
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """What is added to measured runs, JSON-able."""
+        return [t.as_dict() for t in self.terms]
+
+    @property
+    def only_in_logs(self) -> list[str]:
+        """Titles of the effects that no plan contains, because only a log records what they depend on."""
+        planned = {t.form.name for t in self.planner_terms}
+        return [t.form.title for t in self.terms if t.form.name not in planned and t.form.on_map]
+
+    def added_energy(self, rows: Features, *, planned: bool) -> FloatArray:
+        """Return the energy that is added to rows, by all terms or by those of plans: see `energy_of`.
+
+        Parameters
+        ----------
+        rows : Features
+            Of n rows, with its drives.
+        planned : bool
+            By what is known before a drive.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s].
+        """
+        return self.energy_of(self.planner_terms if planned else self.terms, rows)
+
+    def energy_of(self, terms: Sequence[Term], rows: Features) -> FloatArray:
         """Return the energy that some of its terms add.
 
         Parameters

@@ -293,8 +293,8 @@ def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Ro
 
 
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
-    from joulemap.model.runs.words import count_words
     from joulemap.model.runs.segments import coverage_words
+    from joulemap.model.runs.words import count_words
     from joulemap.service.loop.summary import drive_words, summary_lines
 
     title, *lines = summary_lines(document)

@@ -361,8 +361,8 @@ def evaluate(
 
     Example: `joulemap evaluate --model mine --heightmap dem.tif --robot robot.toml --runs logs/*.csv`
     """
-    from joulemap.model.runs.words import count_words
     from joulemap.model.runs.segments import coverage_words
+    from joulemap.model.runs.words import count_words
     from joulemap.service.library import models as library
 
     output = Output(json_file)

@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread
 from joulemap.model.errors import ConflictError, InfeasibleError, InputError
 from joulemap.model.loop.calibrate import Calibration, calibrate
-from joulemap.model.loop.calibrated import (
-    CalibratedPredictor,
-    save_calibrated,
-)
+from joulemap.model.loop.calibration_file import save_calibrated
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.terms import Correction, turning_per_rad
 from joulemap.model.robot import Robot

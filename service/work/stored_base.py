@@ -11,10 +11,10 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
+from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice_io import LatticeFolder, open_group

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.energy.artifact import read_artifact
+from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade
@@ -15,7 +16,6 @@ from joulemap.model.energy.prediction import predict_segments
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import InputError, ModelError, RunsError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.terms import Correction
 from joulemap.model.robot import Robot
 from joulemap.model.runs.calibration_runs import read_calibration_runs

@@ -12,9 +12,9 @@ from fastapi.testclient import TestClient
 from typer.testing import CliRunner
 
 import joulemap as jm
+from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
-from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.terms import Correction
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice_build import build_lattice

@@ -11,11 +11,11 @@ import torch
 from joulemap.model.energy.architectures.compact.net import CompactNet
 from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
 from joulemap.model.energy.artifact import CONFIG_FILE, WEIGHTS_FILE, Artifact, load_artifact, save_artifact
+from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.domain import Domain, steep_share
 from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import GridFrame, heading_bins
-from joulemap.model.loop.calibrated import CalibratedPredictor
 from joulemap.model.loop.terms import Correction
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap

@@ -6,11 +6,12 @@ import math
 import numpy as np
 import pytest
 
+from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread
 from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame, heading_bins
-from joulemap.model.loop.calibrated import CalibratedPredictor, read_calibrated, save_calibrated
+from joulemap.model.loop.calibration_file import read_calibrated, save_calibrated
 from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.baseline_change import HotelLoad, RollingResistance, SensorGain
 from joulemap.model.loop.forms.climbing import Climbing

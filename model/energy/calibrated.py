@@ -1,13 +1,10 @@
-"""A calibrated model: a base model, and the effects that measured runs showed it to lack. Immutable once written."""
+"""A calibrated model: a base model, and what measured runs showed it to lack."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,21 +12,83 @@ from numpy.typing import ArrayLike, NDArray
 from joulemap.model.energy.prediction import Prediction, assumed_std, predict_segments, std_of_segments
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import Spread
-from joulemap.model.errors import ConflictError, ModelError
 from joulemap.model.frames import GridFrame
-from joulemap.model.loop.terms import Correction, Term
 from joulemap.model.robot import Robot
-from joulemap.model.runs.features import Features, FloatArray, describe_segments, planned_features
+from joulemap.model.runs.features import Drives, Features, FloatArray, describe_segments, planned_features
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.words import quantity_name, quantity_value
 from joulemap.model.terrain.heightmap import Heightmap
 
-CALIBRATION_FILE = "calibration.json"
-FORMAT = 3
 _CHUNK = 400_000  # cells x headings described at a time
 _PLACES = 2000  # of a map, for warnings
 _HEADINGS = np.arange(4) * 0.5 * np.pi
 _OTHER_GROUND = 0.05  # of a map beyond a range: less is not worth a warning
+
+
+class Correction(Protocol):
+    """What a calibration adds to its base model: that of `joulemap.model.loop.terms`, which knows the effects."""
+
+    @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Lowest and highest value of every quantity in the runs."""
+
+    @property
+    def drives(self) -> Drives:
+        """Where the drives coast."""
+
+    @property
+    def charge(self) -> bool:
+        """Whether the base prediction has no scale, so that what is added replaces it."""
+
+    @property
+    def turn_j_per_rad(self) -> float:
+        """Cost of turning in plans [J/rad], in addition to the robot's own."""
+
+    @property
+    def conditions(self) -> Mapping[str, float]:
+        """Logged columns at which plans are made."""
+
+    @property
+    def spread(self) -> Spread | None:
+        """Error on left-out runs."""
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """What is added, JSON-able."""
+
+    @property
+    def only_in_logs(self) -> list[str]:
+        """Titles of the effects that no plan contains, because only a log records what they depend on."""
+
+    def added_energy(self, rows: Features, *, planned: bool) -> FloatArray:
+        """Return the energy that is added to rows.
+
+        Parameters
+        ----------
+        rows : Features
+            Of n rows.
+        planned : bool
+            By what is known before a drive only.
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy [J], or charge [A s].
+        """
+
+    def beyond(self, rows: Features) -> dict[str, float]:
+        """Return which quantities of some rows are outside the ranges of the runs.
+
+        Parameters
+        ----------
+        rows : Features
+            Of n rows.
+
+        Returns
+        -------
+        dict of str to float
+            Share of the rows, by quantity; only shares above 0.
+        """
 
 
 class CalibratedPredictor(Predictor):
@@ -44,7 +103,7 @@ class CalibratedPredictor(Predictor):
     name : str
         Of the calibrated model.
     version : str
-        As `save_calibrated` returned it.
+        Of its file.
     """
 
     def __init__(self, base: Predictor, correction: Correction, *, name: str, version: str) -> None:
@@ -64,18 +123,16 @@ class CalibratedPredictor(Predictor):
             "kind": "calibrated",
             "version": self.version,
             "base": self.base.provenance(),
-            "effects": [t.as_dict() for t in self.correction.terms],
+            "effects": self.correction.effects,
             "spread": self.spread.as_dict(),
         }
 
     def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
         found = list(self.base.warnings(heightmap, robot))
-        planned = {t.form.name for t in self.correction.planner_terms}
-        for term in self.correction.terms:
-            if term.form.name not in planned and term.form.on_map:
-                found.append(
-                    f"plans do not contain the effect {term.form.title}: it depends on what only a log records"
-                )
+        found += [
+            f"plans do not contain the effect {title}: it depends on what only a log records"
+            for title in self.correction.only_in_logs
+        ]
         if self.correction.ranges:
             rows = self._on_map(heightmap, robot)
             for name, share in self.correction.beyond(rows).items():
@@ -145,16 +202,16 @@ class CalibratedPredictor(Predictor):
         rows, _ = describe_segments(segments, heightmap, robot, said.traction_per_m, with_stationary=False)
         known = np.isfinite(said.energy_j) & np.isfinite(rows.grade)
         beyond = said.energy_j - rows.predicted
-        energy = self._energy(replace(rows, drives=self.correction.drives), beyond, self.correction.terms)
+        energy = self._energy(replace(rows, drives=self.correction.drives), beyond, planned=False)
         std = said.std_j
         if self.correction.spread is not None:
             std = std_of_segments(said, robot, segments) * self.correction.spread.factor
         return Prediction(np.where(known, volts * energy, np.nan), std, said.traction_per_m)
 
-    def _energy(self, rows: Features, beyond: FloatArray, terms: Sequence[Term]) -> FloatArray:
+    def _energy(self, rows: Features, beyond: FloatArray, *, planned: bool) -> FloatArray:
         """(n,) energy of rows; `beyond` is what the base model predicts beside ground and idle power."""
         start = np.zeros(len(rows)) if self.correction.charge else rows.predicted + beyond
-        return start + self.correction.added_energy(terms, rows)
+        return start + self.correction.added_energy(rows, planned=planned)
 
     def segment_traction_and_std(
         self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
@@ -202,76 +259,7 @@ class CalibratedPredictor(Predictor):
         if self.correction.charge:
             rows = replace(rows, unit_j=robot.nominal_voltage_v)
         rows = replace(rows, drives=replace(self.correction.drives, motor_speed_mps=None))
-        energy = self._energy(rows, np.zeros(x.size), self.correction.planner_terms)
+        energy = self._energy(rows, np.zeros(x.size), planned=True)
         motion = rows.unit_j * (energy - rows.hotel_part)
         down = motion / robot.regeneration if robot.regeneration > 0 else np.minimum(np.asarray(traction, float), 0.0)
         return np.where(motion >= 0, motion, down)
-
-
-def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[str, Any]) -> str:
-    """Write `calibration.json` into a folder that has none.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Of the calibrated model; it is made if needed.
-    correction : Correction
-        What is added to the base model.
-    base : mapping
-        What the base model is, and where.
-
-    Returns
-    -------
-    str
-        The version: the first 16 hex digits of the SHA-256 of the content.
-
-    Raises
-    ------
-    ConflictError
-        If there is a calibration already.
-    """
-    path = Path(folder) / CALIBRATION_FILE
-    if path.exists():
-        raise ConflictError(f"{path} is there already: a model version is never changed", path=str(path))
-    content = {"format": FORMAT, "base": dict(base), **correction.as_dict()}
-    version = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"version": version, **content}, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return version
-
-
-def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str]:
-    """Read `calibration.json` of a folder.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Of the calibrated model.
-
-    Returns
-    -------
-    tuple of (Correction, dict, str)
-        The correction, the base model as given to `save_calibrated`, and the version.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be read, or was changed after it was written.
-    """
-    path = Path(folder) / CALIBRATION_FILE
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        version = content.pop("version")
-    except (OSError, ValueError, KeyError, AttributeError) as error:
-        raise ModelError(f"{path} cannot be read: {error!r}") from error
-    if (made := content.get("format")) != FORMAT:
-        raise ModelError(
-            f"{path} has format {made}, and this version of joulemap reads format {FORMAT}: calibrate again on the "
-            "same runs",
-            format=made,
-            expected=FORMAT,
-        )
-    found = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-    if found != version:
-        raise ModelError(f"{path} is not the calibration {version} that was written", version=found, expected=version)
-    return Correction.from_dict(content), dict(content["base"]), str(version)
