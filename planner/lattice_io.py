@@ -20,6 +20,7 @@ from zarr.codecs import BloscCodec
 from joulemap.model.errors import InputError, JoulemapError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
+from joulemap.planner.chunks import read_array
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_xarray import CRS_VARIABLE, DIMENSIONS, attributes_of, coordinates_of
 from joulemap.planner.tiles import TILE_CELLS, Tiling
@@ -293,7 +294,7 @@ def load_lattice(path: str | Path) -> CostLattice:
     meta: dict[str, Any] = dict(group.attrs)
     try:
         arrays: dict[str, Any] = {
-            name: np.ascontiguousarray(group[name][:])  # type: ignore[index]
+            name: read_array(group[name])  # type: ignore[arg-type]
             for name in (*_ARRAYS, *_OPTIONAL)
             if name in group
         }

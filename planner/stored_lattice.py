@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from copy import copy
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from joulemap.model.errors import InputError, JoulemapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.planner.avoid import Polygon, without
+from joulemap.planner.chunks import Chunks
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_io import open_group
 
@@ -73,7 +72,7 @@ class StoredLattice:
             self.chunk = int(self._arrays["traction_per_m"].chunks[0])
         except (KeyError, TypeError, JoulemapError) as error:
             raise InputError(f"{path} is a damaged cost lattice: {error}", path=str(path)) from error
-        self._chunks = _Chunks(self.chunk, kept_bytes)
+        self._chunks = Chunks(kept_bytes)
         self._avoided: tuple[Polygon, ...] = ()
 
     def avoiding(self, areas: tuple[Polygon, ...]) -> StoredLattice:
@@ -148,12 +147,12 @@ class StoredLattice:
         return self.window(row0, row1, col0, col1, what=_LIMITS)
 
     def read(self, of: zarr.Array[Any], fill: float, row0: int, row1: int, col0: int, col1: int) -> NDArray[Any]:
-        """Return a window of an array with the chunks of this lattice.
+        """Return a window of an array over the cells of this lattice.
 
         Parameters
         ----------
         of : zarr array, (rows, cols, ...)
-            The array.
+            The array, chunked along rows and columns alone.
         fill : float
             What stands beyond the map.
         row0, row1, col0, col1 : int
@@ -164,41 +163,16 @@ class StoredLattice:
         ndarray
             In memory.
         """
-        side = self.chunk
+        high, wide = of.chunks[:2]
         out = np.full((row1 - row0, col1 - col0, *of.shape[2:]), fill, dtype=of.dtype)
         rows, cols = self.frame.shape
-        for i in range(max(row0, 0) // side, -(-min(row1, rows) // side)):
-            for j in range(max(col0, 0) // side, -(-min(col1, cols) // side)):
+        for i in range(max(row0, 0) // high, -(-min(row1, rows) // high)):
+            for j in range(max(col0, 0) // wide, -(-min(col1, cols) // wide)):
                 chunk = self._chunks.get(of, i, j)
-                top, left = max(i * side, row0), max(j * side, col0)
-                down, right = min(i * side + chunk.shape[0], row1), min(j * side + chunk.shape[1], col1)
+                first_row, first_col = i * high, j * wide
+                top, left = max(first_row, row0), max(first_col, col0)
+                down, right = min(first_row + chunk.shape[0], row1), min(first_col + chunk.shape[1], col1)
                 out[top - row0 : down - row0, left - col0 : right - col0] = chunk[
-                    top - i * side : down - i * side, left - j * side : right - j * side
+                    top - first_row : down - first_row, left - first_col : right - first_col
                 ]
         return out
-
-
-class _Chunks:
-    """The chunks that were read last."""
-
-    def __init__(self, side: int, most_bytes: int) -> None:
-        self._side, self._most = side, most_bytes
-        self._kept: OrderedDict[tuple[str, int, int], NDArray[Any]] = OrderedDict()
-        self._size = 0
-        self._lock = threading.Lock()
-
-    def get(self, of: zarr.Array[Any], i: int, j: int) -> NDArray[Any]:
-        key = of.path, i, j
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-        side = self._side
-        data = np.asarray(of[i * side : (i + 1) * side, j * side : (j + 1) * side])
-        with self._lock:
-            if key not in self._kept:
-                self._kept[key] = data
-                self._size += data.nbytes
-                while self._size > self._most and len(self._kept) > 1:
-                    self._size -= self._kept.popitem(last=False)[1].nbytes
-        return data
