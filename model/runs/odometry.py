@@ -206,6 +206,23 @@ def integrate(
     return x, y, heading
 
 
+def rolled_m(run: Run) -> float:
+    """Return how far the wheels of a run rolled, turns on the spot included and missing rows not.
+
+    Parameters
+    ----------
+    run : Run
+        From `read_odometry`.
+
+    Returns
+    -------
+    float
+        Mean of both sides [m].
+    """
+    rolled = _rolled(run.t, np.stack([_without_blanks(run.extras[name]) for name in _SIDES]))
+    return float(rolled[~rows_missing(run.t, rolled, 1.0)].sum())
+
+
 def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segments:
     """Cut a run into segments by the distance that the wheels roll.
 

@@ -14,7 +14,7 @@ import numpy as np
 from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.logs import Table, read_log
-from joulemap.model.runs.odometry import Odometry, cut_travel, odometry_run, read_odometry
+from joulemap.model.runs.odometry import Odometry, cut_travel, odometry_run, read_odometry, rolled_m
 from joulemap.model.runs.plausible import implausible
 from joulemap.model.runs.reader import Run, parse_run, run_of
 from joulemap.model.runs.segments import Segments
@@ -174,9 +174,12 @@ def _about(
     known = np.isfinite(run.x) & np.isfinite(run.y)
     x, y = run.x[known], run.y[known]
     km = float(np.hypot(np.diff(x), np.diff(y)).sum()) / 1000.0
+    if odometry is not None:
+        km = max(km, rolled_m(run) / 1000.0)
     if km > limits.km:
         raise TooLargeError(
-            f"run {name} is {km:.4g} km long, the limit is {limits.km:g} km: are its positions in metres?",
+            f"run {name} is {km:.4g} km long, the limit is {limits.km:g} km: are its positions in metres, and its "
+            "speeds in m/s?",
             run=name,
             km=km,
             limit_km=limits.km,

@@ -349,3 +349,11 @@ def test_hostile_json(client: TestClient, costmap_id: str) -> None:
             answer = client.post(target, content=text, headers={"Content-Type": "application/json"})
             assert answer.status_code in (400, 422), answer.text
             check_problem(answer, answer.status_code, answer.json()["code"])
+
+
+def test_wheels_that_spin_for_thousands_of_kilometres_are_refused_at_once(client):
+    rows = "".join(f"{0.1 * k:.1f},{9e5},{-9e5},2,24\n" for k in range(100))
+    content = f"t,speed_left,speed_right,current,voltage\n{rows}".encode()
+    how = {"name": "spin", "odometry_track_m": "1.0"}
+    answer = client.post("/v1/runs", params=how, content=content, headers={"Content-Type": "text/csv"})
+    check_problem(answer, 413, "too_large", "8910 km long")

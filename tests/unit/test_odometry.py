@@ -5,7 +5,15 @@ import pytest
 
 from joulemap.model.errors import InputError, RunsError
 from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, integrate, read_odometry, terrain_in_name
+from joulemap.model.runs.odometry import (
+    Odometry,
+    cut_travel,
+    flat_heightmap,
+    integrate,
+    read_odometry,
+    rolled_m,
+    terrain_in_name,
+)
 
 HUSKY_TRACK_M = 1.07
 """Effective track of a Clearpath Husky A200: wheel_separation 0.571 m times wheel_separation_multiplier 1.875.
@@ -34,6 +42,12 @@ def test_nothing_is_driven_over_a_gap_or_back_in_time():
     t = np.array([0.0, 0.5, 30.0, 30.5, 30.2, 30.7])
     _, y, _ = integrate(t, np.full(6, 1.0), np.full(6, 1.0), track_m=1.0)
     np.testing.assert_allclose(y, [0.0, 0.5, 0.5, 1.0, 1.0, 1.5])
+
+
+def test_turns_on_the_spot_are_rolled_and_missing_rows_are_not(tmp_path):
+    # 199 steps of 1 / 6.5 s at 0.5 m/s on both sides; the last row comes an hour late
+    file = write(tmp_path / "a.csv", np.full(201, 0.5), np.full(201, -0.5), time=np.r_[np.arange(200) / 6.5, 3600.0])
+    assert rolled_m(read_odometry(file, Odometry(1.0))) == pytest.approx(199 / 6.5 * 0.5)
 
 
 def test_a_straight_log_becomes_a_run_for_the_segments(tmp_path):
