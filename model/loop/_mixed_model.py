@@ -73,34 +73,18 @@ class _Within:
 
 
 class MixedModel:
-    """Cross products of scaled columns, by unit. Columns in the model are given by their numbers, (q,).
-
-    Parameters
-    ----------
-    variation : Variation
-        Around the model.
-    columns : ndarray of float, (n, k)
-        Of all terms that may be chosen [J, or A s per unit of their coefficients].
-    residual : ndarray of float, (n,)
-        Measured minus predicted.
-    level : ndarray of float, (n,)
-        Predicted energy, with its sign: the level of a unit is a share of it. It is a combination of columns that are
-        in every model, so that no choice of levels explains what a column could.
-    unit : ndarray of int, (n,)
-        What is left out together and has a level of its own; its rows follow each other.
-    whole_runs : bool
-        Whether units are whole runs, so that differences between them can be tested.
-    """
+    """Cross products of scaled columns, by unit. Columns in the model are given by their numbers, (q,)."""
 
     def __init__(
         self,
-        variation: Variation,
-        columns: FloatArray,
-        residual: FloatArray,
-        level: FloatArray,
-        unit: IntArray,
+        variation: Variation,  # around the model
+        columns: FloatArray,  # (n, k), all terms that may be chosen [J, or A s per unit of their coefficients]
+        residual: FloatArray,  # (n,), measured minus predicted
+        level: FloatArray,  # (n,), predicted energy, with its sign: the level of a unit is a share of it. It is a
+        # combination of columns that are in every model: no choice of levels explains what a column could.
+        unit: IntArray,  # (n,), what is left out together and has a level of its own; its rows follow each other
         *,
-        whole_runs: bool,
+        whole_runs: bool,  # units are whole runs, so that differences between them can be tested
     ) -> None:
         energies = np.column_stack([columns, level, residual])
         every = variation.scaled(energies)

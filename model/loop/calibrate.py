@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -102,7 +102,7 @@ class Fitted:
             Energy [J], or charge [A s].
         """
         moved = residuals.driven_by(self.correction.drives)
-        return moved.said + self.correction.energy_of(terms, moved.features)
+        return moved.said + replace(self.correction, terms=tuple(terms)).added_energy(moved.features, planned=False)
 
 
 @dataclass(frozen=True, eq=False)

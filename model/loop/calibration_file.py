@@ -5,11 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ConflictError, ModelError
-from joulemap.model.loop.terms import Correction
+from joulemap.model.loop.forms import form_from_dict
+from joulemap.model.loop.terms import Correction, Term
+from joulemap.model.runs.features import Drives
 
 CALIBRATION_FILE = "calibration.json"
 FORMAT = 3
@@ -40,7 +44,7 @@ def save_calibrated(folder: str | Path, correction: Correction, base: Mapping[st
     path = Path(folder) / CALIBRATION_FILE
     if path.exists():
         raise ConflictError(f"{path} is there already: a model version is never changed", path=str(path))
-    content = {"format": FORMAT, "base": dict(base), **correction.as_dict()}
+    content = {"format": FORMAT, "base": dict(base), **_written(correction)}
     version = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"version": version, **content}, indent=2, allow_nan=False) + "\n", encoding="utf-8")
@@ -81,4 +85,42 @@ def read_calibrated(folder: str | Path) -> tuple[Correction, dict[str, Any], str
     found = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
     if found != version:
         raise ModelError(f"{path} is not the calibration {version} that was written", version=found, expected=version)
-    return Correction.from_dict(content), dict(content["base"]), str(version)
+    return _read(content), dict(content["base"]), str(version)
+
+
+def _written(correction: Correction) -> dict[str, Any]:
+    return {
+        "terms": correction.effects,
+        "planner_terms": [t.as_dict() for t in correction.planner_terms],
+        "ranges": {key: list(ends) for key, ends in correction.ranges.items()},
+        "drives": asdict(correction.drives),
+        "first_base": None if correction.first_base is None else correction.first_base.as_dict(),
+        "charge": correction.charge,
+        "turn_j_per_rad": correction.turn_j_per_rad,
+        "conditions": dict(correction.conditions),
+        "evidence": [dict(e) for e in correction.evidence],
+        "spread": None if correction.spread is None else correction.spread.as_dict(),
+    }
+
+
+def _read(values: Mapping[str, Any]) -> Correction:
+    try:
+        return Correction(
+            tuple(map(_term, values["terms"])),
+            tuple(map(_term, values["planner_terms"])),
+            {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
+            Drives(**values["drives"]),
+            None if values["first_base"] is None else _term(values["first_base"]),
+            bool(values["charge"]),
+            float(values["turn_j_per_rad"]),
+            dict(values["conditions"]),
+            list(values["evidence"]),
+            None if values["spread"] is None else Spread.from_dict(values["spread"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"a calibration is not complete: {error!r}") from error
+
+
+def _term(values: Mapping[str, Any]) -> Term:
+    form = form_from_dict({k: v for k, v in values.items() if k not in ("name", "coefficients")})
+    return Term(form, tuple(float(c) for c in values["coefficients"]))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from joulemap.model.energy.uncertainty import Spread
-from joulemap.model.errors import ModelError
-from joulemap.model.loop.forms import Form, form_from_dict
+from joulemap.model.loop.forms import Form
 from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters
 from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity
 
@@ -48,31 +47,6 @@ class Term:
     def as_dict(self) -> dict[str, Any]:
         """Return it as a JSON-able mapping."""
         return {**self.form.as_dict(), "name": self.form.name, "coefficients": list(self.coefficients)}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Term:
-        """Read what `as_dict` returned.
-
-        Parameters
-        ----------
-        values : mapping
-            From a file.
-
-        Returns
-        -------
-        Term
-            The same.
-
-        Raises
-        ------
-        ModelError
-            If something is missing.
-        """
-        try:
-            form = form_from_dict({k: v for k, v in values.items() if k not in ("name", "coefficients")})
-            return cls(form, tuple(float(c) for c in values["coefficients"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise ModelError(f"an effect of the model is not complete: {error!r}") from error
 
 
 @dataclass(frozen=True)
@@ -114,57 +88,6 @@ class Correction:
     evidence: Sequence[Mapping[str, Any]] = ()
     spread: Spread | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as a JSON-able mapping."""
-        return {
-            "terms": self.effects,
-            "planner_terms": [t.as_dict() for t in self.planner_terms],
-            "ranges": {key: list(ends) for key, ends in self.ranges.items()},
-            "drives": asdict(self.drives),
-            "first_base": None if self.first_base is None else self.first_base.as_dict(),
-            "charge": self.charge,
-            "turn_j_per_rad": self.turn_j_per_rad,
-            "conditions": dict(self.conditions),
-            "evidence": [dict(e) for e in self.evidence],
-            "spread": None if self.spread is None else self.spread.as_dict(),
-        }
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Correction:
-        """Read what `as_dict` returned.
-
-        Parameters
-        ----------
-        values : mapping
-            From a file.
-
-        Returns
-        -------
-        Correction
-            The same.
-
-        Raises
-        ------
-        ModelError
-            If something is missing.
-        """
-        try:
-            spread = values.get("spread")
-            return cls(
-                tuple(Term.from_dict(t) for t in values["terms"]),
-                tuple(Term.from_dict(t) for t in values["planner_terms"]),
-                {key: (float(low), float(high)) for key, (low, high) in values["ranges"].items()},
-                Drives(**values["drives"]),
-                None if values["first_base"] is None else Term.from_dict(values["first_base"]),
-                bool(values["charge"]),
-                float(values["turn_j_per_rad"]),
-                dict(values["conditions"]),
-                list(values["evidence"]),
-                None if spread is None else Spread.from_dict(spread),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise ModelError(f"a calibration is not complete: {error!r}") from error
-
     @property
     def effects(self) -> list[dict[str, Any]]:
         """What is added to measured runs, JSON-able."""
@@ -177,7 +100,7 @@ class Correction:
         return [t.form.title for t in self.terms if t.form.name not in planned and t.form.on_map]
 
     def added_energy(self, rows: Features, *, planned: bool) -> FloatArray:
-        """Return the energy that is added to rows, by all terms or by those of plans: see `energy_of`.
+        """Return the energy that is added to rows, by all terms or by those of plans.
 
         Parameters
         ----------
@@ -189,30 +112,13 @@ class Correction:
         Returns
         -------
         ndarray of float, (n,)
-            Energy [J], or charge [A s].
-        """
-        return self.energy_of(self.planner_terms if planned else self.terms, rows)
-
-    def energy_of(self, terms: Sequence[Term], rows: Features) -> FloatArray:
-        """Return the energy that some of its terms add.
-
-        Parameters
-        ----------
-        terms : sequence of Term
-            Any number.
-        rows : Features
-            Of n rows, with its drives.
-
-        Returns
-        -------
-        ndarray of float, (n,)
             Energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters in their
             energy of motion.
         """
         held = rows.within(self.ranges)
         if self.first_base is not None and isinstance(self.first_base.form, BaseParameters):
             held = with_base_parameters(held, self.first_base.form, np.asarray(self.first_base.coefficients))
-        return _total(terms, held)
+        return _total(self.planner_terms if planned else self.terms, held)
 
     def beyond(self, rows: Features) -> dict[str, float]:
         """Return which quantities of some rows are outside the ranges of the runs.

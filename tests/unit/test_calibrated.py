@@ -1,5 +1,6 @@
 """A calibrated model plans with its effects, within the ranges of its runs: prices are those that the forms state."""
 
+import hashlib
 import json
 import math
 
@@ -171,6 +172,15 @@ def test_a_calibration_of_an_older_version_must_be_made_again(tmp_path):
         read_calibrated(tmp_path)
 
 
-def test_a_calibration_that_lacks_something_is_refused():
-    with pytest.raises(ModelError, match="not complete: KeyError"):
-        Correction.from_dict({"terms": []})
+@pytest.mark.parametrize(
+    ("changed", "missing"),
+    [({"drives": None}, "TypeError"), ({"terms": [{"form": "turning", "name": "turning"}]}, "KeyError..coefficients")],
+)
+def test_a_calibration_that_lacks_something_is_refused(tmp_path, changed, missing):
+    save_calibrated(tmp_path, WHOLE, {"name": "physics", "version": "1"})
+    file = tmp_path / "calibration.json"
+    content = {key: value for key, value in json.loads(file.read_text()).items() if key != "version"} | changed
+    version = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+    file.write_text(json.dumps({"version": version, **content}))
+    with pytest.raises(ModelError, match=f"a calibration is not complete: {missing}"):
+        read_calibrated(tmp_path)

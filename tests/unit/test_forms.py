@@ -197,8 +197,6 @@ def test_files_with_unknown_forms_or_settings_are_refused():
         form_from_dict({"form": "curve", "knots": [0.0, 1.0]})
     with pytest.raises(ModelError, match=r"'turning' needs the settings .*\['tight'\]"):
         form_from_dict({"form": "turning", "tight": True})
-    with pytest.raises(ModelError, match="not complete"):
-        Term.from_dict({"form": "turning", "limit_radps": None, "limit_per_m": None, "name": "turning"})
 
 
 def test_plans_pay_for_all_turning_that_was_found_and_for_nothing_else():

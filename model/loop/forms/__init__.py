@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import MISSING, fields
 from typing import Any
 
 from joulemap.model.errors import ModelError
@@ -81,12 +82,21 @@ def form_from_dict(values: Mapping[str, Any]) -> Form:
     Raises
     ------
     ModelError
-        If this version does not know the form.
+        If this version does not know the form or a setting, or a setting is missing.
     """
     key = values.get("form")
     if key not in FORMS:
         raise ModelError(f"the model has an effect of the form {key!r}, which this version does not know")
-    return FORMS[key].from_dict(values)
+    given = {k: _as_tuple(v) for k, v in values.items() if k != "form"}
+    known = {f.name for f in fields(FORMS[key])}
+    needed = {f.name for f in fields(FORMS[key]) if f.default is MISSING}  # a model of before may lack a newer setting
+    if not needed <= set(given) <= known:
+        raise ModelError(f"the effect {key!r} needs the settings {sorted(known)}, got {sorted(given)}")
+    return FORMS[key](**given)
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(_as_tuple(v) for v in value) if isinstance(value, list) else value
 
 
 __all__ = ["CHANGES", "FORMS", "NAMED", "NOT_OF_SLOPE", "UNNAMED", "Form", "form_from_dict"]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
-from joulemap.model.errors import ModelError
 from joulemap.model.runs.features import Features, FloatArray
 
 
@@ -170,36 +169,6 @@ class Form:
     def as_dict(self) -> dict[str, Any]:
         """Return the form with its settings, JSON-able."""
         return {"form": self.key, **asdict(self)}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Read the settings that `as_dict` returned.
-
-        Parameters
-        ----------
-        values : mapping
-            By name.
-
-        Returns
-        -------
-        Form
-            The same.
-
-        Raises
-        ------
-        ModelError
-            If a setting is missing, or is not known.
-        """
-        given = {k: _as_tuple(v) for k, v in values.items() if k != "form"}
-        known = {f.name for f in fields(cls)}
-        needed = {f.name for f in fields(cls) if f.default is MISSING}  # a model of before may lack a newer setting
-        if not needed <= set(given) <= known:
-            raise ModelError(f"the effect {cls.key!r} needs the settings {sorted(known)}, got {sorted(given)}")
-        return cls(**given)
-
-
-def _as_tuple(value: Any) -> Any:
-    return tuple(_as_tuple(v) for v in value) if isinstance(value, list) else value
 
 
 def steps(values: FloatArray, count: int) -> tuple[float, ...]:
