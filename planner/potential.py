@@ -242,30 +242,8 @@ def spare_bounds(
     ndarray of float64, (B,)
         Least (energy - share * rise) / length [J/m], 0 where that is rounding; infinite where there is no move.
     """
-    parts = parts_of(*surface.shape)
-    found = np.full((len(parts), shares.size), np.inf)
-    share_out(
-        lambda k: _least_rows(energy, offsets, length_m, surface, shares, parts[k].start, parts[k].stop, found[k]),
-        range(len(parts)),
-    )
-    bounds = found.min(axis=0)
+    bounds = np.array([spare_per_m(energy, offsets, length_m, share * surface).min() for share in shares])
     return np.where(np.abs(bounds) * length_m.min() < 2.0 * ROUNDING_J, 0.0, bounds)
-
-
-@njit(cache=True, nogil=True)
-def _least_rows(energy, offsets, length_m, surface, shares, first, end, least):
-    """Lower `least` (B,) to `spare_bounds` of rows first..end - 1."""
-    _, cols, moves = energy.shape
-    per_m = 1.0 / length_m
-    for i in range(first, end):
-        for j in range(cols):
-            here = surface[i, j]
-            for n in range(moves):
-                step = energy[i, j, n]
-                if not math.isnan(step):
-                    rise = surface[i + offsets[n, 0], j + offsets[n, 1]] - here
-                    for b in range(shares.size):
-                        least[b] = min(least[b], (step - shares[b] * rise) * per_m[n])
 
 
 @njit(cache=True, nogil=True)

@@ -35,7 +35,7 @@ class StoredLattice:
     ----------
     path : str or Path
         A folder written by `save_lattice` or `write_lattice`.
-    kept_bytes : int, default 256 MB
+    kept_bytes : int, default 160 MB
         How much of what was read last is kept in memory: neighbouring windows share chunks.
 
     Attributes
@@ -59,7 +59,7 @@ class StoredLattice:
         If `path` is missing, is not a cost lattice, or is a damaged one.
     """
 
-    def __init__(self, path: str | Path, *, kept_bytes: int = 256_000_000) -> None:
+    def __init__(self, path: str | Path, *, kept_bytes: int = 160_000_000) -> None:
         self.path = Path(path)
         group = open_group(self.path)
         meta: dict[str, Any] = dict(group.attrs)
