@@ -42,7 +42,17 @@ class Connection:
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def ask(self, method: str, path: str, body: bytes = b"", headers: str = "") -> tuple[int, bytes]:
-        """The status and the body of the answer."""
+        """The status and the body of the answer; a connection that was closed while it was idle is opened again."""
+        kept = self._streams is not None
+        try:
+            return await self._asked(method, path, body, headers)
+        except (ConnectionError, asyncio.IncompleteReadError) as error:
+            self.close()
+            if not kept or getattr(error, "partial", b""):
+                raise
+        return await self._asked(method, path, body, headers)
+
+    async def _asked(self, method: str, path: str, body: bytes, headers: str) -> tuple[int, bytes]:
         if self._streams is None:
             self._streams = await asyncio.open_connection("127.0.0.1", self._port)
         reader, writer = self._streams
