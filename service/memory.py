@@ -1,30 +1,26 @@
-"""How the C library keeps memory: large blocks are given back as soon as they are freed."""
+"""What the C library keeps of freed memory."""
 
 from __future__ import annotations
 
 import ctypes
 import sys
 
-BLOCK_BYTES = 1 << 20
-"""From this size on a block has a mapping of its own, which ends with it."""
-_M_MMAP_THRESHOLD = -3  # of malloc.h
 
-
-def give_back_large_blocks() -> bool:
-    """Have large blocks of this process given back to the system when they are freed.
+def give_back_freed_memory() -> bool:
+    """Have what lies free in the heaps of this process given back to the system.
 
     Returns
     -------
     bool
-        Whether the C library can be told so; others than glibc do it anyway, or not at all.
+        Whether the C library can be told so; others than glibc give it back anyway, or not at all.
 
     Notes
     -----
-    Without this glibc raises the size up to 32 MB with the blocks that are freed. The arrays of cost maps then lie in
-    its heaps, between smaller blocks that stay, and what is free there is lost to the system: with cost maps that come
-    and go the memory grows for hours.
+    glibc takes arrays below 32 MB from its heaps, where they lie between smaller blocks that stay. What is freed there
+    is used again, but not given back: with cost maps that come and go the memory grows for hours. A mapping of its own
+    for each array costs a question a tenth of its time, because every page of it is fetched anew.
     """
     if not sys.platform.startswith("linux"):
         return False
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    return mallopt is not None and bool(mallopt(_M_MMAP_THRESHOLD, BLOCK_BYTES))
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    return trim is not None and bool(trim(0))

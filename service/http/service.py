@@ -23,7 +23,7 @@ from joulemap.service.http.watched import watch
 from joulemap.service.intake.limits import ReadLimits
 from joulemap.service.intake.readers import Readers
 from joulemap.service.jobs.engine import Jobs
-from joulemap.service.memory import give_back_large_blocks
+from joulemap.service.memory import give_back_freed_memory
 from joulemap.service.models import find_predictor
 from joulemap.service.settings import Settings
 from joulemap.service.storage.owners import Caller
@@ -129,7 +129,6 @@ class Service(SentFiles, Made):
             That of the requests.
         """
         self._loop = loop
-        give_back_large_blocks()
         self.store.open()
         self.health.start()
         self.readers.start()
@@ -175,6 +174,7 @@ class Service(SentFiles, Made):
             with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
                 if isinstance(planner, RoutePlanner):
                     planner.prepare()
+            give_back_freed_memory()  # of the map that had to go
 
         async def _in_turn() -> None:
             with suppress(BusyError):

@@ -14,10 +14,10 @@ from contextlib import asynccontextmanager, suppress
 import dask
 from distributed import Client, LocalCluster, Security
 
-from joulemap.service.memory import BLOCK_BYTES
-
 CONNECT_S = 10.0
 """Longest time until a scheduler answers [s]."""
+_BLOCK_BYTES = 1 << 20
+"""From this size on a block of a worker is mapped and given back; Dask's own setting maps blocks of 128 kB already."""
 NICE = 10
 """Of the workers that a service starts, so that questions are answered while cost maps are made."""
 _CONFIG = {
@@ -31,7 +31,7 @@ _CONFIG = {
     "distributed.diagnostics.nvml": False,
     "distributed.nanny.pre-spawn-environ": {  # it is this process's for a while
         "DASK_LOGGING__DISTRIBUTED": "warning",
-        "MALLOC_MMAP_THRESHOLD_": str(BLOCK_BYTES),
+        "MALLOC_MMAP_THRESHOLD_": str(_BLOCK_BYTES),
     },
 }
 _ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

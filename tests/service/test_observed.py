@@ -293,25 +293,23 @@ def test_a_folder_that_disappears_while_sizes_are_summed_does_not_count(tmp_path
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc keeps freed blocks")
 def test_freed_arrays_are_given_back():
-    """Blocks of 4 MB between small ones that stay: without the setting most of what is freed is kept."""
+    """Blocks of 4 MB between small ones that stay: without the call most of what is freed is kept."""
     code = """if True:
         import os, sys
-        from joulemap.service.memory import give_back_large_blocks
+        from joulemap.service.memory import give_back_freed_memory
         def held():
             return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-        if sys.argv[1] == "set" and not give_back_large_blocks():
-            print(0)
-            sys.exit()
         bytearray(30_000_000)  # glibc raises its threshold when such a block is freed
         before, blocks, small = held(), [], []
         for _ in range(50):
             blocks.append(bytearray(4_000_000))
             small.append(bytearray(100_000))
         blocks.clear()
-        print(held() - before)
+        kept = held() - before
+        given = give_back_freed_memory()
+        print(kept, held() - before, given)
     """
-    found = {}
-    for how in ("set", "not"):
-        out = subprocess.run([sys.executable, "-c", code, how], capture_output=True, text=True, check=True)
-        found[how] = float(out.stdout)
-    assert found["set"] < 20 < 150 < found["not"]
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    kept, after, given = out.stdout.split()
+    assert given == "True"
+    assert float(after) < 20 < 150 < float(kept)
