@@ -25,13 +25,14 @@ class Turning(Form):
     limit_per_m : float, optional
         Curvature above which a tighter turn takes no more current from motors [rad/m].
     eases : bool
-        Whether a radian costs less at speed, because friction sinks with the speed of sliding. It is stated at cruising
-        speed, and costs 1.5 times as much on the spot.
+        Whether a radian costs less at speed: a wheel that rolls while it is pushed sideways slips at a smaller angle,
+        where less than its full friction acts. It is stated at cruising speed, and costs 1.5 times as much on the spot.
 
     References
     ----------
     Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain". Dugoff,
-    Fancher & Segel 1970, "An analysis of tire traction properties" (friction and speed of sliding).
+    Fancher & Segel 1970, "An analysis of tire traction properties and their influence on vehicle dynamic performance"
+    (the force sideways grows with the angle of slip).
     """
 
     limit_radps: float | None = None
