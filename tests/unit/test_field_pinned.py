@@ -1,9 +1,7 @@
 """The field without effects is what the shipped network was made from: its numbers are pinned (ourselves, regression).
 
-Ten digits are hashed and not the bits, because processors differ in the last one.
+Figures are compared to seven digits, because processors differ in the last ones.
 """
-
-import hashlib
 
 import numpy as np
 import pytest
@@ -16,10 +14,46 @@ from joulemap.model.field.sites import named_site
 from joulemap.model.robot import Robot
 from joulemap.model.training.simulated_set import make_pretraining_set
 
+SEGMENTS = {
+    "x": [19, 500007.747, -1700.20688],
+    "y": [19, 4979994.28, -16932.1508],
+    "heading_rad": [19, 2.59777924, 0.198353695],
+    "energy_j": [19, 70.3578547, -9.33212373],
+    "explained_j": [19, 72.6708163, -9.13969389],
+    "duration_s": [19, 1.96881783, 0.000576767553],
+}
+TRACE = {
+    "t": [904, 23.35364, -0.0156904827],
+    "power_w": [904, 37.1575104, 0.132038258],
+    "explained_w": [904, 38.1009044, 0.148700425],
+    "wheels_w": [904, 24.3815079, 0.123347892],
+}
+LOG = {
+    "t": [500, 34.8813911, 0.142936354],
+    "x": [500, 500007.64, 1958.09581],
+    "z": [500, -0.090149236, -0.000374553794],
+    "voltage": [500, 32.0843648, 0.126213136],
+    "current": [500, 1.20009375, -0.000815266059],
+    "heading": [500, 151.480975, 0.0681515364],
+    "roll": [500, 0.265234578, 0.0603829964],
+    "wind_speed": [0, 0.0, 0.0],
+    "motor_temperature": [500, 23.2527054, 0.0909114616],
+    "gps_error": [500, 0.0121273018, -3.475202e-05],
+}
 
-def digest(*arrays) -> str:
-    text = ";".join(",".join(f"{value:.9e}" for value in array) for array in arrays)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+def figures(array) -> list[float]:
+    """Number, mean and a weighted mean of the values that are there, which any of them changes."""
+    values = np.asarray(array, dtype=np.float64)
+    values = values[~np.isnan(values)]
+    if not values.size:
+        return [0, 0.0, 0.0]
+    return [values.size, float(values.mean()), float((values * np.sin(np.arange(values.size))).mean())]
+
+
+def same(known, found) -> None:
+    for name, of in known.items():
+        assert figures(found[name]) == pytest.approx(of, rel=1e-6, abs=1e-8), name
 
 
 @pytest.fixture(scope="module")
@@ -34,15 +68,14 @@ def pinned():
 def test_segments_trace_log_and_the_state_of_the_generator_are_pinned(pinned):
     site, robot, drive, rng = pinned
     cut = simulate_segments(site, robot, drive, rng=rng)
-    columns = (cut.x, cut.y, cut.heading_rad, cut.energy_j, cut.explained_j, cut.duration_s)
-    assert digest(*columns) == "90a416611c4385ce"
+    same(SEGMENTS, vars(cut))
     trace = simulate_trace(site, robot, drive, rng=rng)
-    assert digest(trace.t, trace.power_w, trace.explained_w, trace.wheels_w) == "6cb1fdfba427697e"
+    same(TRACE, vars(trace))
     log = simulate_run(site, robot, drive, rng=rng, start_s=10.0)
-    assert digest(*log.columns.values()) == "b7721cf7527c5d35"
+    same(LOG, log.columns)
     assert rng.bit_generator.random_raw() == 13392144860719348900
 
 
 def test_the_pretraining_set_is_pinned():
     examples = make_pretraining_set(sites=2, seed=5)
-    assert digest(examples.energy_j.astype(np.float64)) == "cc55da95d4c248f7"
+    assert figures(examples.energy_j) == pytest.approx([890, 108.666927, -4.14090969], rel=1e-6)
