@@ -12,7 +12,7 @@ def give_back_freed_memory() -> bool:
     Returns
     -------
     bool
-        Whether the C library can be told so; others than glibc give it back anyway, or not at all.
+        Whether anything was given back. Only glibc has such a call; other libraries give memory back by themselves.
 
     Notes
     -----

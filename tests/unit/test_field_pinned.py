@@ -1,6 +1,6 @@
 """The field without effects is what the shipped network was made from: its numbers are pinned (ourselves, regression).
 
-Figures are compared to seven digits, because processors differ in the last ones.
+Figures are compared to six digits, because processors differ in the last ones.
 """
 
 import numpy as np
