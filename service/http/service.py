@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import logging
 from contextlib import suppress
 from importlib.metadata import version
 
@@ -29,6 +30,8 @@ from joulemap.service.settings import Settings
 from joulemap.service.storage.owners import Caller
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import COSTMAP, CalibrationRow, CostmapRow, kind_of
+
+_LOG = logging.getLogger("joulemap.service")
 
 
 class Service(SentFiles, Made):
@@ -177,8 +180,12 @@ class Service(SentFiles, Made):
             give_back_freed_memory()  # of the map that had to go
 
         async def _in_turn() -> None:
-            with suppress(BusyError):
+            try:
                 await self.plans.do(job_id, _open)
+            except BusyError as error:
+                _LOG.info("cost map %s is opened by its first question: %s", job_id, error)
+            except Exception:
+                _LOG.exception("cost map %s could not be opened before its first question", job_id)
 
         if kind_of(job_id) == COSTMAP and self._loop is not None:
             asyncio.run_coroutine_threadsafe(_in_turn(), self._loop)

@@ -1,0 +1,43 @@
+"""A new cost map is opened before its first question; where that fails, the log says why and questions still work."""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+
+from joulemap.service.http.app import create_app
+from tests.service.conftest import GOAL, START, settings_for
+
+
+def _made(client: TestClient, hill_tif: bytes) -> str:
+    heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
+    asked = {"heightmap_id": heightmap, "model": "physics"}
+    return str(client.post("/v1/costmaps", json=asked, headers={"Prefer": "wait=60"}).json()["id"])
+
+
+def test_a_disk_that_fails_meanwhile_is_in_the_log(
+    tmp_path: Path, hill_tif: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    app = create_app(settings_for(tmp_path))
+    with TestClient(app) as client, caplog.at_level(logging.INFO):
+        maps: Any = app.state.service.maps
+
+        def _fail(costmap_id: str) -> Any:
+            raise OSError(5, "the disk does not answer", costmap_id)
+
+        monkeypatch.setattr(maps, "for_routes", _fail)
+        made = _made(client, hill_tif)
+        words = f"cost map {made} could not be opened before its first question"
+        until = time.monotonic() + 30.0
+        while words not in caplog.text and time.monotonic() < until:
+            time.sleep(0.02)
+        assert words in caplog.text
+        assert "the disk does not answer" in caplog.text
+        monkeypatch.undo()
+        answer = client.post(f"/v1/costmaps/{made}/paths", json={"start": START, "goal": GOAL})
+        assert answer.status_code == 200, answer.text
