@@ -113,12 +113,11 @@ def _likeness(a: FloatArray, b: FloatArray) -> float:
 
 
 def _without_lines(values: FloatArray, run: NDArray[np.int64], since: FloatArray) -> FloatArray:
-    out = values.copy()
-    for k in np.unique(run):
-        mine = run == k
-        line = np.stack([np.ones(mine.sum()), since[mine] - since[mine].mean()], axis=1)
-        out[mine] -= line @ np.linalg.lstsq(line, values[mine], rcond=None)[0]
-    return out
+    """Values without their straight line in time, fitted to each run."""
+    count = np.maximum(np.bincount(run), 1)
+    at, out = (v - (np.bincount(run, v) / count)[run] for v in (since, values))
+    slope = np.bincount(run, at * out) / np.maximum(np.bincount(run, at * at), np.finfo(float).tiny)
+    return out - slope[run] * at
 
 
 def _same(a: FloatArray, b: FloatArray) -> bool:
