@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from joulemap.model.energy.predictor import MODEL_NAMES
 from joulemap.model.robot import Robot
 from joulemap.service.jobs.costmaps import Report
+from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import named_test_runs
-from joulemap.service.storage.vault import ObjectVault
 from joulemap.service.work.calibrations import calibrate
 from joulemap.service.work.vaulted import calibrate as calibrate_vaulted
 

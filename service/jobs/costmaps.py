@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.vault import ObjectVault
 from joulemap.service.work import tiles, vaulted
 from joulemap.service.work.tiles import MapOrder
 from joulemap.service.work.vaulted import VaultedOrder

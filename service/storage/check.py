@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from joulemap.model.errors import JoulemapError
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.planner.lattice_io import open_group
+from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.stats import heightmap_stats
 from joulemap.service.storage.store import Store
@@ -29,7 +30,6 @@ from joulemap.service.storage.tables import (
     HeightmapRow,
     RunsRow,
 )
-from joulemap.service.storage.vault import ObjectVault
 
 REMOVED = "removed"
 """Folder of the data directory into which a repair moves what belongs to nothing; nothing reads it."""

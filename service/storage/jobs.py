@@ -15,6 +15,7 @@ from sqlalchemy.exc import IntegrityError
 from joulemap.model.errors import NotFoundError
 from joulemap.planner.lattice_io import LatticeFolder
 from joulemap.service.storage.kept import Kept, now
+from joulemap.service.storage.object_vault import FETCHED
 from joulemap.service.storage.tables import (
     CALIBRATION,
     CANCELLED,
@@ -27,7 +28,6 @@ from joulemap.service.storage.tables import (
     JobRow,
     kind_of,
 )
-from joulemap.service.storage.vault import FETCHED
 
 
 class KeptJobs(Kept):

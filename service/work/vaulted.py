@@ -17,7 +17,7 @@ from typing import Any
 import zarr
 
 from joulemap.model.energy.predictor import MODEL_NAMES
-from joulemap.service.storage.vault import ObjectVault, Part
+from joulemap.service.storage.object_vault import ObjectVault, Part
 from joulemap.service.work import calibrations, tiles
 from joulemap.service.work.tiles import MapOrder
 

@@ -21,8 +21,8 @@ from fastapi.testclient import TestClient
 from joulemap.model.errors import InputError
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
+from joulemap.service.storage.object_vault import ObjectVault, Part
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.vault import ObjectVault, Part
 from tests.service.clusters import cluster, free_port
 from tests.service.conftest import GOAL, START, settings_for
 from tests.service.preload import disturbed

@@ -1,0 +1,362 @@
+"""An object store that keeps what is finished.
+
+A file or a folder is there when the record that names its files is, which is written last and removed first: whoever
+looks finds all of it or nothing. Nothing that is there is ever changed.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import errno
+import hashlib
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from joulemap.model.errors import InputError
+
+_LOST = errno.EHOSTUNREACH  # of an object store that does not answer: answered with 503, and jobs wait
+_RECORDS = "records"
+_AT_ONCE = 8  # transfers
+_RETRIES, _RETRY_S = 3, 10.0  # of one request
+_SHOWN = "the object store"
+FETCHED = ".fetched.partial"
+"""End of the name of a copy in the data folder that is on its way."""
+
+
+class Part(NamedTuple):
+    """A file of what is kept.
+
+    Attributes
+    ----------
+    size : int
+        Length [bytes].
+    sha256 : str
+        Of its content.
+    """
+
+    size: int
+    sha256: str
+
+
+class ObjectVault:
+    """An object store that is named by a URL.
+
+    Parameters
+    ----------
+    url : str
+        Like ``s3://BUCKET/PREFIX``; endpoint and credentials come from the environment (AWS_ENDPOINT_URL, ...).
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
+    """
+
+    def __init__(self, url: str) -> None:
+        try:
+            from obstore import store  # only here: it is an extra
+            from obstore.exceptions import BaseError
+        except ImportError:
+            words = f"the object store {url} needs obstore: pip install 'joulemap[objects]'"
+            raise InputError(words, url=url) from None
+        self.url = url
+        options: dict[str, Any] = {"timeout": "60s", "connect_timeout": "5s"}
+        if os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://"):
+            options["allow_http"] = True
+        retries = {"max_retries": _RETRIES, "retry_timeout": dt.timedelta(seconds=_RETRY_S)}
+        open_url: Any = store.from_url
+        how: dict[str, Any] = {"client_options": options, "retry_config": retries}
+        try:
+            self._store: Any = open_url(url, **({"mkdir": True} if url.startswith("file:") else how))
+        except (BaseError, ValueError) as error:
+            raise InputError(f"{url} is no object store that can be used: {_short(error)}", url=url) from error
+
+    def put(self, key: str, place: Path, *, there: Mapping[str, Part] | None = None) -> None:
+        """Keep a file or a folder, whole or not at all.
+
+        Parameters
+        ----------
+        key : str
+            Its name here.
+        place : Path
+            Where it is in the data folder.
+        there : mapping, optional
+            By the end of their names: files that were sent before, by `send`.
+        """
+        sent = there or {}
+        files = {_below(file, place): _part(file) for file in _files(place)}
+        self.send(key, place, [name for name, part in files.items() if sent.get(name) != part])
+        record = {"files": {name: list(part) for name, part in sorted(files.items())}}
+        self.write(f"{_RECORDS}/{key}.json", json.dumps(record).encode())
+
+    def send(self, key: str, place: Path, names: list[str]) -> dict[str, Part]:
+        """Send files without keeping them yet.
+
+        Parameters
+        ----------
+        key : str
+            Name of what they are of.
+        place : Path
+            Where it is in the data folder.
+        names : list of str
+            The files, relative to `place`.
+
+        Returns
+        -------
+        dict
+            A part for each name.
+        """
+
+        def _send(name: str) -> None:
+            with _told(), (place / name).open("rb") as file:
+                _obstore().put(self._store, _object(key, name), file)
+
+        _all(_send, names)
+        return {name: _part(place / name) for name in names}
+
+    def get(self, key: str, place: Path, parts: Mapping[str, Part]) -> None:
+        """Copy files that were sent, each whole or not at all.
+
+        Parameters
+        ----------
+        key : str
+            Name of what they are of.
+        place : Path
+            Where it goes in the data folder.
+        parts : mapping
+            What to expect, by name relative to `place`.
+
+        Raises
+        ------
+        OSError
+            If a file is not what was sent.
+        """
+
+        def _get(name: str) -> None:
+            target = place / name if name else place
+            target.parent.mkdir(parents=True, exist_ok=True)
+            begun = target.with_name(f"{target.name}.{secrets.token_hex(4)}.partial")
+            digest = hashlib.sha256()
+            try:
+                with _told(), begun.open("wb") as file:
+                    for chunk in _obstore().get(self._store, _object(key, name)).stream():
+                        digest.update(chunk)
+                        file.write(chunk)
+                if Part(begun.stat().st_size, digest.hexdigest()) != parts[name]:
+                    raise OSError(errno.EIO, f"{_SHOWN} has not what was kept as {_object(key, name)}")
+                begun.replace(target)
+            finally:
+                begun.unlink(missing_ok=True)
+
+        _all(_get, list(parts))
+
+    def fetch(self, key: str, place: Path) -> None:
+        """Have a copy in the data folder, whole or not at all.
+
+        Parameters
+        ----------
+        key : str
+            Its name here.
+        place : Path
+            Where the copy belongs; nothing is done if it is there.
+
+        Raises
+        ------
+        FileNotFoundError
+            If it is not kept.
+        OSError
+            If a file is not what was kept.
+        """
+        for last in (False, True):
+            if place.exists():
+                return
+            parts = self.parts(key)
+            if parts is None:
+                raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no {key}", str(place))
+            begun = place.with_name(f"{place.name}.{secrets.token_hex(4)}{FETCHED}")
+            try:
+                self.get(key, begun, parts)
+                with _if_not(place):  # another process may have been quicker
+                    begun.rename(place)
+                return
+            except FileNotFoundError as error:  # it is deleted at this moment, here or there; or a file of it is lost
+                if last:
+                    raise OSError(errno.EIO, f"{_SHOWN} has lost a part of {key}: {error}") from error
+            finally:
+                shutil.rmtree(begun, ignore_errors=True)
+                if begun.is_file():
+                    begun.unlink()
+
+    def size(self, key: str, place: Path) -> int:
+        """Return how much is kept.
+
+        Parameters
+        ----------
+        key : str
+            Its name here.
+        place : Path
+            Not used.
+
+        Returns
+        -------
+        int
+            Bytes; 0 where it is not kept.
+        """
+        return sum(part.size for part in (self.parts(key) or {}).values())
+
+    def parts(self, key: str) -> dict[str, Part] | None:
+        """Return the record of what is kept.
+
+        Parameters
+        ----------
+        key : str
+            Its name here.
+
+        Returns
+        -------
+        dict or None
+            A part by the name of each file; None where nothing is kept.
+        """
+        found = self.read(f"{_RECORDS}/{key}.json")
+        if found is None:
+            return None
+        return {name: Part(*part) for name, part in json.loads(found)["files"].items()}
+
+    def remove(self, key: str) -> None:
+        """Keep something no longer: its record goes first, so that nobody takes a part for the whole.
+
+        Parameters
+        ----------
+        key : str
+            Its name here.
+        """
+        with _told(), suppress(FileNotFoundError):
+            _obstore().delete(self._store, f"{_RECORDS}/{key}.json")
+        names = list(self.names(key)) or [key]  # of a folder, or a single file
+        with _told(), suppress(FileNotFoundError):
+            _obstore().delete(self._store, names)
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a small object.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+        content : bytes
+            All of it.
+        """
+        with _told():
+            _obstore().put(self._store, name, content)
+
+    def read(self, name: str) -> bytes | None:
+        """Read a small object.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+
+        Returns
+        -------
+        bytes or None
+            None where there is none.
+        """
+        try:
+            with _told():
+                return bytes(_obstore().get(self._store, name).bytes())
+        except FileNotFoundError:
+            return None
+
+    def names(self, prefix: str, *, before: dt.datetime | None = None) -> Iterator[str]:
+        """Yield the names of objects in a folder.
+
+        Parameters
+        ----------
+        prefix : str
+            The folder.
+        before : datetime, optional
+            Only those that were written before.
+
+        Yields
+        ------
+        str
+            Names.
+        """
+        with _told():
+            for found in _obstore().list(self._store, prefix):
+                yield from (each["path"] for each in found if before is None or each["last_modified"] < before)
+
+    def check(self) -> None:
+        """Raise OSError where the object store does not answer."""
+        self.read(f"{_RECORDS}/none.json")
+
+
+def _obstore() -> Any:
+    import obstore
+
+    return obstore
+
+
+def _object(key: str, name: str) -> str:
+    return f"{key}/{name}" if name else key
+
+
+def _files(place: Path) -> list[Path]:
+    return [path for path in place.rglob("*") if path.is_file()] if place.is_dir() else [place]
+
+
+def _below(file: Path, place: Path) -> str:
+    return "" if file == place else file.relative_to(place).as_posix()
+
+
+def _part(file: Path) -> Part:
+    with file.open("rb") as content:
+        return Part(file.stat().st_size, hashlib.file_digest(content, "sha256").hexdigest())
+
+
+def _all(do: Any, names: list[str]) -> None:
+    """Do something for every name, some at a time; raises what the first failure raises."""
+    if len(names) <= 1:
+        for name in names:
+            do(name)
+        return
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for done in [pool.submit(partial(do, name)) for name in names]:
+            done.result()
+
+
+@contextmanager
+def _if_not(place: Path) -> Iterator[None]:
+    """Let an OSError pass where something is at a place."""
+    try:
+        yield
+    except OSError:
+        if not place.exists():
+            raise
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """The errors of an object store as those of a file system."""
+    from obstore.exceptions import BaseError, NotFoundError
+
+    try:
+        yield
+    except (NotFoundError, FileNotFoundError) as error:
+        raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no such object: {_short(error)}") from error
+    except BaseError as error:
+        raise OSError(_LOST, f"{_SHOWN} does not answer as it should: {_short(error)}") from error
+
+
+def _short(error: BaseException) -> str:
+    """The first line; below it obstore repeats itself for its developers."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:300]
