@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from joulemap.planner.words import duration_words, energy_words
@@ -10,7 +10,19 @@ from joulemap.planner.words import duration_words, energy_words
 if TYPE_CHECKING:
     from joulemap.planner.budget import Verdict
 
-__all__ = ["duration_words", "energy_words", "p_words", "route_words", "runs_words", "saving_words", "verdict_words"]
+__all__ = [
+    "any_of",
+    "capital",
+    "duration_words",
+    "energy_words",
+    "objective_rows",
+    "p_words",
+    "percent",
+    "route_words",
+    "runs_words",
+    "saving_words",
+    "verdict_words",
+]
 
 
 def runs_words(count: int) -> str:
@@ -27,6 +39,56 @@ def runs_words(count: int) -> str:
         "1 run", "2 runs".
     """
     return "1 run" if count == 1 else f"{count} runs"
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """Return a share in percent.
+
+    Parameters
+    ----------
+    share : float
+        0..1.
+    digits : int
+        After the decimal point.
+
+    Returns
+    -------
+    str
+        With the sign of percent.
+    """
+    return f"{100.0 * share:.{digits}f} %"
+
+
+def any_of(names: Sequence[str]) -> str:
+    """Join the names of things of which one is meant.
+
+    Parameters
+    ----------
+    names : sequence of str
+        At least one.
+
+    Returns
+    -------
+    str
+        "a", "a or b", "a, b or c".
+    """
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def capital(words: str) -> str:
+    """Return words as the beginning of a sentence.
+
+    Parameters
+    ----------
+    words : str
+        May be empty.
+
+    Returns
+    -------
+    str
+        With a first letter in upper case.
+    """
+    return words[:1].upper() + words[1:]
 
 
 def p_words(p_value: float) -> str:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from joulemap.model.robot import Robot
     from joulemap.model.runs.calibration_runs import CalibrationRuns
     from joulemap.model.runs.electric import Currents
-    from joulemap.service.loop.summary import NextStep
+    from joulemap.service.loop.next_words import NextStep
 
 _CORNERS = 8  # of a route
 
@@ -271,7 +271,7 @@ class _Asked:
 
 def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Robot) -> list[NextStep]:
     """What to type after a calibration."""
-    from joulemap.service.loop.summary import NextStep, likeliest
+    from joulemap.service.loop.next_words import NextStep, likeliest
 
     made = out.with_name("after.zarr")
     words = ["joulemap", "costmap", *asked.ground_words(document, robot), "--model", str(out / "model")]
@@ -295,7 +295,8 @@ def _next_steps(document: Mapping[str, Any], out: Path, asked: _Asked, robot: Ro
 def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[NextStep]) -> None:
     from joulemap.model.runs.segments import coverage_words
     from joulemap.model.runs.words import count_words
-    from joulemap.service.loop.summary import drive_words, summary_lines
+    from joulemap.service.loop.next_words import drive_words
+    from joulemap.service.loop.summary import summary_lines
 
     title, *lines = summary_lines(document)
     output.say(f"[bold]{escape(title)}[/]")
@@ -363,7 +364,7 @@ def suggest_drive(
     from joulemap.service.exports.track import track_of_drive
     from joulemap.service.loop.deprecated_keys import with_former_keys
     from joulemap.service.loop.next_drive import suggest_next_drive
-    from joulemap.service.loop.summary import drive_words
+    from joulemap.service.loop.next_words import drive_words
 
     output, files = Output(json_file), wanted_files(out, format, coordinates)
     asked = _Asked(

@@ -17,8 +17,8 @@ from joulemap.model.energy.metrics import relative_errors
 from joulemap.model.loop.calibrate import Calibration
 from joulemap.model.runs.features import quantity
 from joulemap.model.runs.words import quantity_words
+from joulemap.service.loop.effect_words import curve_points
 from joulemap.service.loop.rerouting import Comparison
-from joulemap.service.loop.summary import curve_points
 
 matplotlib.use("Agg")
 

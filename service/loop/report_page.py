@@ -12,7 +12,18 @@ from typing import Any
 from joulemap.model.energy.metrics import LEAST_J
 from joulemap.model.loop.report import ALPHA
 from joulemap.model.runs.words import count_words, quantity_name, quantity_words
+from joulemap.service.loop.base_words import base_name, is_shown
 from joulemap.service.loop.calibration import Calibrated
+from joulemap.service.loop.effect_words import coefficient_words, found_words, is_log_fault, labels_of
+from joulemap.service.loop.error_words import (
+    error_states,
+    error_words,
+    site_words,
+    unit_of,
+    validation_words,
+    variation_words,
+)
+from joulemap.service.loop.next_words import NextStep, drive_words, likeliest
 from joulemap.service.loop.report_figures import (
     LEAST_SPAN,
     against_figures,
@@ -22,28 +33,9 @@ from joulemap.service.loop.report_figures import (
     prediction_figures,
     residual_maps,
 )
-from joulemap.service.loop.summary import (
-    NextStep,
-    base_name,
-    coefficient_words,
-    drive_words,
-    error_states,
-    error_words,
-    found_words,
-    headline,
-    is_log_fault,
-    is_shown,
-    labels_of,
-    likeliest,
-    percent,
-    range_words,
-    site_words,
-    unit_of,
-    validation_words,
-    variation_words,
-)
+from joulemap.service.loop.summary import headline, range_words
 from joulemap.service.pictures import route_picture
-from joulemap.service.words import p_words
+from joulemap.service.words import p_words, percent
 
 _STYLE = """
 :root { color-scheme: light dark; --back: #f6f7f8; --card: #fff; --ink: #1d2329; --quiet: #56606a; --line: #d6dbe0;

@@ -18,9 +18,9 @@ from joulemap.model.runs.odometry import Odometry
 from joulemap.model.runs.sites import Site
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.loop.calibration import calibrate_on_runs, campaigns_of
+from joulemap.service.loop.next_words import NextStep
 from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.segments_document import segments_document
-from joulemap.service.loop.summary import NextStep
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.problems import problem_of
 from joulemap.service.work.processes import end_with_parent, run

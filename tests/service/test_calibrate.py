@@ -16,7 +16,7 @@ from joulemap.model.runs.record import read_record
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import open_costmap
-from joulemap.service.loop.summary import coefficient_words
+from joulemap.service.loop.effect_words import coefficient_words
 from joulemap.service.models import load_model, planning_robot
 from tests.reference.drives import wheel_logs
 from tests.reference.words import PRIVATE, shown

@@ -16,26 +16,16 @@ from joulemap.model.loop.terms import Term
 from joulemap.model.runs.words import count_words, quantity_name
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
+from joulemap.service.loop.base_words import base_name, base_words
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.deprecated_keys import with_former_keys
+from joulemap.service.loop.effect_words import confounded_words, found_words
+from joulemap.service.loop.error_words import error_states, error_words, variation_words
 from joulemap.service.loop.next_drive import next_drive
+from joulemap.service.loop.next_words import NextStep, drive_words, likeliest
 from joulemap.service.loop.report_figures import LEAST_SPAN, change_scale
 from joulemap.service.loop.report_page import report_page
-from joulemap.service.loop.summary import (
-    NextStep,
-    base_name,
-    base_words,
-    confounded_words,
-    drive_words,
-    error_states,
-    error_words,
-    found_words,
-    headline,
-    likeliest,
-    range_words,
-    summary_lines,
-    variation_words,
-)
+from joulemap.service.loop.summary import headline, range_words, summary_lines
 from joulemap.service.words import p_words
 from tests.reference.drives import ROBOT, found_in, made_up, noisy
 from tests.reference.words import PRIVATE, shown

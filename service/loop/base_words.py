@@ -1,0 +1,84 @@
+"""What a calibration says of the base parameters, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from joulemap.service.words import capital
+
+_MOVED = 1e-3  # of an interval's half: less is rounding, and the value is the one to start from
+_BASE = {
+    "rolling_resistance": "rolling resistance",
+    "energy_of_motion": "energy of motion, as a multiple of the model's",
+    "idle_power_w": "idle power",
+    "descents": "share of the energy of descents that is lost",
+    "driving_power": "power drawn while driving, beside the idle power",
+    "speeding_up": "energy of speeding up, as a multiple of the kinetic energy",
+    "slowing_down": "energy saved by slowing down, as a multiple of the kinetic energy",
+    "measured_slope": "weight of the slope that the robot measured, beside the map's",
+    "per_metre": "charge per metre",
+    "uphill": "charge per joule of traction",
+    "downhill": "charge saved per joule of braking",
+    "standing_current": "current drawn all the time",
+}
+
+
+def base_name(key: str) -> str:
+    """Return what a reader calls a base parameter.
+
+    Parameters
+    ----------
+    key : str
+        Its name in the report.
+
+    Returns
+    -------
+    str
+        Part of a sentence.
+    """
+    return _BASE.get(key, key.replace("_", " "))
+
+
+def base_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what the runs say of the base model's own parameters.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        One line for each that the runs show: what was declared, what the runs say, and its 95 % interval.
+    """
+    lines = []
+    for parameter in document["base_parameters"]:
+        if not is_shown(parameter):
+            continue
+        unit, (low, high) = f" {parameter['unit']}".rstrip(), parameter["ci95"]
+        declared = "" if parameter["declared"] is None else f"{parameter['declared']:.3g}{unit} declared, "
+        lines.append(
+            f"{capital(base_name(parameter['name']))}: {declared}{parameter['value']:.3g}{unit} by the runs "
+            f"(95 % interval {low:.3g} to {high:.3g})."
+        )
+    return lines
+
+
+def is_shown(parameter: Mapping[str, Any]) -> bool:
+    """Return whether the runs say anything of a base parameter.
+
+    Parameters
+    ----------
+    parameter : mapping
+        From the report.
+
+    Returns
+    -------
+    bool
+        False where the value is the one to start from and the interval is wider than any value that makes sense.
+    """
+    start = parameter["declared"] or 0.0
+    half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])
+    return half <= 1.0 or abs(parameter["value"] - start) > _MOVED * half

@@ -1,0 +1,189 @@
+"""What a calibration says of the effects it found, and of those that these runs cannot distinguish, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from joulemap.model.loop.forms import FORMS
+from joulemap.model.runs.words import quantity_name
+from joulemap.service.words import any_of, capital, p_words, percent
+
+_FEW = 4  # coefficients of an effect that are all written out
+_SAME = 0.005  # of what turning costs in plans: less than this is no further part of it
+
+
+def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float]]:
+    """Return a fitted curve of a report.
+
+    Parameters
+    ----------
+    effect : mapping
+        Of the form `curve`.
+
+    Returns
+    -------
+    tuple of list of float
+        Values of the covariate, and what is added there.
+    """
+    knots = list(effect["settings"]["knots"])
+    values = [c["value"] for c in effect["coefficients"]]
+    values.insert(len(knots) // 2, 0.0)
+    return knots, values
+
+
+def found_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what was found, with coefficients and 95 % intervals.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        Sentences: first how many effects, then one paragraph for each.
+    """
+    model, effects = document["model"]["before"]["name"], document["effects"]
+    if not effects:
+        return [
+            f"These runs show no effect that the model {model} lacks: no candidate effect is both significant and "
+            "large enough to improve the prediction of left-out runs."
+        ]
+    count = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
+    words = [f"These runs show {count} that the model {model} lacks."]
+    words += [_effect_words(effect) for effect in effects]
+    return [*words, _turning_words(document)] if "turning_in_plans" in document else words
+
+
+def _effect_words(effect: Mapping[str, Any]) -> str:
+    sentences = [f"{capital(effect['label'])}: {'; '.join(coefficient_words(effect))}, p {p_words(effect['p_value'])}."]
+    if effect["form"] == "curve":
+        sentences.append("The report shows the curve.")
+    elif effect["meaning"]:
+        sentences.append(f"This is the {effect['meaning']}.")
+    sentences.append(f"It acts {effect['where']}.")
+    sentences.append(f"It explains {percent(effect['share_of_residual_variance'], 0)} of the squared error.")
+    if effect["between_runs"]:
+        sentences.append("The differences between runs show it, not the course within a run.")
+    return " ".join([*sentences, *_plan_words(effect)])
+
+
+def _plan_words(effect: Mapping[str, Any]) -> list[str]:
+    if effect["in_plans"]:
+        return []
+    if is_log_fault(effect):
+        return ["It is a fault of the log: plans never contain it."]
+    return ["Plans do not contain it: it depends on what only a log records."]
+
+
+def is_log_fault(effect: Mapping[str, Any]) -> bool:
+    """Return whether an effect is a fault of the log, such as a late meter, and nothing that costs energy.
+
+    Parameters
+    ----------
+    effect : mapping
+        From the report.
+
+    Returns
+    -------
+    bool
+        True for a form that no plan may contain.
+    """
+    return not FORMS[effect["form"]].on_map
+
+
+def _curve_words(effect: Mapping[str, Any]) -> str:
+    """A fitted curve without its points: whether it rises or falls, and between which values."""
+    values = curve_points(effect)[1]
+    steps = [after - before for before, after in zip(values, values[1:], strict=False)]
+    unit = effect["coefficients"][0]["unit"]
+    low, high = f"{min(values):+.3g}", f"{max(values):+.3g}"
+    if all(step >= 0.0 for step in steps):
+        ends = f"rising from {low} to {high} {unit}"
+    elif all(step <= 0.0 for step in steps):
+        ends = f"falling from {high} to {low} {unit}"
+    else:
+        ends = f"between {low} and {high} {unit}"
+    return f"a fitted curve over {quantity_name(effect['settings']['over'])}, {ends}"
+
+
+def _turning_words(document: Mapping[str, Any]) -> str:
+    """What turning costs in plans: the effect found is a part of it only where there is more."""
+    turn = document["turning_in_plans"]
+    total, new = turn["j_per_rad"], turn["new_j_per_rad"]
+    volts = " (charge times the nominal voltage)" if document["target"] == "charge_as" else ""
+    words = f"In plans one radian of turning costs {total:.1f} J{volts}"
+    if total - new < _SAME * abs(total):
+        return f"{words}."
+    return f"{words}: {new:.1f} J are new, the rest is in the model already or in what the baseline runs show."
+
+
+def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
+    """Return the coefficients of an effect with their 95 % intervals.
+
+    Parameters
+    ----------
+    effect : mapping
+        From the report.
+
+    Returns
+    -------
+    list of str
+        Of a curve its ends; of other effects with many coefficients the smallest and the largest; of a field over the
+        map, whose values mean something together only, their number.
+    """
+    found = effect["coefficients"]
+    if effect["form"] == "curve":
+        return [_curve_words(effect)]
+    if effect["form"] == "local_friction":
+        return [f"{len(found)} values"]
+    few = len(found) <= _FEW
+    shown = found if few else [f(found, key=lambda c: c["value"]) for f in (min, max)]
+    words = []
+    for c in shown:
+        own = c["name"] == effect["name"]
+        name = "" if own and len(found) == 1 else f"{effect['label'] if own else c['name']}: "
+        low, high = c["ci95"]
+        unit = f" {c['unit']}" if c["unit"] else ""
+        words.append(f"{name}{c['value']:.3g}{unit} (95 % interval {low:.3g} to {high:.3g})")
+    return words if few else [f"{len(found)} values, the smallest and the largest", *words]
+
+
+def labels_of(document: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a reader calls each effect of a report.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    dict of str to str
+        Name -> label, of the candidates and of the effects found.
+    """
+    return {row["name"]: row["label"] for row in (*document["candidates"], *document["effects"])}
+
+
+def confounded_words(document: Mapping[str, Any]) -> list[str]:
+    """Return what these runs cannot distinguish, and what would.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        A line for each effect that another candidate would replace as well.
+    """
+    labels, lines = labels_of(document), []
+    for name, *rivals in document["confounded"]:
+        others = any_of([labels.get(rival, rival) for rival in rivals])
+        drive = document["to_separate"].get(name)
+        more = f" This would: {drive}." if drive else ""
+        lines.append(f"These runs cannot distinguish {labels.get(name, name)} from {others}.{more}")
+    return lines

@@ -1,0 +1,159 @@
+"""How well a calibrated model predicts, and how much runs and sites vary, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from joulemap.service.words import percent
+
+
+def unit_of(document: Mapping[str, Any]) -> str:
+    """Return the unit of measured and predicted values.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    str
+        Ampere seconds where no voltage was logged.
+    """
+    return "A s" if document["target"] == "charge_as" else "J"
+
+
+def variation_words(document: Mapping[str, Any]) -> str:
+    """Return by how much runs differ for no known reason.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    share = document["variation"]["run_share"]
+    if len(document["runs"]["names"]) < 2:
+        return "One run alone does not show how much runs differ."
+    if share < 5e-4:  # nothing in the digits that are shown
+        return "The runs do not differ by more than the spread within them."
+    return f"Run-to-run variation of {percent(share)} of the energy is left, cause unknown."
+
+
+def validation_words(document: Mapping[str, Any]) -> str:
+    """Return on what the errors were measured.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    str
+        Part of a sentence, such as "on runs that had no part in the calibration".
+    """
+    found = document["validation"]
+    if not found["whole_procedure"]:
+        return "on the runs that the model was fitted to"
+    left_out, folds = found["left_out"], found["folds"]
+    return f"on {left_out} that had no part in the calibration that predicts them ({folds} calibrations)"
+
+
+def error_words(document: Mapping[str, Any]) -> list[str]:
+    """Return how much better the calibrated model predicts.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        Sentences: on test runs where there are some; on the runs themselves; and how far these may be trusted.
+    """
+    lines = []
+    if test := document.get("test_set"):
+        runs = len(test["error"]["before"]["by_run"])
+        count = "one test run" if runs == 1 else f"{runs} test runs"
+        lines.append(
+            f"Errors on {count} that had no part in the calibration ({test['segments']:,} segments): "
+            f"{_states(test['error'], unit_of(document))}."
+        )
+    states = _states(document["error"], unit_of(document))
+    lines.append(f"Errors {validation_words(document)}: {states}.")
+    if not document["validation"]["whole_procedure"]:
+        lines.append(
+            "WARNING: these are errors of the fit, because a quick calibration was asked for. Errors on other runs are "
+            "larger. Calibrate without `--quick` (over HTTP and in Python: `quick`) to measure them."
+        )
+    elif document["validation"]["left_out"] == "blocks":
+        lines.append(
+            "There are too few runs to leave whole ones out, so parts of each run were left out. Errors on another day "
+            "may be larger."
+        )
+    return lines
+
+
+def _states(error: Mapping[str, Any], unit: str) -> str:
+    """Errors of each state of the model."""
+    return "; ".join(
+        f"{words} {percent(error[key]['mean_relative'])} mean relative, {error[key]['rmse']:.3g} {unit} root mean "
+        f"square, {percent(error[key]['absolute_share'])} of the {'charge' if unit == 'A s' else 'energy'}"
+        for key, words in error_states(error).items()
+    )
+
+
+def error_states(error: Mapping[str, Any]) -> dict[str, str]:
+    """Return words for each state of the model that errors are stated of.
+
+    Parameters
+    ----------
+    error : mapping
+        From the report.
+
+    Returns
+    -------
+    dict
+        Key of the state -> words, without those of no difference to before or after.
+    """
+    states = {
+        "before": "before",
+        "corrected": "with the base parameters",
+        "after": "after",
+        "after_planner": "after, plan-time prediction",
+    }
+    pairs = (("corrected", "before"), ("after", "corrected"), ("after_planner", "after"))
+    same = {key for key, other in pairs if error[key] == error[other]}
+    if "after" in same:  # the base parameters are all that was found
+        states["corrected"] = "after, with the base parameters"
+    return {key: words for key, words in states.items() if key not in same}
+
+
+def site_words(document: Mapping[str, Any]) -> list[str]:
+    """Return on which of several maps the route was compared.
+
+    Parameters
+    ----------
+    document : mapping
+        The report.
+
+    Returns
+    -------
+    list of str
+        One sentence, none for a single map.
+    """
+    sites = document.get("sites", [])
+    if len(sites) < 2:
+        return []
+    main = next(site for site in sites if site["main"])
+    return [
+        f"Of {len(sites)} maps, the most metres were driven on {main['heightmap']} (run {main['runs'][0]}): the maps, "
+        "the route, the next drive and the warnings of this report are for that one."
+    ]
