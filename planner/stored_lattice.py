@@ -35,7 +35,7 @@ class StoredLattice:
     ----------
     path : str or Path
         A folder written by `save_lattice` or `write_lattice`.
-    kept_bytes : int, default 160 MB
+    kept_bytes : int, default 100 MB
         How much of what was read last is kept in memory: neighbouring windows share chunks.
 
     Attributes
@@ -59,7 +59,7 @@ class StoredLattice:
         If `path` is missing, is not a cost lattice, or is a damaged one.
     """
 
-    def __init__(self, path: str | Path, *, kept_bytes: int = 160_000_000) -> None:
+    def __init__(self, path: str | Path, *, kept_bytes: int = 100_000_000) -> None:
         self.path = Path(path)
         group = open_group(self.path)
         meta: dict[str, Any] = dict(group.attrs)
@@ -168,11 +168,9 @@ class StoredLattice:
         rows, cols = self.frame.shape
         for i in range(max(row0, 0) // high, -(-min(row1, rows) // high)):
             for j in range(max(col0, 0) // wide, -(-min(col1, cols) // wide)):
-                chunk = self._chunks.get(of, i, j)
-                first_row, first_col = i * high, j * wide
-                top, left = max(first_row, row0), max(first_col, col0)
-                down, right = min(first_row + chunk.shape[0], row1), min(first_col + chunk.shape[1], col1)
-                out[top - row0 : down - row0, left - col0 : right - col0] = chunk[
-                    top - first_row : down - first_row, left - first_col : right - first_col
-                ]
+                top, down = max(i * high, row0), min((i + 1) * high, row1, rows)
+                left, right = max(j * wide, col0), min((j + 1) * wide, col1, cols)
+                out[top - row0 : down - row0, left - col0 : right - col0] = self._chunks.get(
+                    of, i, j, (top - i * high, down - i * high), (left - j * wide, right - j * wide)
+                )
         return out

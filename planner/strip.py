@@ -7,6 +7,7 @@ What was not read counts as blocked, so no leg can lead there unseen.
 from __future__ import annotations
 
 import mmap
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ class Strip:
         rows, cols = stored.frame.shape
         self._read = np.zeros((-(-rows // BLOCK_CELLS), -(-cols // BLOCK_CELLS)), dtype=np.bool_)
         arrays: dict[str, Any] = {
-            name: _reserved((rows, cols, *more), dtype) for name, (more, dtype) in stored.arrays.items()
+            name: reserved((rows, cols, *more), dtype) for name, (more, dtype) in stored.arrays.items()
         }
         arrays["blocked"][:] = int(Blocked.UNKNOWN)
         self.lattice = CostLattice(stored.frame, stored.robot, provenance=stored.provenance, **arrays)
@@ -70,22 +71,51 @@ class Strip:
                 wanted[self._near(row, cells), self._near(col, cells)] = True
         if len(points) == 1:
             wanted[self._near(points[0, 0], cells), self._near(points[0, 1], cells)] = True
-        rows, cols = self._stored.frame.shape
-        for i, j in np.argwhere(wanted & ~self._read):
-            row, col = int(i) * BLOCK_CELLS, int(j) * BLOCK_CELLS
-            row1, col1 = min(row + BLOCK_CELLS, rows), min(col + BLOCK_CELLS, cols)
-            part = self._stored.window(row, row1, col, col1)
-            for name in self._stored.arrays:
-                getattr(self.lattice, name)[row:row1, col:col1] = getattr(part, name)
-            self._read[i, j] = True
+        new = wanted & ~self._read
+        blocks = max(self._stored.chunk // BLOCK_CELLS, 1)
+        for i in range(0, new.shape[0], blocks):
+            for j in range(0, new.shape[1], blocks):
+                if new[i : i + blocks, j : j + blocks].any():
+                    self._read_blocks(np.argwhere(new[i : i + blocks, j : j + blocks]) + np.array([i, j]))
+
+    def _read_blocks(self, places: NDArray[np.int64]) -> None:
+        """Read blocks that lie near each other; places : (n, 2)."""
+        row, col = places.min(axis=0) * BLOCK_CELLS
+        row1, col1 = np.minimum((places.max(axis=0) + 1) * BLOCK_CELLS, self._stored.frame.shape)
+        part = self._stored.window(row, row1, col, col1)
+        for name in self._stored.arrays:
+            values, to = getattr(part, name), getattr(self.lattice, name)
+            for i, j in places * BLOCK_CELLS:
+                to[i : i + BLOCK_CELLS, j : j + BLOCK_CELLS] = values[
+                    i - row : i - row + BLOCK_CELLS, j - col : j - col + BLOCK_CELLS
+                ]
+        self._read[tuple(places.T)] = True
 
     @staticmethod
     def _near(place: float, cells: int) -> slice:
         return slice(max(int(place - cells) // BLOCK_CELLS, 0), int(place + cells) // BLOCK_CELLS + 1)
 
 
-def _reserved(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """An array of zeros that takes no memory yet, whatever its size."""
+def reserved(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return an array of zeros that takes no memory yet, whatever its size.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Its shape.
+    dtype : dtype
+        Its type.
+
+    Returns
+    -------
+    ndarray
+        The system gives it memory page by page, as they are written, and never in huge pages: these would take several
+        times what is written.
+    """
     size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
     flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | getattr(mmap, "MAP_NORESERVE", 0)
-    return np.frombuffer(mmap.mmap(-1, size, flags=flags), dtype=dtype).reshape(shape)
+    memory = mmap.mmap(-1, size, flags=flags)
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        with suppress(OSError):  # a system without huge pages
+            memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype=dtype).reshape(shape)

@@ -24,19 +24,21 @@ from joulemap.planner.lower_bound import Potential, fill_bounds, potentials_towa
 from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.search import direct_energy, joining_legs, no_route, without_repeats
 from joulemap.planner.stored_lattice import StoredLattice
+from joulemap.planner.strip import reserved
 
 TILE_CELLS = 128
 """Side of a tile of the search, a power of two; a fourth of a chunk on disk, so that little is priced in vain."""
 DEFAULT_MEMORY = 1_500_000_000
 """Most memory of a search [bytes] unless the user says so: labels of a map of 10,000 x 10,000 cells fit into it."""
-_PRICES_MEMORY = 300_000_000
-"""Memory for priced tiles [bytes] while there is enough; more is used for the labels of cells."""
+_PRICES_MEMORY = 450_000_000
+"""Memory for priced tiles [bytes] while there is enough; more is used for the labels of cells. It holds the tiles along
+the edge of a search over 10,000 x 10,000 cells: with two thirds of it every tile is priced twice."""
 _LEAST_SLOTS = 24
 _LABEL_BYTES = 13
 _THIN, _THICK = 4.0, 16.0
 """How far above the least key of all cells a tile is settled, in typical prices: thin while there is memory for the
-prices of further tiles, as the fewest cells are settled twice; then thick. On 10,000 x 10,000 cells a tile is priced
-2.7 times on average with 2, as the search leaves it and comes back, and 1.2 times with 16."""
+prices of further tiles, as the fewest cells are settled twice; then thick, as a tile that the search leaves and comes
+back to is priced again."""
 _STEPS = 1_000_000
 _THREADS = 2
 _NEXT, _MOST_AHEAD = 4, 16
@@ -105,7 +107,8 @@ class TiledSearch:
         self._tile_cols = -(-cols // self._side)
         self._tiles = -(-rows // self._side) * self._tile_cols
         cells = self._tiles * self._side**2
-        self._labels = np.empty(cells), np.empty(cells, dtype=np.float32), np.empty(cells, dtype=np.uint8)
+        energy, ahead, pred = (reserved((cells,), np.dtype(of)) for of in (np.float64, np.float32, np.uint8))
+        self._labels = energy, ahead, pred
         self._opened = np.zeros(self._tiles, dtype=np.bool_)
         self._slot_of = np.full(self._tiles, -1, dtype=np.int32)
         self._used = np.zeros(self._tiles, dtype=np.int64)

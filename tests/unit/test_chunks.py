@@ -50,11 +50,60 @@ def test_a_damaged_chunk_is_named(tmp_path, content) -> None:
         read_chunk(array, 0, 0)
 
 
-def test_no_more_is_kept_than_allowed(tmp_path) -> None:
+@pytest.mark.parametrize("shuffle", ["noshuffle", "shuffle", "bitshuffle"])
+@pytest.mark.parametrize("values", [VALUES, np.zeros_like(VALUES), (VALUES * 1e9).view(np.uint32)])
+@pytest.mark.parametrize("block", [0, 128, 1000, 100_000])
+def test_some_rows_are_those_of_the_whole(tmp_path, shuffle, values, block) -> None:
+    """Blocks of a row, of several, of parts of rows, and of more than the chunk; compressed and copied ones."""
+    array = zarr.create_array(
+        tmp_path / "a",
+        shape=VALUES.shape,
+        chunks=(16, 32, 4),
+        dtype=values.dtype,
+        compressors=BloscCodec(cname="lz4", shuffle=shuffle, blocksize=block),
+    )
+    array[:] = values
+    for i, rows in ((0, 16), (1, 9)):
+        for top in range(rows):
+            for down in range(top + 1, rows + 1):
+                want = values[16 * i + top : 16 * i + down, 32:33]
+                np.testing.assert_array_equal(read_chunk(array, i, 1, top, down), want)
+
+
+def test_the_last_block_may_be_shorter(tmp_path) -> None:
+    values = np.random.default_rng(7).normal(size=(70, 100, 16)).astype(np.float32)
+    array = zarr.create_array(
+        tmp_path / "a", shape=values.shape, chunks=values.shape, dtype="float32", compressors=BloscCodec(clevel=1)
+    )
+    array[:] = values
+    for top in range(70):
+        np.testing.assert_array_equal(read_chunk(array, 0, 0, top), values[top:])
+
+
+def test_no_more_is_kept_than_allowed(tmp_path, monkeypatch) -> None:
     array = zarr.create_array(tmp_path / "a", shape=(80, 8), chunks=(8, 8), dtype="uint8", compressors=BloscCodec())
     array[:] = np.arange(640, dtype=np.uint8).reshape(80, 8)
-    chunks = Chunks(3 * 64)
-    first = [chunks.get(array, i, 0) for i in range(10)]
-    again = [chunks.get(array, i, 0) for i in reversed(range(10))]
-    assert [a is b for a, b in zip(first, reversed(again), strict=True)] == [False] * 7 + [True] * 3
-    np.testing.assert_array_equal(np.vstack(first), array[:])
+    read: list[int] = []
+    monkeypatch.setattr(
+        "joulemap.planner.chunks.read_chunk", lambda of, i, *more: read.append(i) or read_chunk(of, i, *more)
+    )
+    chunks = Chunks(3 * 3 * 64)
+    got = [chunks.get(array, i, 0, (0, 8), (0, 8)) for i in (*range(10), *reversed(range(10)))]
+    np.testing.assert_array_equal(np.vstack(got[:10]), array[:])
+    np.testing.assert_array_equal(np.vstack(got[:9:-1]), array[:])
+    assert read == [*range(10), *reversed(range(7))]
+
+
+def test_parts_are_those_of_the_whole_in_any_order(tmp_path) -> None:
+    """From chunks that were read, from their borders, and from parts of borders."""
+    array = zarr.create_array(
+        tmp_path / "a", shape=VALUES.shape, chunks=(12, 16, 4), dtype="float32", compressors=BloscCodec()
+    )
+    array[:] = VALUES
+    chunks, rng = Chunks(4000), np.random.default_rng(6)
+    for _ in range(2000):
+        i, j = rng.integers(3, size=2)
+        whole = VALUES[12 * i : 12 * i + 12, 16 * j : 16 * j + 16]
+        (top, down), (left, right) = (np.sort(rng.choice(n + 1, 2, replace=False)).tolist() for n in whole.shape[:2])
+        part = chunks.get(array, int(i), int(j), (top, down), (left, right))
+        np.testing.assert_array_equal(part, whole[top:down, left:right])
