@@ -18,7 +18,7 @@ from joulemap.model.reproduction.fieldwork import HEIGHTMAPS, make_field, more_e
 from joulemap.model.reproduction.measured import Measured, judged
 from joulemap.model.reproduction.profiles import STRATEGIES, Profile
 from joulemap.model.robot import Robot
-from joulemap.model.runs.segments import concatenate
+from joulemap.model.runs.segments import concatenate_segments
 
 FloatArray = NDArray[np.float64]
 
@@ -483,6 +483,6 @@ def _driven(field: Field, profile: Profile, metres: int) -> Measured:
     return replace(
         lanes,
         files=tuple(part.files[0] for part in parts),
-        segments=concatenate([part.segments for part in parts]),
+        segments=concatenate_segments([part.segments for part in parts]),
         explained_j=np.concatenate([part.explained_j for part in parts]),
     )

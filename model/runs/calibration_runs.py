@@ -15,7 +15,7 @@ from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.files import read_alike
 from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
 from joulemap.model.runs.reader import Run, read_run
-from joulemap.model.runs.segments import Segments, concatenate, driven_only
+from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
 from joulemap.model.runs.sites import Site, files_of, robot_of_all
 from joulemap.model.terrain.heightmap import Heightmap
 
@@ -69,7 +69,7 @@ class CalibrationRuns:
     @cached_property
     def segments(self) -> Segments:
         """Of all runs to learn from, in the order of the sites; places are in the frame of their own site."""
-        return concatenate([site.new for site in self.sites if site.new is not None])
+        return concatenate_segments([site.new for site in self.sites if site.new is not None])
 
     @property
     def run_count(self) -> int:
@@ -196,7 +196,9 @@ def _cut(runs: Sequence[Sequence[Run]], cut: Callable[[Run, bool], Segments]) ->
             "separately",
             run=without[0],
         )
-    return [driven_only(concatenate([cut(run, bool(without)) for run in some])) if some else None for some in runs]
+    return [
+        driven_only(concatenate_segments([cut(run, bool(without)) for run in some])) if some else None for some in runs
+    ]
 
 
 def _counts(runs: Sequence[Sequence[Run]]) -> tuple[int, dict[str, dict[str, int]]]:

@@ -13,7 +13,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.reader import Run, read_run
-from joulemap.model.runs.segments import Segments, concatenate, driven_only
+from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
 
 
 def distinct_names(files: Sequence[Path]) -> list[str]:
@@ -131,4 +131,4 @@ def read_segments(
         counted = charge or not run.has_energy
         cut = cut_segments(run, charge=counted, protocol=protocol, max_speed_mps=CARRIED * robot.speed_mps)
         parts.append(replace(cut, energy_j=cut.energy_j * robot.nominal_voltage_v, charge=False) if counted else cut)
-    return runs, driven_only(concatenate(parts))
+    return runs, driven_only(concatenate_segments(parts))

@@ -160,7 +160,7 @@ class Segments:
         return replace(self, **changed)
 
 
-def concatenate(parts: Sequence[Segments]) -> Segments:
+def concatenate_segments(parts: Sequence[Segments]) -> Segments:
     """Join the segments of several runs.
 
     Parameters

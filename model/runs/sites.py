@@ -15,7 +15,7 @@ from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.cutting import Protocol
 from joulemap.model.runs.files import distinct_names, read_segments
 from joulemap.model.runs.reader import Run
-from joulemap.model.runs.segments import Segments, concatenate
+from joulemap.model.runs.segments import Segments, concatenate_segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 
@@ -226,4 +226,4 @@ def read_sites(sites: Sequence[Site], *, charge: bool = False, protocol: Protoco
         runs += [replace(run, name=name) for run, name in zip(found, mine, strict=True)]
         parts.append(segments)
     number = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    return SiteRuns(tuple(sites), tuple(runs), concatenate(parts), number)
+    return SiteRuns(tuple(sites), tuple(runs), concatenate_segments(parts), number)

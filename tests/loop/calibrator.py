@@ -12,7 +12,7 @@ from joulemap.model.loop.calibrate import Effect, calibrate
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, cut_segments
 from joulemap.model.runs.reader import run_of
-from joulemap.model.runs.segments import Segments, concatenate, driven_only
+from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
 from tests.loop.generators.logs import Log
 from tests.loop.generators.site import CRS, Site
 
@@ -103,7 +103,7 @@ def segments_of(logs: Sequence[Log], robot: Robot) -> Segments:
     for log in logs:
         run = run_of({k: v.copy() for k, v in log.numbers.items()}, dict(log.texts), name=log.name, crs=CRS)
         parts.append(cut_segments(run, max_speed_mps=CARRIED * robot.speed_mps))
-    return driven_only(concatenate(parts))
+    return driven_only(concatenate_segments(parts))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from joulemap.model.runs.consistency import check_runs
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.fixes import projected
 from joulemap.model.runs.reader import parse_run
-from joulemap.model.runs.segments import Segments, concatenate
+from joulemap.model.runs.segments import Segments, concatenate_segments
 from joulemap.model.terrain.heightmap import Heightmap
 from tests.service.test_cli import joulemap
 
@@ -28,7 +28,7 @@ def driven(change: Callable[[dict[str, np.ndarray]], None] = lambda columns: Non
     columns["voltage"] = np.full(rows, 25.6)
     change(columns)
     lines = [",".join(columns), *(",".join(map(repr, map(float, row))) for row in zip(*columns.values(), strict=True))]
-    return concatenate([cut_segments(parse_run("\n".join(lines), name="run.csv"))])
+    return concatenate_segments([cut_segments(parse_run("\n".join(lines), name="run.csv"))])
 
 
 def times(column: str, factor: float) -> Callable[[dict[str, np.ndarray]], None]:

@@ -12,7 +12,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.features import describe_segments
 from joulemap.model.runs.reader import Run
-from joulemap.model.runs.segments import concatenate, coverage_words, driven_only
+from joulemap.model.runs.segments import concatenate_segments, coverage_words, driven_only
 from joulemap.model.terrain.heightmap import Heightmap
 
 
@@ -71,7 +71,7 @@ def test_a_stand_counts_beside_segments_of_its_run_only():
         x, y = (np.concatenate([start, along]) for start, along in zip(rest, (drive.x, drive.y), strict=True))
         amps = np.where(np.arange(x.size) < 100, 0.5, 2.0)
         runs.append(cut_segments(run_along(x, y, name=name, amps=amps, temperature=np.full(x.size, 12.0))))
-    segments = concatenate(runs)
+    segments = concatenate_segments(runs)
     assert {interval[0] for interval in segments.stationary} == {0, 1}
     ground = Heightmap(np.zeros((120, 120), np.float32), GridFrame(50.0, 130.0, 1.0, 120, 120))
     for some, runs_left in ((segments, {0, 1}), (segments.take(segments.run == 0), {0})):
@@ -283,7 +283,7 @@ def test_runs_are_put_together_and_taken_out_whole():
         for k, seconds in enumerate((20.0, 30.0, 40.0))
     ]
     bare = replace(parts[1], extras={})
-    together = concatenate([parts[0], bare, parts[2]])
+    together = concatenate_segments([parts[0], bare, parts[2]])
     assert together.runs == ("r0", "r1", "r2")
     assert len(together) == sum(map(len, parts))
     assert together.track_m == pytest.approx(10.0 + 15.0 + 20.0 - 3 * 0.05)
@@ -295,9 +295,9 @@ def test_runs_are_put_together_and_taken_out_whole():
     assert np.isnan(held.extras["z"]).all()
     np.testing.assert_array_equal(held.energy_j, parts[1].energy_j)
     with pytest.raises(InputError, match="charge"):
-        concatenate([parts[0], cut_segments(line(), charge=True)])
+        concatenate_segments([parts[0], cut_segments(line(), charge=True)])
     with pytest.raises(InputError, match="no segments"):
-        concatenate([])
+        concatenate_segments([])
 
 
 def test_segments_cannot_be_changed():
@@ -338,7 +338,7 @@ def test_a_run_whose_wheels_stand_was_carried_whatever_it_draws():
 
     runs = (("a", 3.0, 0.5), ("b", 0.1, 0.5), ("c", 3.0, 0.0))
     parts = [cut_segments(drawing(*run)) for run in runs]
-    found = driven_only(concatenate(parts))
+    found = driven_only(concatenate_segments(parts))
     assert found.left_out["undriven"] == len(parts[2])
     assert found.left_out_m["undriven"] == pytest.approx(parts[2].used_m)
     assert set(found.run) == {0, 1}
