@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from joulemap.model.loop._design import Design, fit_model, limits_of
+from joulemap.model.loop._design import Design, fit_model
 from joulemap.model.loop._variation import HUBER, spread_of
 from joulemap.model.loop.forms import NOT_OF_SLOPE
 from joulemap.model.loop.forms._base_parameters import SCALE, BaseParameters, with_base_parameters
@@ -74,29 +74,26 @@ def drives_of(residuals: Residuals) -> Drives:
     return replace(declared, coasting_shift=float(found.x))
 
 
-def base_step(residuals: Residuals, known: Residuals) -> tuple[Residuals, Term]:
-    """Fit the base parameters alone, before any effect: all rows with what they make of the energy of motion, and they.
+def base_step(residuals: Residuals, new: NDArray[np.bool_]) -> tuple[Residuals, Term, Term | None]:
+    """Fit the base parameters alone, before any effect: all rows with what they make of the energy of motion; they; and
+    the scale and the zero that make a charge of the base model's prediction, as that of a battery: what it says before
+    a calibration.
 
-    known : the runs to fit, which are those of the baseline, where there are any, since no effect is at work there.
+    new : False in the baseline runs, (n,). Where there are any they alone are fitted, since no effect is at work there.
     """
+    known = residuals if new.all() else residuals.take(~new)
     drives = drives_of(known)
-    moved, fitted = residuals.driven_by(drives), known.driven_by(drives)
+    plain, moved, fitted = residuals.driven_by(Drives()), residuals.driven_by(drives), known.driven_by(drives)
     base = BaseParameters.of(charge=fitted.charge, motors=fitted.motors)
-    term = _alone(fitted, base)
-    return replace(moved, features=with_base_parameters(moved.features, base, np.asarray(term.coefficients))), term
-
-
-def scale_of(residuals: Residuals) -> Term:
-    """Fit the scale and the zero that make a charge of the base model's prediction, as that of a battery: what it says
-    before a calibration.
-    """
-    plain = replace(residuals, features=replace(residuals.features, drives=Drives(), corrected=None))
-    return _alone(plain, BaseParameters(SCALE))
+    term, scale = _alone(fitted, base), _alone(plain, BaseParameters(SCALE)) if plain.charge else None
+    moved = replace(moved, features=with_base_parameters(moved.features, base, np.asarray(term.coefficients)))
+    return moved, term, scale
 
 
 def _alone(residuals: Residuals, base: BaseParameters) -> Term:
     """Base parameters fitted without any effect."""
-    empty = Design(residuals, np.ones(len(residuals), dtype=bool), base.columns(residuals.features), base, ())
+    rows, count = residuals.features, len(base.names)
+    low, high = base.lowest(rows), np.full(count, np.inf)
+    empty = Design(residuals, np.ones(len(residuals), dtype=bool), base.columns(rows), low, high, base, ())
     _, model = fit_model(empty, [])
-    index, low, high = limits_of(empty, [])
-    return Term(base, tuple(model.estimate(index, low, high, index[:0]).coefficients.tolist()))
+    return Term(base, tuple(model.coefficients(np.arange(count), low, high).tolist()))

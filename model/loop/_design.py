@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -48,14 +48,17 @@ class Design:
     residuals: Residuals  # of new runs, and of baseline runs where there are any
     new: NDArray[np.bool_]  # (n,), False in the baseline runs
     columns: FloatArray = field(repr=False)  # (n, k), the base parameters first
+    low: FloatArray = field(repr=False)  # (k,), physical limits of the coefficients
+    high: FloatArray = field(repr=False)
     base: BaseParameters
     candidates: tuple[Candidate, ...] = field(repr=False)  # all that are tested
+    without: tuple[str, ...] = ()  # base parameters that are in no model
     level_of: FloatArray | None = None  # base parameters before any effect: levels are shares of their prediction
 
     @property
     def fixed(self) -> IntArray:
-        """Columns of the base parameters."""
-        return np.arange(len(self.base.names))
+        """Columns of the base parameters in every model."""
+        return np.flatnonzero([name not in self.without for name in self.base.names])
 
     @cached_property
     def first_of(self) -> dict[str, Candidate]:
@@ -67,7 +70,7 @@ class Design:
         return np.concatenate([self.fixed, *(c.both for c in chosen)])
 
 
-def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[str], first: Term) -> Design:
+def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Collection[str], first: Term) -> Design:
     """The columns of all forms on the rows of all runs, without forms whose columns are nil there.
 
     new : False in the baseline runs, (n,). refused : logged columns that no effect may depend on. first : the base
@@ -85,6 +88,7 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
     parameters = base.columns(rows)
     coverage = _coverage(residuals, parameters, new) if compared else None
     blocks, candidates, count = [parameters], [], len(base.names)
+    low, high = [base.lowest(rows)], [np.full(count, np.inf)]
 
     def _add(form: Form, columns: FloatArray, every: FloatArray, shared: IntArray) -> None:
         nonlocal count
@@ -93,6 +97,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
         beside = count + columns.shape[1] + np.arange(len(shared))
         candidates.append(Candidate(form, tested, beside, shared))
         count += columns.shape[1] + len(shared)
+        for limits, limit, free in ((low, form.low, -np.inf), (high, form.high, np.inf)):
+            limits.append(np.repeat([limit, free], [len(tested), len(beside)]))
 
     for form in (form for kind in kinds for form in kind.variants(shown.take(np.flatnonzero(new)))):
         columns = form.columns(rows)
@@ -112,8 +118,16 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Sequence[
             columns = form.columns(rows)
             covered = np.flatnonzero(coverage(columns))
             _add(form, columns * new[:, None], columns, covered)
-    every = np.concatenate(blocks, axis=1)
-    return Design(residuals, new, every, base, tuple(candidates), np.asarray(first.coefficients))
+    return Design(
+        residuals,
+        new,
+        np.concatenate(blocks, axis=1),
+        np.concatenate(low),
+        np.concatenate(high),
+        base,
+        tuple(candidates),
+        level_of=np.asarray(first.coefficients),
+    )
 
 
 def _coverage(
@@ -139,18 +153,13 @@ def _coverage(
 
 
 def fit_model(
-    design: Design,
-    chosen: Sequence[Candidate],
-    start: Variation | None = None,
-    names: tuple[str, ...] | None = None,
+    design: Design, chosen: Sequence[Candidate], start: Variation | None = None
 ) -> tuple[Variation, MixedModel]:
     """Fit the variation around a choice of effects: the variation, and all columns under it.
 
-    start : the variation around another choice, from which the fit starts. names : base parameters in the model; all
-    without it.
+    start : the variation around another choice, from which the fit starts.
     """
-    residuals = design.residuals
-    index, low, high = limits_of(design, chosen, names)
+    residuals, index = design.residuals, design.index(chosen)
     x = design.columns[:, index]
     said, z = residuals.said, residuals.measured - residuals.said
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
@@ -160,38 +169,16 @@ def fit_model(
         np.maximum(np.maximum(said, 0.0), size),
         np.ones(len(z)),
     )
-    own = np.arange(len(index))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
     if design.level_of is None:  # the base parameters by themselves; of a charge nothing is predicted yet
         level = np.full(len(z), size) if residuals.charge else known
     else:
-        fixed = index[: len(index) - sum(len(c.both) for c in chosen)]
-        level = known + design.columns[:, fixed] @ design.level_of[fixed]
+        level = known + design.columns[:, design.fixed] @ design.level_of[design.fixed]
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
-        coefficients = model.estimate(own, low, high, own[:0]).coefficients
-        energy = x @ coefficients
+        energy = x @ model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
         if design.level_of is None:
             level = known + energy
         variation = fit_variation(variation, said + energy, z - energy, x)
     every = MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
     return variation, every
-
-
-def limits_of(
-    design: Design, chosen: Sequence[Candidate], names: tuple[str, ...] | None = None
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Columns of the base parameters and of a choice, (q,), with the lower and upper physical limits of their
-    coefficients.
-
-    names : base parameters in the model; all without it.
-    """
-    kept = np.array([names is None or name in names for name in design.base.names])
-    base = design.base.lowest(design.residuals.features)[kept]
-    low, high = [base], [np.full(len(base), np.inf)]
-    for c in chosen:
-        k, m = len(c.tested), len(c.beside)
-        low.append(np.concatenate([np.full(k, c.form.low), np.full(m, -np.inf)]))
-        high.append(np.concatenate([np.full(k, c.form.high), np.full(m, np.inf)]))
-    index = design.index(chosen)
-    return np.concatenate([index[: len(kept)][kept], index[len(kept) :]]), np.concatenate(low), np.concatenate(high)

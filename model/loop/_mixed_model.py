@@ -48,6 +48,7 @@ class Estimate:
     coefficients: FloatArray  # (q,), within their limits
     variance: FloatArray  # (q, q), with between-unit variation in it
     freedom: FloatArray  # (q,) degrees of freedom
+    between: float  # variance between units, as shares of their levels
 
     def interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """Lower and upper ends of confidence intervals, (q,), of the given coverage."""
@@ -96,13 +97,16 @@ class MixedModel:
         parts = [slice(a, b) for a, b in pairwise(borders)]
         self.units = len(parts)
         self.gram = np.stack([every[part].T @ every[part] for part in parts])  # (U, k + 2, k + 2)
-        level_size = np.maximum(self.gram[:, -2, -2], 1e-12)
-        self._h, self._gamma = self.gram[:, :, -2], level_size
-        self._scaled = _Within.of(every, parts)
+        self._h, self._gamma = self.gram[:, :, -2], np.maximum(self.gram[:, -2, -2], 1e-12)
         self._energies, self._parts = energies, parts
         self._level_variance = self._variances_of_levels(every[:, -2:-1])
         flat = variation.weight >= 1.0
         self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
+
+    @cached_property
+    def _scaled(self) -> _Within:
+        """Of scaled rows, for estimates."""
+        return _Within.of(self.rows, self._parts)
 
     @cached_property
     def _white(self) -> _Within:
@@ -172,10 +176,22 @@ class MixedModel:
         share = tau2 / (1.0 + tau2 * self._gamma)
         return self.gram[:, index[:, None], index[None, :]] - share[:, None, None] * h[:, :, None] * h[:, None, :]
 
-    def coefficients(self, chosen: IntArray) -> FloatArray:
-        """Coefficients (q,) by generalised least squares, without limits."""
-        gram = self._marginal(chosen, self.tau2(chosen)).sum(axis=0)
-        return np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]) / self.size[chosen]
+    def coefficients(self, chosen: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Coefficients (q,) by generalised least squares within limits, (q,)."""
+        return self._within_limits(*self._normal(chosen, self.tau2(chosen)), chosen, low, high)
+
+    def _normal(self, chosen: IntArray, tau2: float) -> tuple[FloatArray, FloatArray]:
+        """Normal equations of generalised least squares, (q, q) and (q,)."""
+        gram = self._marginal(chosen, tau2).sum(axis=0)
+        return self._with_prior(gram[:-1, :-1]), gram[:-1, -1]
+
+    def _within_limits(
+        self, normal: FloatArray, target: FloatArray, chosen: IntArray, low: FloatArray, high: FloatArray
+    ) -> FloatArray:
+        """Least squares by normal equations, within limits that nothing always keeps."""
+        factor, size = np.linalg.cholesky(normal), self.size[chosen]
+        bounds = np.minimum(low * size, 0.0) - 1e-12, np.maximum(high * size, 0.0) + 1e-12
+        return np.asarray(lsq_linear(factor.T, np.linalg.solve(factor, target), bounds=bounds).x / size)
 
     def left_out(self, chosen: IntArray, tau2: float, *, whole: bool = False) -> FloatArray:
         """Error of every unit by a fit to the others, (units,), in variances of the noise, beside random levels of
@@ -279,14 +295,9 @@ class MixedModel:
         information inside units counts rows, or independent stretches of an autoregression (Bartlett 1946); information
         between them counts units.
         """
-        sigma2, tau2 = self.sigma2(chosen), self.tau2(chosen)
-        gram = self._marginal(chosen, tau2).sum(axis=0)
-        normal = self._with_prior(gram[:-1, :-1])
-        factor = np.linalg.cholesky(normal)
-        target = np.linalg.solve(factor, gram[:-1, -1])
-        size = self.size[chosen]
-        low, high = np.minimum(low * size, 0.0), np.maximum(high * size, 0.0)
-        found = lsq_linear(factor.T, target, bounds=(low - 1e-12, high + 1e-12)).x
+        sigma2, tau2, size = self.sigma2(chosen), self.tau2(chosen), self.size[chosen]
+        normal, target = self._normal(chosen, tau2)
+        found = self._within_limits(normal, target, chosen, low, high)
         variance = np.linalg.inv(normal) * sigma2
         inside = np.linalg.inv(self._with_prior(self._scaled.gram[np.ix_(chosen, chosen)])) * sigma2
         freedom = np.empty(len(chosen))
@@ -301,7 +312,7 @@ class MixedModel:
                 variance[:, k] *= np.sqrt(ratio)
                 rows = max(alone[2], 1.0)
             freedom[k] = 1.0 / (share**2 / rows + (1.0 - share) ** 2 / units)
-        return Estimate(found / size, variance / np.outer(size, size), freedom)
+        return Estimate(found, variance / np.outer(size, size), freedom, tau2 * sigma2)
 
 
 def _positive(matrix: FloatArray) -> FloatArray:

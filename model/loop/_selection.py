@@ -14,16 +14,18 @@ Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (forward stepwise selection) 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from joulemap.model.loop._design import Candidate, Design, fit_model, limits_of
+from joulemap.model.loop._design import Candidate, Design, fit_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
 from joulemap.model.loop._variation import Variation
 from joulemap.model.loop.forms import UNNAMED, Form
+from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
+from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import FloatArray
 
 ALPHA = 0.01
@@ -66,18 +68,34 @@ class Selection:
         return out
 
     def estimate(
-        self, keep: Callable[[Form], bool] = lambda form: True, names: tuple[str, ...] | None = None
+        self, keep: Callable[[Form], bool] = lambda form: True, without: tuple[str, ...] = ()
     ) -> tuple[list[Candidate], Estimate, IntArray]:
         """Fit the coefficients of the chosen effects: those that `keep` says, their estimate, and the columns to which
         it belongs, (q,).
 
-        names : base parameters that are fitted; all without it.
+        without : base parameters that are not fitted.
         """
         kept = [c for c in self.chosen if keep(c.form)]
         between = [c for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
-        index, low, high = limits_of(self.design, kept, names)
-        model = self.model if names is None else fit_model(self.design, kept, self.variation, names)[1]
-        return kept, model.estimate(index, low, high, _tested(between)), index
+        design = replace(self.design, without=without)
+        model = fit_model(design, kept, self.variation)[1] if without else self.model
+        index = design.index(kept)
+        return kept, model.estimate(index, design.low[index], design.high[index], _tested(between)), index
+
+    def terms(
+        self, keep: Callable[[Form], bool] = lambda form: True, without: tuple[str, ...] = ()
+    ) -> tuple[Term, ...]:
+        """Base parameters and effects, fitted together as `estimate` says, as new runs have them."""
+        kept, estimate, index = self.estimate(keep, without)
+        value = np.zeros(len(self.design.low))
+        value[index] = estimate.coefficients
+        base = BaseParameters(tuple(name for name in self.design.base.names if name not in without))
+        terms = [Term(base, tuple(estimate.coefficients[: len(base.names)].tolist()))]
+        for candidate in kept:
+            total = value[candidate.tested]
+            total[candidate.shared] += value[candidate.beside]  # the base model's own error
+            terms.append(Term(candidate.form, tuple(total.tolist())))
+        return tuple(terms)
 
 
 def rivals_of(selection: Selection) -> dict[str, list[str]]:
@@ -195,7 +213,7 @@ def _verdict(
         why_not = "its gain on left-out runs is within one standard error of none"
     elif gain < LEAST_GAIN and not replaced:
         why_not = f"it explains less than {LEAST_GAIN:.0%} of the error on left-out runs"
-    elif not _physical(model, candidate, beside):
+    elif not _physical(design, model, candidate, beside):
         why_not = "its coefficient has an impossible sign or size"
     return Verdict(p_value, gain, gains, whole, why_not)
 
@@ -210,13 +228,14 @@ def _missing_parts(design: Design, candidate: Candidate, chosen: Sequence[Candid
     return [design.first_of[n] for n in candidate.form.parts if n not in known and n in design.first_of]
 
 
-def _physical(model: MixedModel, candidate: Candidate, beside: IntArray) -> bool:
+def _physical(design: Design, model: MixedModel, candidate: Candidate, beside: IntArray) -> bool:
     """Whether the free estimate lies within the physical limits."""
-    form, k = candidate.form, len(candidate.tested)
-    if not (np.isfinite(form.low) or np.isfinite(form.high)):
+    every = np.append(candidate.tested, beside)
+    low, high = (limits[candidate.tested] for limits in (design.low, design.high))
+    if np.isinf(low).all() and np.isinf(high).all():
         return True
-    free = model.coefficients(np.append(candidate.tested, beside))[:k]
-    return bool(np.all((free >= form.low) & (free <= form.high)))
+    free = model.coefficients(every, *np.full((2, every.size), [[-np.inf], [np.inf]]))[: low.size]
+    return bool(np.all((free >= low) & (free <= high)))
 
 
 def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool) -> int | None:

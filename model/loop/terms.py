@@ -50,6 +50,32 @@ class Term:
 
 
 @dataclass(frozen=True)
+class Effect:
+    """An effect that was found.
+
+    Attributes
+    ----------
+    term : Term
+        What is new in these runs and not in the baseline runs.
+    low, high : ndarray of float, (k,)
+        95 % confidence intervals of its coefficients.
+    p_value : float
+        Allowing for every test.
+    share : float
+        Share of the squared error that it explains on left-out runs.
+    between : bool
+        Whether it was found in the differences between runs.
+    """
+
+    term: Term
+    low: FloatArray
+    high: FloatArray
+    p_value: float
+    share: float
+    between: bool
+
+
+@dataclass(frozen=True)
 class Correction:
     """What a calibration adds to a base model.
 

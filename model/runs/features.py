@@ -274,6 +274,16 @@ class Features:
         return self.base_motion if self.corrected is None else self.base_motion + self.corrected
 
     @property
+    def hotel_and_motion(self) -> FloatArray:
+        """Energy of idle power and motion, (n,) [J, or A s], with the base parameters."""
+        return self.hotel_part + self.motion_part
+
+    @property
+    def power_w(self) -> FloatArray:
+        """Mean power of `hotel_and_motion` over each row, (n,)."""
+        return self.hotel_and_motion * self.unit_j / np.maximum(self.duration_s, 1e-6)
+
+    @property
     def base_motion(self) -> FloatArray:
         """Prediction of the base model for the motion, (n,) [J, or A s], with what regeneration returns."""
         t = self.pull_n

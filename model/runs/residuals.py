@@ -18,6 +18,8 @@ LEAST_SEGMENTS = 20
 """A calibration needs at least so many."""
 LEAST_FOLDS = 4
 """Of fewer runs, blocks are left out instead of whole runs."""
+MOST_FOLDS = 10
+"""Times that a whole procedure is repeated without a part of the runs (Kohavi 1995: ten folds)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,26 @@ class Residuals:
             mine = np.flatnonzero(self.run == run)
             out[mine] = k * blocks + np.minimum(np.arange(mine.size) * blocks // max(mine.size, 1), blocks - 1)
         return out
+
+    def folds(self, groups: Sequence[str] | None = None) -> NDArray[np.int64]:
+        """Return what is left out together by the cross-validation of a whole procedure.
+
+        Parameters
+        ----------
+        groups : sequence of str, optional
+            Of each run, such as its day. Without it every run is a group.
+
+        Returns
+        -------
+        ndarray of int, (n,)
+            Number of the fold: at most `MOST_FOLDS` of whole groups; `unit` where there are too few runs or one group.
+        """
+        names = np.asarray(groups if groups is not None else self.features.runs)[self.run]
+        _, group = np.unique(names, return_inverse=True)
+        count = int(group.max()) + 1
+        if not self.whole_runs or count < 2:
+            return self.unit
+        return np.asarray(group * min(count, MOST_FOLDS) // count, dtype=np.int64)
 
     def take(self, which: ArrayLike) -> Residuals:
         """Return some of the rows.

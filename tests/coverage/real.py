@@ -69,7 +69,7 @@ def left_out(runs: CalibrationRuns, campaigns: Sequence[str]) -> dict[str, tuple
         train, test = np.flatnonzero(group != k), np.flatnonzero(group == k)
         electric = {key: values[train] for key, values in measured.electric.items()}
         model = calibrate(rows.take(train), electric=electric, groups=campaigns)
-        said = model.fitted.predict(rows.take(test), model.fitted.correction.planner_terms)
+        said = model.fitted.states(rows.take(test))["after_planner"]
         parts = []
         for index, energy in ((train, model.held_out["after_planner"]), (test, said)):
             moving = rows.moving[index]

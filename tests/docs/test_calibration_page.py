@@ -18,7 +18,7 @@ DECIDES = (
     "base_step",
     "design",
     "selection",
-    "calibrate",
+    "procedure",
     "residuals",
     "variation",
     "mixed_model",

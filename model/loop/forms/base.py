@@ -25,7 +25,7 @@ class Form:
     meaning : str
         What a coefficient is, as part of a sentence.
     unit : str
-        Of every coefficient; `{E}` is the unit of energy, J or A s.
+        Of every coefficient; `{E}` is the unit of energy, J or A s, and `{P}` that of power.
     reveals : str
         Runs that would measure it better.
     low, high : float
@@ -94,7 +94,8 @@ class Form:
         tuple of str
             As many as there are columns.
         """
-        return (self.unit.format(E=energy),) * len(self.coefficient_names())
+        power = "W" if energy == "J" else "A"
+        return (self.unit.format(E=energy, P=power),) * len(self.coefficient_names())
 
     def coefficient_names(self) -> tuple[str, ...]:
         """Return what each coefficient is called; a single one has the name of the effect."""

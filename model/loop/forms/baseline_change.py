@@ -15,11 +15,8 @@ class HotelLoad(Form):
     key = "hotel_load"
     label = "idle power"
     meaning = "power drawn all the time, in addition to the declared idle power"
-    unit = "W"
+    unit = "{P}"
     reveals = "a minute without motion, then driving"
-
-    def units(self, energy: str) -> tuple[str, ...]:
-        return ("W" if energy == "J" else "A",)
 
     def column(self, rows: Features) -> FloatArray:
         return rows.duration_s
@@ -64,4 +61,4 @@ class SensorGain(Form):
     reveals = "a minute without motion, then level ground and climbs"
 
     def column(self, rows: Features) -> FloatArray:
-        return rows.hotel_part + rows.motion_part
+        return rows.hotel_and_motion

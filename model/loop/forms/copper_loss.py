@@ -46,10 +46,4 @@ class CopperLoss(Form):
         if self.of_motors:
             force = np.where(rows.standing, 0.0, rows.pull_n) / rows.robot.weight_n
             return rows.duration_s / rows.unit_j * force**2
-        amps = (
-            (rows.hotel_part + rows.motion_part)
-            * rows.unit_j
-            / np.maximum(rows.duration_s, 1e-6)
-            / rows.robot.nominal_voltage_v
-        )
-        return amps**2 * rows.duration_s / rows.unit_j
+        return (rows.power_w / rows.robot.nominal_voltage_v) ** 2 * rows.duration_s / rows.unit_j

@@ -45,7 +45,7 @@ class Drift(Form):
 
     def column(self, rows: Features) -> FloatArray:
         return (
-            (rows.hotel_part + rows.motion_part if self.of_all else rows.work_m * rows.pulling)
+            (rows.hotel_and_motion if self.of_all else rows.work_m * rows.pulling)
             * np.maximum(quantity(rows, self.over) - self.start, 0.0)
             / self.per[0]
         )

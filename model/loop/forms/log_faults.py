@@ -29,7 +29,7 @@ class MeterLag(Form):
     on_map = False
 
     def column(self, rows: Features) -> FloatArray:
-        power = (rows.hotel_part + rows.motion_part) / np.maximum(rows.duration_s, 1e-6)
+        power = rows.power_w / rows.unit_j
         follows = (np.diff(rows.run) == 0) & ~rows.standing[1:] & ~rows.standing[:-1]
         border = np.where(follows, 0.5 * (power[1:] + power[:-1]), np.nan)
         start, end = np.concatenate([[np.nan], border]), np.concatenate([border, [np.nan]])

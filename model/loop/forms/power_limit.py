@@ -32,8 +32,7 @@ class PowerLimit(Form):
     high = 0.0
 
     def column(self, rows: Features) -> FloatArray:
-        power = (rows.hotel_part + rows.motion_part) * rows.unit_j / np.maximum(rows.duration_s, 1e-6)
-        return np.maximum(power - self.power_w, 0.0) * rows.duration_s / rows.unit_j
+        return np.maximum(rows.power_w - self.power_w, 0.0) * rows.duration_s / rows.unit_j
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:

@@ -111,7 +111,7 @@ class Curve(Form):
         period = 2.0 * math.pi if self.over == "heading" else None
         hats = [np.interp(values, self.knots, np.eye(len(self.knots))[k], period=period) for k in self._kept()]
         driven = rows.work_m * rows.pulling if self.over in _DRAGGING else rows.work_m
-        amount = {"length": driven, "time": rows.duration_s, "all": rows.hotel_part + rows.motion_part}[self.of]
+        amount = {"length": driven, "time": rows.duration_s, "all": rows.hotel_and_motion}[self.of]
         return np.nan_to_num(np.stack(hats, axis=1) * amount[:, None])
 
     @classmethod
