@@ -95,5 +95,4 @@ def _alone(residuals: Residuals, base: BaseParameters) -> Term:
     rows, count = residuals.features, len(base.names)
     low, high = base.lowest(rows), np.full(count, np.inf)
     empty = Design(residuals, np.ones(len(residuals), dtype=bool), base.columns(rows), low, high, base, ())
-    _, model = fit_model(empty, [])
-    return Term(base, tuple(model.coefficients(np.arange(count), low, high).tolist()))
+    return Term(base, tuple(fit_model(empty, []).coefficients(np.arange(count), low, high).tolist()))

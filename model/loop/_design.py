@@ -152,10 +152,8 @@ def _coverage(
     return _covered
 
 
-def fit_model(
-    design: Design, chosen: Sequence[Candidate], start: Variation | None = None
-) -> tuple[Variation, MixedModel]:
-    """Fit the variation around a choice of effects: the variation, and all columns under it.
+def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | None = None) -> MixedModel:
+    """Fit the variation around a choice of effects: all columns under it.
 
     start : the variation around another choice, from which the fit starts.
     """
@@ -163,12 +161,7 @@ def fit_model(
     x = design.columns[:, index]
     said, z = residuals.said, residuals.measured - residuals.said
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
-    variation = start or Variation(
-        residuals.run,
-        residuals.moving,
-        np.maximum(np.maximum(said, 0.0), size),
-        np.ones(len(z)),
-    )
+    variation = start or Variation(residuals.run, residuals.moving, np.maximum(said, size), np.ones(len(z)))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
     if design.level_of is None:  # the base parameters by themselves; of a charge nothing is predicted yet
         level = np.full(len(z), size) if residuals.charge else known
@@ -180,5 +173,4 @@ def fit_model(
         if design.level_of is None:
             level = known + energy
         variation = fit_variation(variation, said + energy, z - energy, x)
-    every = MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
-    return variation, every
+    return MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)

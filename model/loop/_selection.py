@@ -21,7 +21,6 @@ import numpy as np
 
 from joulemap.model.loop._design import Candidate, Design, fit_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
-from joulemap.model.loop._variation import Variation
 from joulemap.model.loop.forms import UNNAMED, Form
 from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
@@ -54,10 +53,9 @@ class Selection:
     chosen: tuple[Candidate, ...]  # in the order in which they were taken
     verdicts: tuple[Verdict, ...]  # of each chosen one beside the others
     design: Design
-    variation: Variation  # around the chosen model
     alone: list[Verdict]  # of every candidate beside the base parameters
     last: list[Verdict]  # of every candidate beside the chosen ones
-    model: MixedModel  # of the chosen variation
+    model: MixedModel  # all columns under the variation around the chosen ones
 
     @property
     def best(self) -> dict[str, int]:
@@ -78,7 +76,7 @@ class Selection:
         kept = [c for c in self.chosen if keep(c.form)]
         between = [c for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
         design = replace(self.design, without=without)
-        model = fit_model(design, kept, self.variation)[1] if without else self.model
+        model = fit_model(design, kept, self.model.variation) if without else self.model
         index = design.index(kept)
         return kept, model.estimate(index, design.low[index], design.high[index], _tested(between)), index
 
@@ -107,18 +105,17 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
     tau2 = model.tau2(now)
     error = model.left_out(now, tau2)
     names = {c.form.name for c in selection.chosen}
-    out: dict[str, list[str]] = {}
+    possible = [
+        c
+        for c, verdict in zip(design.candidates, selection.alone, strict=True)
+        if verdict.p_value <= ALPHA and c.form.name not in names
+    ]
+    out = {}
     for effect in selection.chosen:
         others = design.index([c for c in selection.chosen if c is not effect])
-        for k, verdict in enumerate(selection.alone):
-            rival = design.candidates[k]
-            known = out.get(effect.form.name, [])
-            if verdict.p_value > ALPHA or rival.form.name in names or rival.form.name in known:
-                continue
-            more = model.left_out(np.append(others, rival.both), tau2) - error
-            if _within_one_error(more):
-                out.setdefault(effect.form.name, []).append(rival.form.name)
-    return out
+        more = ((c, model.left_out(np.append(others, c.both), tau2) - error) for c in possible)
+        out[effect.form.name] = list(dict.fromkeys(c.form.name for c, gains in more if _within_one_error(gains)))
+    return {name: rivals for name, rivals in out.items() if rivals}
 
 
 def _within_one_error(gains: FloatArray) -> bool:
@@ -133,7 +130,7 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
     chosen: list[Candidate] = []
     between: dict[str, bool] = {}
     seen: set[frozenset[int]] = set()
-    _, model = fit_model(design, _largest(design))
+    model = fit_model(design, _largest(design))
 
     def _judge(candidates: Sequence[Candidate]) -> list[Verdict]:
         return [_verdict(design, model, c, [o for o in chosen if o is not c], between) for c in candidates]
@@ -142,8 +139,7 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
     for unnamed in (False, True):  # what has no name is asked what remains
         while len(chosen) < MOST_EFFECTS and (best := _simplest(design, verdicts, chosen, unnamed=unnamed)) is not None:
             taken = design.candidates[best]
-            names = [c.form.name for c in chosen]
-            at = names.index(taken.form.name) if taken.form.name in names else len(chosen)
+            at = next((k for k, c in enumerate(chosen) if c.form.name == taken.form.name), len(chosen))
             parts = _missing_parts(design, taken, chosen)
             chosen[at : at + 1] = [taken, *parts]
             between |= dict.fromkeys([c.form.name for c in (taken, *parts)], verdicts[best].between)
@@ -157,12 +153,11 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
     while chosen:
         worst = max(range(len(chosen)), key=lambda k: (bool(final[k].why_not), final[k].p_value))
         needed = {name for c in chosen for name in c.form.parts}
-        if (final[worst].p_value <= ALPHA and not final[worst].why_not) or chosen[worst].form.name in needed:
+        if not final[worst].why_not or chosen[worst].form.name in needed:
             break
         chosen.pop(worst)
         final, verdicts = _judge(chosen), _judge(design.candidates)
-    variation, last = fit_model(design, chosen)
-    return Selection(tuple(chosen), tuple(final), design, variation, alone, verdicts, last)
+    return Selection(tuple(chosen), tuple(final), design, alone, verdicts, fit_model(design, chosen))
 
 
 def _largest(design: Design) -> list[Candidate]:
@@ -193,15 +188,13 @@ def _verdict(
     tested = _tested([candidate, *parts])
     beside = np.concatenate([design.index(chosen), candidate.beside, *(c.beside for c in parts)])
     levels = _tested([c for c in chosen if between[c.form.name]])
-    inside = model.test_within(tested, beside)
-    across = model.test_between(tested, beside, levels)
-    count = len(design.candidates)
-    p_value = min(1.0, 2.0 * count * min(inside, across))
-    if p_value > ALPHA:
-        return Verdict(p_value, 0.0, nothing, across < inside, "not significant")
-    tau2 = model.tau2(np.append(beside, tested))
+    inside, across = model.test_within(tested, beside), model.test_between(tested, beside, levels)
     whole = across < inside
+    p_value = min(1.0, 2.0 * len(design.candidates) * min(inside, across))
+    if p_value > ALPHA:
+        return Verdict(p_value, 0.0, nothing, whole, "not significant")
     both = np.append(beside, tested)
+    tau2 = model.tau2(both)
     without = model.left_out(now, tau2)
     gains = without - model.left_out(both, tau2)
     gain = float(gains.sum()) / max(float(without.sum()), 1e-12)

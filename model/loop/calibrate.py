@@ -14,8 +14,6 @@ from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.refused_columns import refused_columns
 from joulemap.model.runs.residuals import Residuals
 
-Progress = Callable[[float], None]
-
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
@@ -82,7 +80,7 @@ def calibrate(
     base: Residuals | None = None,
     groups: Sequence[str] | None = None,
     cross_validate: bool = True,
-    progress: Progress | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Calibration:
     """Find the effects that the base model lacks on new runs.
 

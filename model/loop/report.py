@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,7 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
     """
     fitted, moving = found.fitted, found.residuals.moving
     segments = int(moving.sum())
-    variation = fitted.selection.variation
+    variation = fitted.selection.model.variation
     confounded = dict.fromkeys(name for key, rivals in found.rivals.items() for name in (key, *rivals))
     return {
         "verdict": "effects_added" if found.effects else "nothing_found",
@@ -71,8 +70,9 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
 
 
 def _coefficients(
-    found: Calibration, term: Term, low: FloatArray, high: FloatArray, start: Mapping[str, float] = MappingProxyType({})
+    found: Calibration, term: Term, low: FloatArray, high: FloatArray, declared: Mapping[str, float] | None = None
 ) -> list[dict[str, Any]]:
+    start = declared or {}
     names, units = term.form.coefficient_names(), term.form.units("A s" if found.residuals.charge else "J")
     rows = zip(names, units, term.coefficients, low.tolist(), high.tolist(), strict=True)
     return [

@@ -250,6 +250,11 @@ class Features:
         )
 
     @property
+    def pivot_per_m(self) -> float:
+        """Curvature at which one side stands still, and beyond which the sides push against each other [rad/m]."""
+        return 2.0 / max(self.robot.width_m, LEAST_M)
+
+    @property
     def backwards(self) -> NDArray[np.bool_]:
         """Whether the compass pointed against the direction of motion, (n,); False without a compass."""
         compass = np.radians(self.columns.get("heading", np.full(len(self), np.nan)))

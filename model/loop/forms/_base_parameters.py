@@ -60,21 +60,13 @@ def with_base_parameters(rows: Features, base: BaseParameters, coefficients: Flo
 
 
 class _Part(NamedTuple):
-    """A parameter: the unit of its coefficient, its lower physical limit, and the energy of rows per unit of it, (n,)
-    [J, or A s].
+    """A parameter: the unit of its coefficient, the energy of rows per unit of it, (n,) [J, or A s], and its lower
+    physical limit.
     """
 
     unit: str
-    lowest: Callable[[Features], float]
     column: Callable[[Features], FloatArray]
-
-
-def _nothing(rows: Features) -> float:
-    return 0.0
-
-
-def _any(rows: Features) -> float:
-    return -np.inf
+    lowest: Callable[[Features], float] = lambda rows: 0.0
 
 
 def _released(rows: Features) -> FloatArray:
@@ -101,19 +93,19 @@ def _measured_slope(rows: Features) -> FloatArray:
 
 
 PARTS: dict[str, _Part] = {
-    "rolling_resistance": _Part("", lambda rows: rows.coasting_tan, lambda rows: rows.weight_length * rows.pulling),
-    "energy_of_motion": _Part("", lambda rows: -1.0, lambda rows: rows.base_motion),
-    "idle_power_w": _Part("W", lambda rows: -rows.robot.idle_power_w, lambda rows: rows.duration_s / rows.unit_j),
-    "descents": _Part("", lambda rows: rows.robot.regeneration - 1.0, _released),
-    "per_metre": _Part("A s/m", _any, lambda rows: rows.work_m),
-    "uphill": _Part("1/V", _nothing, lambda rows: rows.work_m * np.maximum(rows.pull_n, 0.0)),
-    "downhill": _Part("1/V", _nothing, lambda rows: rows.work_m * np.minimum(rows.pull_n, 0.0)),
-    "standing_current": _Part("A", _nothing, lambda rows: rows.duration_s),
-    "driving_power": _Part("W", _nothing, lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j),
-    "with_speed": _Part("A s/m", _nothing, lambda rows: rows.length_m),
-    "speeding_up": _Part("", _nothing, lambda rows: _of_mass(rows, rows.gained_m2ps2)),
-    "slowing_down": _Part("", _nothing, lambda rows: _of_mass(rows, rows.kinetic_m2ps2 - rows.gained_m2ps2)),
-    "measured_slope": _Part("", _any, _measured_slope),
+    "rolling_resistance": _Part("", lambda rows: rows.weight_length * rows.pulling, lambda rows: rows.coasting_tan),
+    "energy_of_motion": _Part("", lambda rows: rows.base_motion, lambda rows: -1.0),
+    "idle_power_w": _Part("W", lambda rows: rows.duration_s / rows.unit_j, lambda rows: -rows.robot.idle_power_w),
+    "descents": _Part("", _released, lambda rows: rows.robot.regeneration - 1.0),
+    "per_metre": _Part("A s/m", lambda rows: rows.work_m, lambda rows: -np.inf),
+    "uphill": _Part("1/V", lambda rows: rows.work_m * np.maximum(rows.pull_n, 0.0)),
+    "downhill": _Part("1/V", lambda rows: rows.work_m * np.minimum(rows.pull_n, 0.0)),
+    "standing_current": _Part("A", lambda rows: rows.duration_s),
+    "driving_power": _Part("W", lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j),
+    "with_speed": _Part("A s/m", lambda rows: rows.length_m),
+    "speeding_up": _Part("", lambda rows: _of_mass(rows, rows.gained_m2ps2)),
+    "slowing_down": _Part("", lambda rows: _of_mass(rows, rows.kinetic_m2ps2 - rows.gained_m2ps2)),
+    "measured_slope": _Part("", _measured_slope, lambda rows: -np.inf),
 }
 """Every parameter by name. Slowing down is what rolling needs less from the drives."""
 

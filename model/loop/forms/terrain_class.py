@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.loop.forms.turning import turn_limits_per_m
 from joulemap.model.runs.features import Features, FloatArray
 
 _GROUND_COLUMNS = ("terrain", "ground", "surface")
@@ -130,5 +129,5 @@ class TurningByClass(_ByClass):
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
-        limit = None if rows.drives.motor_speed_mps is None else turn_limits_per_m(rows)[0]
+        limit = None if rows.drives.motor_speed_mps is None else round(rows.pivot_per_m, 6)
         yield from (cls(column, tuple(classes), limit) for column, classes in _classes(rows))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.runs.features import LEAST_M, Features, FloatArray
+from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 
 _HALF = 2.0
@@ -66,7 +66,7 @@ class Turning(Form):
             yield cls(eases=True)
             yield from (cls(limit) for limit in TURN_LIMITS_RADPS)
         else:
-            yield from (cls(limit_per_m=limit) for limit in turn_limits_per_m(rows))
+            yield from (cls(limit_per_m=round(share * rows.pivot_per_m, 6)) for share in (1.0, 0.5, 2.0))
 
     def where(self, coefficients: tuple[float, ...]) -> str:
         if self.limit_radps is not None:
@@ -78,21 +78,3 @@ class Turning(Form):
         if self.eases:
             return f"everywhere, at cruising speed; on the spot {1.0 + 1.0 / _HALF:.2g} times as much"
         return "everywhere"
-
-
-def turn_limits_per_m(rows: Features) -> tuple[float, ...]:
-    """Return curvatures at which the current of turning may saturate.
-
-    Parameters
-    ----------
-    rows : Features
-        Whose robot's width counts.
-
-    Returns
-    -------
-    tuple of float
-        That at which one side stands still, where both sides begin to push against each other; half and twice as much
-        [rad/m].
-    """
-    pivot = 2.0 / max(rows.robot.width_m, LEAST_M)
-    return tuple(round(share * pivot, 6) for share in (1.0, 0.5, 2.0))
