@@ -8,17 +8,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from numpy.typing import NDArray
 from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors.numpy import load, save
 
 from joulemap.model.energy.architectures import ARCHITECTURES, find_architecture
-from joulemap.model.energy.architectures.contract import Network
 from joulemap.model.energy.domain import Domain, Learned
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
+
+if TYPE_CHECKING:
+    from joulemap.model.energy.architectures.network import Network
 
 WEIGHTS_FILE = "weights.safetensors"
 CONFIG_FILE = "config.json"
@@ -82,7 +85,7 @@ def save_artifact(folder: str | Path, artifact: Artifact) -> str:
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    state = {key: value.detach().cpu().contiguous().clone() for key, value in artifact.net.state_dict().items()}
+    state = {key: value.detach().cpu().contiguous().numpy() for key, value in artifact.net.state_dict().items()}
     data = save(state)
     digest = hashlib.sha256(data).hexdigest()[:16]
     config = {
@@ -121,37 +124,12 @@ def read_artifact(folder: str | Path) -> Artifact:
     ModelError
         If a file is missing or broken, or the two files do not belong together.
     """
-    folder = Path(folder)
-    config = _read_config(folder)
+    found = _read(Path(folder))
     try:
-        data = (folder / WEIGHTS_FILE).read_bytes()
-    except OSError as error:
-        raise ModelError(f"the model {folder} has no readable {WEIGHTS_FILE}: {error.strerror}") from error
-    digest = hashlib.sha256(data).hexdigest()[:16]
-    if digest != config.get("version"):
-        raise ModelError(
-            f"the weights of {folder} (version {digest}) are not those its {CONFIG_FILE} describes "
-            f"({config.get('version')}): the folder is damaged or mixed",
-            version=digest,
-            expected=config.get("version"),
-        )
-    name, size = str(config.get("architecture")), config.get("size")
-    if name not in ARCHITECTURES:
-        raise ModelError(
-            f"{folder} is of an unknown architecture {name!r}: known are {', '.join(ARCHITECTURES)}", architecture=name
-        )
-    if not isinstance(size, int):
-        raise ModelError(f"{folder / CONFIG_FILE} does not say the size of the network's input", size=str(size))
-    try:
-        net: Network = find_architecture(name).build(dict(config.get("network") or {}), size=size)
+        net: Network = find_architecture(found.architecture).read(found.network, found.weights, size=found.size)
     except ModelError as error:
         raise ModelError(f"{folder}: {error.message}", **error.context) from error
-    try:
-        net.load_state_dict(load(data), strict=True)
-    except (RuntimeError, SafetensorError) as error:
-        raise ModelError(f"the weights of {folder} do not fit its network: {error}") from error
-    domain, spread = Domain.from_dict(config.get("domain") or {}), Spread.from_dict(config.get("spread") or {})
-    return Artifact(net.eval(), domain, size, spread, _costs_of(config), config.get("training") or {})
+    return Artifact(net, found.domain, found.size, found.spread, found.costs, found.config.get("training") or {})
 
 
 def load_artifact(folder: str | Path, *, name: str | None = None) -> Learned:
@@ -175,11 +153,20 @@ def load_artifact(folder: str | Path, *, name: str | None = None) -> Learned:
         As `read_artifact`.
     """
     folder = Path(folder)
-    artifact = read_artifact(folder)
-    config = _read_config(folder)
-    provenance = {"kind": artifact.architecture, "version": config["version"], "config": config}
-    name = name or folder.resolve().name
-    return predictor_of(artifact, provenance, name=name)
+    found = _read(folder)
+    try:
+        return find_architecture(found.architecture).predictor_of_weights(
+            found.network,
+            found.weights,
+            found.domain,
+            {"kind": found.architecture, "version": found.config["version"], "config": found.config},
+            size=found.size,
+            name=name or folder.resolve().name,
+            spread=found.spread,
+            costs=found.costs,
+        )
+    except ModelError as error:
+        raise ModelError(f"{folder}: {error.message}", **error.context) from error
 
 
 def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str) -> Learned:
@@ -208,6 +195,61 @@ def predictor_of(artifact: Artifact, provenance: Mapping[str, Any], *, name: str
         spread=artifact.spread,
         costs=artifact.costs,
     )
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What lies in a model's folder."""
+
+    config: dict[str, Any]
+    weights: dict[str, NDArray[Any]]
+    architecture: str
+    size: int
+
+    @property
+    def network(self) -> dict[str, Any]:
+        return dict(self.config.get("network") or {})
+
+    @property
+    def domain(self) -> Domain:
+        return Domain.from_dict(self.config.get("domain") or {})
+
+    @property
+    def spread(self) -> Spread:
+        return Spread.from_dict(self.config.get("spread") or {})
+
+    @property
+    def costs(self) -> DriveCosts:
+        return _costs_of(self.config)
+
+
+def _read(folder: Path) -> _Files:
+    """Both files of a folder, which belong together, of an architecture that is known."""
+    config = _read_config(folder)
+    try:
+        data = (folder / WEIGHTS_FILE).read_bytes()
+    except OSError as error:
+        raise ModelError(f"the model {folder} has no readable {WEIGHTS_FILE}: {error.strerror}") from error
+    digest = hashlib.sha256(data).hexdigest()[:16]
+    if digest != config.get("version"):
+        raise ModelError(
+            f"the weights of {folder} (version {digest}) are not those its {CONFIG_FILE} describes "
+            f"({config.get('version')}): the folder is damaged or mixed",
+            version=digest,
+            expected=config.get("version"),
+        )
+    name, size = str(config.get("architecture")), config.get("size")
+    if name not in ARCHITECTURES:
+        raise ModelError(
+            f"{folder} is of an unknown architecture {name!r}: known are {', '.join(ARCHITECTURES)}", architecture=name
+        )
+    if not isinstance(size, int):
+        raise ModelError(f"{folder / CONFIG_FILE} does not say the size of the network's input", size=str(size))
+    try:
+        weights = load(data)
+    except SafetensorError as error:
+        raise ModelError(f"{folder / WEIGHTS_FILE} cannot be read: {error}") from error
+    return _Files(config, weights, name, size)
 
 
 def _costs_of(config: Mapping[str, Any]) -> DriveCosts:

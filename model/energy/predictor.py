@@ -113,7 +113,7 @@ def load_predictor(spec: str | Path) -> Predictor:
     """
     if spec == "physics":
         return PhysicsPredictor()
-    # torch is slow to import, and physics must answer without it
+    # here, because it builds on this module
     from joulemap.model.energy.artifact import load_artifact
 
     if spec == "default":

@@ -19,7 +19,8 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 
 if TYPE_CHECKING:
-    from joulemap.model.energy.architectures.contract import Architecture, Network
+    from joulemap.model.energy.architectures.contract import Architecture
+    from joulemap.model.energy.architectures.network import Network
 
 FloatArray = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from joulemap.model.energy.examples import Examples
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, segment_std
 
 if TYPE_CHECKING:
-    from joulemap.model.energy.architectures.contract import Network
+    from joulemap.model.energy.architectures.network import Network
 
 CPU = torch.device("cpu")
 

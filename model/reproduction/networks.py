@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 
 from joulemap.model.energy.architectures.compact.architecture import Compact
-from joulemap.model.energy.architectures.contract import Network
+from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.architectures.resnet18 import ResNet18, ResNetEnergy
 from joulemap.model.energy.artifact import CONFIG_FILE, Artifact, read_artifact, save_artifact
 from joulemap.model.energy.examples import MAX_TURN_RAD, Examples, concatenate, cut_examples

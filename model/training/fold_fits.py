@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.architectures.contract import Architecture, Network
+from joulemap.model.energy.architectures.contract import Architecture
+from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.artifact import Artifact, predictor_of
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
-from joulemap.model.energy.architectures.contract import Network, check_start
+from joulemap.model.energy.architectures.contract import check_start
+from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.artifact import read_artifact, save_artifact
 from joulemap.model.energy.residuals_of_runs import keep_base_runs
 from joulemap.model.energy.uncertainty import FEWEST, Spread, fit_spread

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from joulemap.model.energy.architectures import DEFAULT_ARCHITECTURE, find_architecture
-from joulemap.model.energy.architectures.contract import Architecture, Network, check_start
+from joulemap.model.energy.architectures.contract import Architecture, check_start
+from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.examples import Examples
 from joulemap.model.energy.tensors import CPU, ExampleTensors, NetworkOutput
 from joulemap.model.errors import InputError, ModelError

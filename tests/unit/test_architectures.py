@@ -121,3 +121,21 @@ def test_the_names_are_known_without_torch_or_numpy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_shipped_network_is_asked_without_torch() -> None:
+    """Loading torch takes longer than pricing a small map."""
+    code = """
+import sys
+import numpy as np
+from joulemap.model.energy.predictor import load_predictor
+from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.robot import Robot
+from joulemap.model.terrain.heightmap import Heightmap
+ground, model = Heightmap(np.zeros((40, 40), np.float32), GridFrame(0.0, 10.0, 0.25, 40, 40)), load_predictor("default")
+price = model.traction_per_m(ground, Robot(), ground.frame.respaced(1.0), heading_bins(8))
+single = model.segment_traction(ground, Robot(), [5.5], [5.5], [0.0])
+print(np.isfinite(price).all() and np.isfinite(single).all(), "torch" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "False"]

@@ -7,7 +7,9 @@ import pytest
 import torch
 
 from joulemap.model.energy.architectures.compact.dense import CompactPredictor
-from joulemap.model.energy.architectures.compact.net import CompactNet, slopes_of_squares
+from joulemap.model.energy.architectures.compact.ground import Scratch, read_ground, slopes_of_squares
+from joulemap.model.energy.architectures.compact.net import CompactNet
+from joulemap.model.energy.architectures.compact.net import slopes_of_squares as torch_slopes
 from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
 from joulemap.model.energy.architectures.compact.tracks import (
     PIXEL_M,
@@ -17,10 +19,12 @@ from joulemap.model.energy.architectures.compact.tracks import (
     TRACKS,
     track_features,
 )
+from joulemap.model.energy.architectures.compact.weights import CompactConfig, CompactWeights, heading_basis
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.robot_features import robot_features
 from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import ModelError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -41,7 +45,7 @@ def some_net(seed: int = 0) -> CompactNet:
 
 
 def predictor(net: CompactNet | None = None) -> CompactPredictor:
-    return CompactPredictor(net or some_net(), DOMAIN, {"kind": "compact"}, name="some")
+    return CompactPredictor((net or some_net()).weights(), DOMAIN, {"kind": "compact"}, name="some")
 
 
 def rough(resolution_m: float, *, side_m: float = 14.0, seed: int = 0, height_m: float = 300.0) -> Heightmap:
@@ -101,23 +105,56 @@ def test_what_passes_read_is_made_of_the_squares(joined):
     x, y = heightmap.frame.respaced(1.0).centres()
     buffers = Buffers.of(y.size, x.size, joined=joined)
     heights, slopes = read_cells(heightmap, x, y, buffers, joined=joined)
-    planes = heights.shape[1]
-    assert planes == (8 if joined else 17)
+    planes, slopes_planes = heights.shape[1], slopes.shape[2]
+    assert (planes, slopes_planes) == ((8, 8) if joined else (17, 16))
     for i, j in ((0, 0), (3, 5), (y.size - 1, 0)):
         square = cut_squares(heightmap, x[j], y[i], size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M)
-        expected = slopes_of_squares(torch.from_numpy(square))[0].permute(1, 2, 0).numpy()
-        found = slopes[0, 8 * i : 8 * i + 16, 8 * j : 8 * j + 16] if joined else slopes[i * x.size + j]
-        np.testing.assert_allclose(found, expected, atol=2e-5)
+        expected = torch_slopes(torch.from_numpy(square))[0].numpy()
+        raster, above = (0, 8 * i) if joined else (i, 0)
+        for col in range(16):
+            found = slopes[raster, above : above + 16, col % slopes_planes, :, j + col // slopes_planes]
+            np.testing.assert_allclose(found.T, expected[:, :, col], atol=2e-5)
         r, c = 5, 13  # of the square
         middle = heights[planes * i + 8, 8 % planes, j + 8 // planes]
         height = heights[planes * i + r, c % planes, j + c // planes] - middle
         assert height == pytest.approx(float(square[0, r, c]), abs=1e-6)
 
 
+@pytest.mark.parametrize("far", [0.0, 100.0])
+def test_asked_without_torch_it_answers_what_torch_answers(far):
+    """For a robot inside the learned ranges, and for one far outside."""
+    net, rng = some_net(3), np.random.default_rng(3)
+    torch.nn.init.normal_(net.gains.bias, std=0.1)
+    squares = rng.normal(0.0, 0.05, (5, SQUARE, SQUARE)).astype(np.float32)
+    headings, features = rng.uniform(0.0, 6.0, 5), robot_features(ROBOT, 0.2) + np.float32(far)
+    basis = heading_basis(headings, net.config.order)
+    tracks = track_features(squares, headings, np.full(5, 0.5))
+    with torch.inference_mode():
+        robot = net.read_robot(torch.from_numpy(features)[None])
+        series = net.read_ground(torch_slopes(torch.from_numpy(squares)), robot)[:, :, 0, 0]
+        answers = net.ask(series, torch.from_numpy(basis), torch.from_numpy(tracks), robot)
+    weights = net.weights().for_robot(features)
+    found = read_ground(slopes_of_squares(squares), weights, Scratch.of(1, 5, weights, joined=False))
+    np.testing.assert_allclose(found.T, series.numpy(), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(weights.gains, robot.gains[0].numpy(), rtol=1e-6)
+    for ours, its in zip(weights.ask(found, basis, tracks), answers, strict=True):
+        np.testing.assert_allclose(ours, its.numpy(), rtol=1e-4, atol=1e-5)
+
+
+def test_weights_of_another_network_are_refused():
+    arrays = dict(some_net().weights().arrays)
+    config = CompactConfig()
+    with pytest.raises(ModelError, match=r"conv0.weight has the shape \(16, 3, 4, 4\), its layer \(8, 3, 4, 4\)"):
+        CompactWeights(arrays, CompactConfig(channels=(8, 32, 64)))
+    arrays["conv9.bias"] = arrays.pop("conv0.bias")
+    with pytest.raises(ModelError, match=r"missing: conv0.bias, unknown: conv9.bias"):
+        CompactWeights(arrays, config)
+
+
 def test_slopes_of_a_plane():
     x, y = np.meshgrid((np.arange(SQUARE) - 8) * PIXEL_M, (8 - np.arange(SQUARE)) * PIXEL_M)
     square = torch.from_numpy((0.3 * x - 0.2 * y).astype(np.float32))[None]
-    east, north, twist = slopes_of_squares(square)[0].numpy()
+    east, north, twist = torch_slopes(square)[0].numpy()
     np.testing.assert_allclose(east, 0.3, atol=1e-6)
     np.testing.assert_allclose(north, -0.2, atol=1e-6)
     np.testing.assert_allclose(twist, 0.0, atol=1e-6)
@@ -148,14 +185,16 @@ def test_the_standard_deviation_too_is_one_answer_in_two_ways(spacing_m):
     heightmap = rough(0.1)
     frame = heightmap.frame.respaced(spacing_m)
     headings = heading_bins(6)
-    model = CompactPredictor(some_net(2), DOMAIN, {}, name="some", spread=Spread(factor=1.7))
+    model = CompactPredictor(some_net(2).weights(), DOMAIN, {}, name="some", spread=Spread(factor=1.7))
     x, y = frame.centres()
     places = np.broadcast_arrays(x[None, :, None], y[:, None, None], headings)
     std = model.traction_and_std(heightmap, ROBOT, frame, headings)[1]
     single = model.segment_traction_and_std(heightmap, ROBOT, *places)[1].reshape(std.shape)
     assert (std[1:-1, 1:-1] > 0.0).all()
     np.testing.assert_allclose(std, single, rtol=2e-4)
-    plain = CompactPredictor(some_net(2), DOMAIN, {}, name="some").traction_and_std(heightmap, ROBOT, frame, headings)
+    plain = CompactPredictor(some_net(2).weights(), DOMAIN, {}, name="some").traction_and_std(
+        heightmap, ROBOT, frame, headings
+    )
     np.testing.assert_allclose(std, 1.7 * plain[1], rtol=1e-5)
 
 
@@ -227,8 +266,7 @@ def test_a_robot_beyond_the_learned_ranges_is_told_and_answered_like_the_nearest
     heavy = Robot(mass_kg=300.0)
     assert model.warnings(heightmap, heavy) == ["mass_kg = 300 is outside the 15..120 the network learned"]
     assert model.warnings(heightmap, Robot()) == []
-    features = torch.from_numpy(robot_features(ROBOT, 0.2))[None]
-    low, high = model.net.feature_low, model.net.feature_high
-    far = model.net.read_robot(features + 100.0).gains
-    assert torch.equal(far, model.net.read_robot(high[None]).gains)
-    assert not torch.equal(far, model.net.read_robot(low[None]).gains)
+    low, high = (model.weights.arrays[name] for name in ("feature_low", "feature_high"))
+    far = model.weights.for_robot(robot_features(ROBOT, 0.2) + np.float32(100.0)).gains
+    assert far == model.weights.for_robot(high).gains
+    assert far != model.weights.for_robot(low).gains

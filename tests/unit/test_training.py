@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from joulemap.model.energy.architectures.contract import Network
+from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
 from joulemap.model.energy.examples import cut_examples
 from joulemap.model.energy.grade import tan_grade

@@ -8,37 +8,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-import torch
-from numpy.typing import NDArray
-from torch import Tensor, nn
-
-from joulemap.model.energy.segment_predictor import SegmentPredictor
-from joulemap.model.energy.tensors import CPU, ExampleTensors, NetworkOutput
 from joulemap.model.errors import InputError, ModelError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # torch takes seconds to load, and not every architecture needs it to be asked
     import numpy as np
+    import torch
+    from numpy.typing import NDArray
+    from torch import Tensor, nn
 
+    from joulemap.model.energy.architectures.network import Network
     from joulemap.model.energy.domain import Domain, Learned
     from joulemap.model.energy.drive_costs import DriveCosts
     from joulemap.model.energy.examples import Examples, FloatArray
+    from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput
     from joulemap.model.energy.uncertainty import Spread
     from joulemap.model.terrain.heightmap import Heightmap
 
-
-class Network(nn.Module):
-    """A network that answers for 1 m segments.
-
-    Attributes
-    ----------
-    architecture : str
-        Name of its architecture in `ARCHITECTURES`.
-    """
-
-    architecture: ClassVar[str]
-
-
-Net = TypeVar("Net", bound=Network)
+Net = TypeVar("Net", bound="Network")
 
 
 @dataclass(frozen=True)
@@ -266,7 +252,9 @@ class Architecture(ABC, Generic[Net]):
 
     def device(self) -> torch.device:
         """Return where networks of this architecture are trained and asked: the processor."""
-        return CPU
+        import torch
+
+        return torch.device("cpu")
 
     def backbone_of(self, net: Net) -> nn.Module | None:
         """Return the part of a network that a training with a frozen backbone leaves as it is.
@@ -340,7 +328,76 @@ class Architecture(ABC, Generic[Net]):
         Learned
             By default one that asks for every segment by itself.
         """
+        from joulemap.model.energy.segment_predictor import SegmentPredictor
+
         return SegmentPredictor(self, net, domain, provenance, size=size, name=name, spread=spread, costs=costs)
+
+    def read(self, config: Mapping[str, Any], weights: Mapping[str, NDArray[Any]], *, size: int) -> Net:
+        """Make a network with given weights.
+
+        Parameters
+        ----------
+        config : mapping
+            What `config_of` wrote.
+        weights : mapping of str to ndarray
+            As they are named in the network.
+        size : int
+            Rows and columns of its input.
+
+        Returns
+        -------
+        Network
+            In evaluation mode.
+
+        Raises
+        ------
+        ModelError
+            If the weights are those of another network.
+        """
+        import torch
+
+        net = self.build(config, size=size)
+        try:
+            net.load_state_dict({name: torch.tensor(array) for name, array in weights.items()}, strict=True)
+        except RuntimeError as error:
+            raise ModelError(f"the weights do not fit the network: {error}") from error
+        return net.eval()
+
+    def predictor_of_weights(
+        self,
+        config: Mapping[str, Any],
+        weights: Mapping[str, NDArray[Any]],
+        domain: Domain,
+        provenance: Mapping[str, Any],
+        *,
+        size: int,
+        name: str,
+        spread: Spread,
+        costs: DriveCosts,
+    ) -> Learned:
+        """Make a predictor of the weights of a trained network, as they lie in its file.
+
+        An architecture that can be asked without torch replaces it.
+
+        Parameters
+        ----------
+        config, weights : mapping
+            As of `read`.
+        domain, provenance, size, name, spread, costs : Domain, mapping, int, str, Spread, DriveCosts
+            As of `predictor`.
+
+        Returns
+        -------
+        Learned
+            By default that of `predictor`.
+
+        Raises
+        ------
+        ModelError
+            If the weights are those of another network.
+        """
+        net = self.read(config, weights, size=size)
+        return self.predictor(net, domain, provenance, size=size, name=name, spread=spread, costs=costs)
 
 
 def check_start(architecture: Architecture[Any], start_from: Network | None) -> None:

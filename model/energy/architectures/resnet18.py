@@ -19,7 +19,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from joulemap.model.energy.architectures.contract import Architecture, Network, TrainingDefaults
+from joulemap.model.energy.architectures.contract import Architecture, TrainingDefaults
+from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.examples import Examples, FloatArray
 from joulemap.model.energy.grade import SEGMENT_M
 from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput

@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from joulemap.model.energy.architectures.compact.dense import CompactPredictor
-from joulemap.model.energy.architectures.compact.net import CompactConfig, CompactNet, heading_basis
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
+from joulemap.model.energy.architectures.compact.weights import CompactConfig, CompactWeights, heading_basis
 from joulemap.model.energy.architectures.contract import Architecture, TrainingDefaults
 from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.examples import Examples, FloatArray
-from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput
 from joulemap.model.energy.uncertainty import LEAST_SHARE, Spread
 from joulemap.model.errors import ModelError
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.patches import cut_squares
 
+if TYPE_CHECKING:  # torch takes seconds to load: only training needs it
+    from torch import Tensor
 
-class Compact(Architecture[CompactNet]):
+    from joulemap.model.energy.architectures.compact.net import CompactNet
+    from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput
+
+
+class Compact(Architecture["CompactNet"]):
     """The fast, dense network that joulemap ships.
 
     A day of driving is about a thousand segments, so that batches are small. Every segment is learned from eight
@@ -43,11 +46,9 @@ class Compact(Architecture[CompactNet]):
 
     def build(self, config: Mapping[str, Any], *, size: int) -> CompactNet:  # numpydoc ignore=PR01,RT03
         """Make a network, as `Architecture.build`. Its working pixels are those of this version."""
-        widths = dict(config)
-        pixel = widths.pop("pixel_m", None if widths else PIXEL_M)
-        if pixel != PIXEL_M or size != SQUARE:
-            raise ModelError(f"the network reads {size} pixels of {pixel} m, this version {SQUARE} of {PIXEL_M}")
-        return CompactNet(CompactConfig.from_dict(widths))
+        from joulemap.model.energy.architectures.compact.net import CompactNet
+
+        return CompactNet(_widths(config, size))
 
     def config_of(self, net: CompactNet) -> dict[str, Any]:  # numpydoc ignore=PR01,RT03
         """Describe a network, as `Architecture.config_of`: the side of a working pixel and the widths."""
@@ -82,6 +83,10 @@ class Compact(Architecture[CompactNet]):
         jitter: float = 0.0,
     ) -> NetworkOutput:  # numpydoc ignore=PR01,RT03
         """Ask a network, as `Architecture.answer`. Errors count relative to at least a share of level ground."""
+        import torch
+
+        from joulemap.model.energy.tensors import NetworkOutput
+
         inputs = data.inputs[part]
         if mirror:
             inputs = inputs.flip(2)
@@ -107,6 +112,8 @@ class Compact(Architecture[CompactNet]):
         A fresh network knows the ranges of these examples. A copy keeps its own: moving them would change what every
         robot's features mean.
         """
+        import torch
+
         net = super().initial(examples, start_from)
         if start_from is None:
             net.set_feature_ranges(examples.features.min(axis=0), examples.features.max(axis=0))
@@ -130,7 +137,32 @@ class Compact(Architecture[CompactNet]):
         costs: DriveCosts,
     ) -> CompactPredictor:  # numpydoc ignore=PR01,RT03
         """Make a predictor that answers for whole maps in dense passes."""
-        return CompactPredictor(net, domain, provenance, name=name, spread=spread, costs=costs)
+        return CompactPredictor(net.weights(), domain, provenance, name=name, spread=spread, costs=costs)
+
+    def predictor_of_weights(
+        self,
+        config: Mapping[str, Any],
+        weights: Mapping[str, NDArray[Any]],
+        domain: Domain,
+        provenance: Mapping[str, Any],
+        *,
+        size: int,
+        name: str,
+        spread: Spread,
+        costs: DriveCosts,
+    ) -> CompactPredictor:  # numpydoc ignore=PR01,RT03
+        """Make a predictor of the weights alone, as `Architecture.predictor_of_weights`: torch is not loaded."""
+        known = CompactWeights(weights, _widths(config, size))
+        return CompactPredictor(known, domain, provenance, name=name, spread=spread, costs=costs)
+
+
+def _widths(config: Mapping[str, Any], size: int) -> CompactConfig:
+    """Of a network that this version can ask."""
+    widths = dict(config)
+    pixel = widths.pop("pixel_m", None if widths else PIXEL_M)
+    if pixel != PIXEL_M or size != SQUARE:
+        raise ModelError(f"the network reads {size} pixels of {pixel} m, this version {SQUARE} of {PIXEL_M}")
+    return CompactConfig.from_dict(widths)
 
 
 def _tracks(examples: Examples) -> NDArray[np.float32]:

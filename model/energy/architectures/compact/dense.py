@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
+from joulemap.model.energy.architectures.compact.ground import Scratch, read_ground, slopes_of_squares
 from joulemap.model.energy.architectures.compact.head import Headings, answer_tile
-from joulemap.model.energy.architectures.compact.net import (
-    CompactNet,
-    GroundPass,
-    RobotCode,
-    heading_basis,
-    slopes_of_squares,
-)
 from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
+from joulemap.model.energy.architectures.compact.weights import CompactWeights, RobotWeights, heading_basis
 from joulemap.model.energy.domain import Domain, Learned
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade, tan_grade_lattice
@@ -48,8 +43,8 @@ class CompactPredictor(Learned):
 
     Parameters
     ----------
-    net : CompactNet
-        A trained network.
+    weights : CompactWeights
+        Of a trained network.
     domain : Domain
         What it was trained on.
     provenance : mapping
@@ -64,7 +59,7 @@ class CompactPredictor(Learned):
 
     def __init__(
         self,
-        net: CompactNet,
+        weights: CompactWeights,
         domain: Domain,
         provenance: Mapping[str, Any],
         *,
@@ -73,7 +68,7 @@ class CompactPredictor(Learned):
         costs: DriveCosts | None = None,
     ) -> None:
         super().__init__(name, domain, provenance, spread=spread, costs=costs)
-        self.net = net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.weights = weights
 
     def traction_and_std(
         self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: FloatArray
@@ -104,9 +99,10 @@ class CompactPredictor(Learned):
         headings_rad = np.ascontiguousarray(headings_rad, dtype=np.float64)
         traction = tan_grade_lattice(heightmap, frame, headings_rad)  # (rows, cols, K), turned into traction below
         std = np.empty_like(traction)
-        code = self._robot(heightmap, robot)
-        headings = Headings.of(headings_rad, heading_basis(headings_rad, self.net.config.order), robot.width_m)
-        ground, weights, known = self.net.folded_ground(code), self.net.folded_head(code), self._known(code, robot)
+        weights = self._weights(heightmap, robot)
+        headings = Headings.of(headings_rad, heading_basis(headings_rad, self.weights.config.order), robot.width_m)
+        gain, climb = weights.gains
+        known = np.array([gain * robot.rolling_resistance, climb, robot.weight_n])  # a mu and c, and the weight [N]
         price = np.array([robot.hotel_per_m, robot.regeneration, self._level_j(robot), self.spread.factor])
         x, y = frame.centres()
         step = round(1.0 / frame.resolution_m)
@@ -119,18 +115,19 @@ class CompactPredictor(Learned):
         def _fill(at: tuple[int, int]) -> None:
             if not hasattr(mine, "buffers"):
                 mine.buffers = Buffers.of(high, wide, joined=joined)
+                mine.scratch = Scratch.of(high, wide, weights, joined=joined)
             rows = y[at[0] : at[0] + high * step : step]
             cols = x[at[1] : at[1] + wide * step : step]
             heights, slopes = read_cells(heightmap, cols, rows, mine.buffers, joined=joined)
             answer_tile(
                 heights,
-                _series(ground, slopes),
+                read_ground(slopes, weights, mine.scratch),
                 headings.basis,
                 headings.stencil,
                 headings.back,
                 headings.own,
                 headings.per_width,
-                weights,
+                weights.head,
                 known,
                 price,
                 (*at, step, rows.size, cols.size),
@@ -138,16 +135,15 @@ class CompactPredictor(Learned):
                 std,
             )
 
-        _each(
-            _fill,
-            [
-                (top, left)
-                for i in range(min(step, frame.rows))
-                for j in range(min(step, frame.cols))
-                for top in range(i, frame.rows, high * step)
-                for left in range(j, frame.cols, wide * step)
-            ],
-        )
+        tiles = [
+            (top, left)
+            for i in range(min(step, frame.rows))
+            for j in range(min(step, frame.cols))
+            for top in range(i, frame.rows, high * step)
+            for left in range(j, frame.cols, wide * step)
+        ]
+        with threadpool_limits(1, user_api="blas"):  # a tile per thread, nothing shared inside a tile
+            share_out(_fill, tiles)
         return traction, std
 
     def segment_traction_and_std(
@@ -176,55 +172,26 @@ class CompactPredictor(Learned):
         x, y, heading = (
             np.ascontiguousarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x, y, heading_rad)
         )
-        code = self._robot(heightmap, robot)
-        basis = heading_basis(heading, self.net.config.order)
+        weights = self._weights(heightmap, robot)
+        basis = heading_basis(heading, self.weights.config.order)
         width = np.full(heading.size, robot.width_m)
         rest, spread = np.empty(heading.size), np.empty(heading.size)
         for k in range(0, heading.size, _BATCH):
             part = slice(k, k + _BATCH)
             squares = cut_squares(heightmap, x[part], y[part], size=SQUARE, pixel_m=PIXEL_M, pad_m=REACH_M)
             tracks = track_features(squares, heading[part], width[part])
-            rest[part], spread[part] = self._ask(squares, basis[part], tracks, code)
-        gain, climb = (float(g) for g in code.gains[0])
+            scratch = Scratch.of(1, len(squares), weights, joined=False)
+            series = read_ground(slopes_of_squares(squares), weights, scratch)
+            rest[part], spread[part] = weights.ask(series, basis[part], tracks)
+        gain, climb = weights.gains
         over_weight = gain * robot.rolling_resistance + climb * tan_grade(heightmap, x, y, heading) + rest
         traction = np.asarray(robot.weight_n * over_weight)
         price = robot.price_per_m(traction)
         return traction, segment_std(price, np.exp(spread), self._level_j(robot), factor=self.spread.factor)
 
-    @torch.inference_mode()
-    def _robot(self, heightmap: Heightmap, robot: Robot) -> RobotCode:
-        return self.net.read_robot(torch.from_numpy(robot_features(robot, heightmap.resolution_m))[None])
-
-    @staticmethod
-    def _known(code: RobotCode, robot: Robot) -> NDArray[np.float64]:
-        """What physics says over the weight: a mu and c; and the weight [N]."""
-        gain, climb = (float(g) for g in code.gains[0])
-        return np.array([gain * robot.rolling_resistance, climb, robot.weight_n])
+    def _weights(self, heightmap: Heightmap, robot: Robot) -> RobotWeights:
+        return self.weights.for_robot(robot_features(robot, heightmap.resolution_m))
 
     @staticmethod
     def _level_j(robot: Robot) -> float:
         return robot.hotel_per_m + robot.weight_n * robot.rolling_resistance
-
-    @torch.inference_mode()
-    def _ask(
-        self, squares: NDArray[np.float32], basis: NDArray[np.float32], tracks: NDArray[np.float32], code: RobotCode
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(r, logarithm of the relative spread) of single segments."""
-        series = self.net.read_ground(slopes_of_squares(torch.from_numpy(squares)), code)[:, :, 0, 0]
-        rest, spread = self.net.ask(series, torch.from_numpy(basis), torch.from_numpy(tracks), code)
-        return rest.numpy(), spread.numpy()
-
-
-@torch.inference_mode()
-def _series(ground: GroundPass, slopes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(units * (2 order + 1), places) of (B, h, w, 3)."""
-    return np.asarray(ground(torch.from_numpy(slopes).permute(0, 3, 1, 2)).numpy())
-
-
-def _each(fill: Callable[[tuple[int, int]], None], tiles: Sequence[tuple[int, int]]) -> None:
-    """A tile per thread, nothing shared inside a tile."""
-    threads = torch.get_num_threads()
-    try:
-        share_out(fill, tiles, initializer=torch.set_num_threads, initargs=(1,))
-    finally:
-        torch.set_num_threads(threads)

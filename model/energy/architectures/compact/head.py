@@ -12,7 +12,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.model.energy.architectures.compact.net import HEAD_BLOCK, SPREAD_RANGE
 from joulemap.model.energy.architectures.compact.tracks import (
     LANES,
     SAMPLES,
@@ -23,6 +22,7 @@ from joulemap.model.energy.architectures.compact.tracks import (
     describe,
     track_stencil,
 )
+from joulemap.model.energy.architectures.compact.weights import HEAD_BLOCK, SPREAD_RANGE
 from joulemap.model.energy.grade import antipodes
 from joulemap.model.energy.uncertainty import LEAST_SHARE
 
@@ -94,11 +94,11 @@ def answer_tile(ground, series, basis, stencil, back, own, per_width, weights, k
     ground : ndarray of float64
         Heights [m] as from `raster.read_cells`.
     series : ndarray of float32, (units * terms, rows * cols)
-        As from `CompactNet.read_ground`.
+        As from `ground.read_ground`.
     basis, stencil, back, own, per_width : ndarray, float
         As in `Headings`.
     weights : tuple of ndarray
-        As from `CompactNet.folded_head`.
+        As `RobotWeights.head`.
     known : ndarray of float64, (3,)
         a mu, c and the weight [N].
     price : ndarray of float64, (4,)

@@ -6,113 +6,32 @@ learned in two steps. The *ground* part, convolutions over the two metres around
 head a short Fourier series over headings. The *head* evaluates these series at a heading, adds the features of the
 wheel tracks (`tracks`), and answers r and its standard deviation. All convolutions are unpadded and their strides
 multiply to 1 m. One square of `SQUARE` heights therefore gives one answer, and a raster of a whole window gives the
-answers of all its cells in one pass.
+answers of all its cells in one pass. Here the network is trained; `ground` and `head` ask it without torch.
 """
 
 from __future__ import annotations
 
 import math
 from copy import deepcopy
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, TRACKS
-from joulemap.model.energy.architectures.contract import Network
+from joulemap.model.energy.architectures.compact.weights import (
+    KERNELS,
+    REST_SCALE,
+    SLOPE_SCALE,
+    SPREAD_RANGE,
+    CompactConfig,
+    CompactWeights,
+)
+from joulemap.model.energy.architectures.network import Network
 from joulemap.model.energy.robot_features import FEATURES
 from joulemap.model.energy.uncertainty import USUAL_SPREAD
-from joulemap.model.errors import ModelError
-
-STRIDE = 8
-"""Working pixels between neighbouring answers."""
-
-HEAD_BLOCK = 8
-"""Inputs of the head's layers that the compiled loop adds up at a time."""
-
-_SLOPE_SCALE = 4.0  # brings slopes of rough ground to about one
-_REST_SCALE = 0.1  # and what is left to learn to a tenth of the weight
-SPREAD_RANGE = (math.log(0.01), math.log(2.0))
-"""Logarithms of the relative standard deviations that the head can answer."""
-
-
-@dataclass(frozen=True)
-class CompactConfig:
-    """Widths of the network's layers.
-
-    Attributes
-    ----------
-    channels : tuple of int
-        Of the three strided convolutions.
-    hidden : int
-        Of the layer after them.
-    order : int
-        Highest harmonic of the heading.
-    head : tuple of int
-        Of the head's two layers.
-    robot_hidden : int
-        Of the layer that reads the robot.
-    """
-
-    channels: tuple[int, int, int] = (16, 32, 64)
-    hidden: int = 64
-    order: int = 2
-    head: tuple[int, int] = (24, 16)
-    robot_hidden: int = 32
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the widths, JSON-able."""
-        return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> CompactConfig:
-        """Make a configuration of what `as_dict` wrote.
-
-        Parameters
-        ----------
-        values : dict
-            Widths by name; those that are missing take their defaults.
-
-        Returns
-        -------
-        CompactConfig
-            The configuration.
-
-        Raises
-        ------
-        ModelError
-            If a name is unknown.
-        """
-        converted: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        try:
-            return cls(**converted)
-        except TypeError as error:
-            raise ModelError(f"the network's description does not fit this version: {error}") from error
-
-
-def heading_basis(heading_rad: ArrayLike, order: int) -> NDArray[np.float32]:
-    """Return 1, sin h, cos h, sin 2h, ... of every heading.
-
-    Parameters
-    ----------
-    heading_rad : array_like, (n,)
-        Headings h [rad].
-    order : int
-        Highest harmonic.
-
-    Returns
-    -------
-    ndarray of float32, (n, 2 order + 1)
-        The basis functions.
-    """
-    heading = np.asarray(heading_rad, dtype=np.float64).ravel()
-    columns = [np.ones_like(heading)]
-    for harmonic in range(1, order + 1):
-        columns += [np.sin(harmonic * heading), np.cos(harmonic * heading)]
-    return np.stack(columns, axis=1).astype(np.float32)
 
 
 def slopes_of_squares(squares: Tensor) -> Tensor:
@@ -155,32 +74,6 @@ class RobotCode:
     gains: Tensor
 
 
-@dataclass(frozen=True)
-class GroundPass:
-    """The function `CompactNet.read_ground` for one robot, its scales folded into the weights: less memory traffic.
-
-    Attributes
-    ----------
-    convolutions : tuple of (Tensor, Tensor)
-        Weight and bias of each.
-    hidden, series : (Tensor, Tensor)
-        Weight and bias of these layers.
-    """
-
-    convolutions: tuple[tuple[Tensor, Tensor], ...]
-    hidden: tuple[Tensor, Tensor]
-    series: tuple[Tensor, Tensor]
-
-    def __call__(self, slopes: Tensor) -> Tensor:
-        """(units * (2 order + 1), places) of (B, 3, 8 r + 8, 8 c + 8), channels last; places : B r c of them."""
-        z = slopes
-        for weight, bias in self.convolutions:
-            z = nn.functional.conv2d(z, weight, bias, stride=2).relu_()
-        z = z.permute(0, 2, 3, 1).flatten(0, 2)  # (places, third)
-        z = nn.functional.linear(z, *self.hidden).relu_()
-        return torch.addmm(self.series[1], self.series[0], z.T)
-
-
 class CompactNet(Network):
     """Network from slopes, wheel tracks and robot to traction and its standard deviation.
 
@@ -202,9 +95,9 @@ class CompactNet(Network):
         self.config = config = config or CompactConfig()
         first, second, third = config.channels
         units, last = config.head
-        self.conv0 = nn.Conv2d(3, first, 4, stride=2)
-        self.conv1 = nn.Conv2d(first, second, 3, stride=2)
-        self.conv2 = nn.Conv2d(second, third, 3, stride=2)
+        self.conv0 = nn.Conv2d(3, first, KERNELS[0], stride=2)
+        self.conv1 = nn.Conv2d(first, second, KERNELS[1], stride=2)
+        self.conv2 = nn.Conv2d(second, third, KERNELS[2], stride=2)
         self.hidden = nn.Conv2d(third, config.hidden, 1)
         self.series = nn.Conv2d(config.hidden, units * (2 * config.order + 1), 1)
         self.tracks = nn.Linear(len(TRACKS), units, bias=False)
@@ -252,7 +145,7 @@ class CompactNet(Network):
             other.gains.bias[1].add_(climb)
             for parameter in other.rest.parameters():
                 parameter.mul_(1.0 + shape)
-            other.rest.bias.add_(level / _REST_SCALE)
+            other.rest.bias.add_(level / REST_SCALE)
         return other
 
     def read_robot(self, features: Tensor) -> RobotCode:
@@ -292,7 +185,7 @@ class CompactNet(Network):
         """
         third, hidden = self.config.channels[2], self.config.hidden
         scale0, shift0, scale1, shift1 = robot.ground.split([third, third, hidden, hidden], dim=1)
-        z = torch.relu_(self.conv0(slopes * _SLOPE_SCALE))
+        z = torch.relu_(self.conv0(slopes * SLOPE_SCALE))
         z = torch.relu_(self.conv1(z))
         z = torch.relu_(self.conv2(z) * (1.0 + scale0) + shift0)
         z = torch.relu_(self.hidden(z) * (1.0 + scale1) + shift1)
@@ -323,7 +216,7 @@ class CompactNet(Network):
         units = torch.einsum("buc,bc->bu", series.unflatten(1, (-1, basis.shape[1])), basis)  # (B, units)
         z = torch.relu(units + self.tracks(tracks) * (1.0 + scale) + shift)
         z = torch.relu(self.head(z))
-        rest = _REST_SCALE * self.rest(z)[:, 0]
+        rest = REST_SCALE * self.rest(z)[:, 0]
         return rest, self.spread(z.detach())[:, 0].clamp(*SPREAD_RANGE)
 
     def forward(
@@ -356,57 +249,12 @@ class CompactNet(Network):
         rest, spread = self.ask(series, basis, tracks, robot)
         return robot.gains[:, 0] * resistance + robot.gains[:, 1] * tan_grade + rest, spread
 
-    def folded_ground(self, robot: RobotCode) -> GroundPass:
-        """Return `read_ground` for one robot, its scales folded into the weights.
-
-        Parameters
-        ----------
-        robot : RobotCode
-            Of one robot.
+    def weights(self) -> CompactWeights:
+        """Return the weights as arrays, with which the network is asked.
 
         Returns
         -------
-        GroundPass
-            Without gradients.
+        CompactWeights
+            A copy.
         """
-        third, hidden = self.config.channels[2], self.config.hidden
-        known = {name: parameter.detach() for name, parameter in self.named_parameters()}
-        parts = [p.detach().flatten() for p in robot.ground.split([third, third, hidden, hidden], dim=1)]
-        scale2, shift2, scale, shift = 1.0 + parts[0], parts[1], 1.0 + parts[2], parts[3]
-        convolutions = (
-            (known["conv0.weight"] * _SLOPE_SCALE, known["conv0.bias"]),
-            (known["conv1.weight"], known["conv1.bias"]),
-            (known["conv2.weight"] * scale2[:, None, None, None], known["conv2.bias"] * scale2 + shift2),
-        )
-        return GroundPass(
-            tuple((weight.contiguous(memory_format=torch.channels_last), bias) for weight, bias in convolutions),
-            (known["hidden.weight"].flatten(1) * scale[:, None], known["hidden.bias"] * scale + shift),
-            (known["series.weight"].flatten(1), known["series.bias"][:, None]),
-        )
-
-    def folded_head(self, robot: RobotCode) -> tuple[NDArray[np.float32], ...]:
-        """Return the head's weights for one robot, as the compiled loop over a lattice takes them.
-
-        Parameters
-        ----------
-        robot : RobotCode
-            Of one robot.
-
-        Returns
-        -------
-        tuple of ndarray of float32
-            Tracks (units, 9) and shift (units,), head (last, units) and bias, rest and spread (2, last) and their
-            biases (2,), scaled as `ask` answers. Units and last are padded with zeros to multiples of `HEAD_BLOCK`.
-        """
-        with torch.no_grad():
-            scale, shift = robot.tracks[0].chunk(2)
-            units, last = (-size % HEAD_BLOCK for size in self.config.head)
-            parts = (
-                nn.functional.pad(self.tracks.weight * (1.0 + scale)[:, None], (0, 0, 0, units)),
-                nn.functional.pad(shift, (0, units)),
-                nn.functional.pad(self.head.weight, (0, units, 0, last)),
-                nn.functional.pad(self.head.bias, (0, last)),
-                nn.functional.pad(torch.cat([_REST_SCALE * self.rest.weight, self.spread.weight]), (0, last)),
-                torch.cat([_REST_SCALE * self.rest.bias, self.spread.bias]),
-            )
-            return tuple(np.ascontiguousarray(p.numpy(), dtype=np.float32) for p in parts)
+        return CompactWeights({key: value.numpy().copy() for key, value in self.state_dict().items()}, self.config)

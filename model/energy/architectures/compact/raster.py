@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from joulemap.model.energy.architectures.compact.net import STRIDE
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, SQUARE
+from joulemap.model.energy.architectures.compact.weights import STRIDE
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.rows import columns_between, sample_row
 
@@ -54,7 +54,7 @@ class Buffers:
             high, wide = STRIDE * rows + SQUARE, STRIDE * cols + SQUARE
         else:
             high, wide = SQUARE * rows, SQUARE * cols
-        return cls(np.empty(high * (wide + STRIDE)), np.empty(3 * high * wide, dtype=np.float32))
+        return cls(np.empty(high * (wide + STRIDE)), np.zeros(3 * high * (wide + STRIDE), dtype=np.float32))
 
 
 def read_cells(
@@ -83,17 +83,19 @@ def read_cells(
         Heights [m]; float32 could not hold tenths of a millimetre a kilometre above the sea. Pixel (r, c) of the square
         around cell (i, j) is at [planes i + r, c % planes, j + c // planes], with 8 planes (joined) or 17, so that
         heights of neighbouring cells are neighbours in memory.
-    slopes : ndarray of float32, (B, h, w, 3)
-        As from `slopes_of_squares`: of one raster (joined), or of rows * cols squares.
+    slopes : ndarray of float32, (rasters, h, planes, 3, slots)
+        Slope to the east, slope to the north and twist of every 2 x 2 heights. Joined: one raster of 8 planes and two
+        slots more than there are cells, of which the last is undefined. Otherwise: a raster of 16 planes for each row
+        of cells.
     """
     if joined:
         pixels_down, pixels_right = (np.arange(STRIDE * (n - 1) + SQUARE) - _MIDDLE for n in (y.size, x.size))
         down, right = y[0] - pixels_down * PIXEL_M, x[0] + pixels_right * PIXEL_M
-        planes, high, wide = STRIDE, down.size, right.size
+        planes, high = STRIDE, down.size
     else:
         pixels = (np.arange(SQUARE) - _MIDDLE) * PIXEL_M
         down, right = (y[:, None] - pixels).ravel(), (x[:, None] + pixels).ravel()
-        planes, high, wide = SQUARE, SQUARE, SQUARE
+        planes, high = SQUARE, SQUARE
     row, col = heightmap.frame.rowcol(0.0, down)[0], heightmap.frame.rowcol(right, 0.0)[1]
     (rows, row, pad_rows), (cols, col, pad_cols) = (
         _cover(at, n) for at, n in zip((row, col), heightmap.heights.shape, strict=True)
@@ -101,12 +103,12 @@ def read_cells(
     known = heightmap.heights[rows, cols]
     if any((*pad_rows, *pad_cols)):
         known = np.pad(known, (pad_rows, pad_cols), mode="reflect", reflect_type="odd")
-    shape = down.size, planes, -(-right.size // planes)
-    heights = buffers.heights[: math.prod(shape)].reshape(shape)
-    squares = (down.size // high) * (right.size // wide), high - 1, wide - 1, 3
-    slopes = buffers.slopes[: math.prod(squares)]
-    _read(np.ascontiguousarray(known), row, col, high, wide, heights, slopes)
-    return heights, slopes.reshape(squares)
+    slots = -(-right.size // planes)
+    heights = buffers.heights[: down.size * planes * slots].reshape(down.size, planes, slots)
+    shape = down.size // high, high - 1, STRIDE if joined else SQUARE - 1, 3, slots
+    slopes = buffers.slopes[: math.prod(shape)].reshape(shape)
+    _read(np.ascontiguousarray(known), row, col, heights, slopes)
+    return heights, slopes
 
 
 def _cover(at: FloatArray, size: int) -> tuple[slice, FloatArray, tuple[int, int]]:
@@ -122,29 +124,29 @@ def _cover(at: FloatArray, size: int) -> tuple[slice, FloatArray, tuple[int, int
 
 
 @njit(cache=True, nogil=True)
-def _read(known, row, col, high, wide, heights, slopes):
-    columns, line = columns_between(col, known.shape[1]), np.empty(known.shape[1])
-    north, south = np.empty(col.size), np.empty(col.size)
-    planes, blocks, length = heights.shape[1], col.size // wide, 3 * (wide - 1)
+def _read(known, row, col, heights, slopes):
+    columns, line, of_row = columns_between(col, known.shape[1]), np.empty(known.shape[1]), np.empty(col.size)
+    planes, high = heights.shape[1], slopes.shape[1] + 1
     for r in range(row.size):
-        sample_row(known, row[r], columns, line, south)
+        sample_row(known, row[r], columns, line, of_row)
         for plane in range(planes):
-            of, out = south[plane:], heights[r, plane]
+            of, out = of_row[plane:], heights[r, plane]
             for slot in range((of.size + planes - 1) // planes):
                 out[slot] = of[slot * planes]
         if r % high:
-            for n in range(blocks):
-                at = ((r // high * blocks + n) * (high - 1) + r % high - 1) * length
-                _slopes(north[n * wide :], south[n * wide :], slopes[at : at + length])
-        north, south = south, north
+            _slopes(heights[r - 1], heights[r], slopes[r // high, r % high - 1])
 
 
 @njit(cache=True, nogil=True)
 def _slopes(north, south, out):
-    """Rise to the east and to the north and the twist of every 2 x 2 heights [m] of two rows, one after another."""
+    """Rise to the east and to the north and the twist of every 2 x 2 heights [m] of two rows, (planes, slots)."""
     scale = 0.5 / PIXEL_M
-    for j in range(out.size // 3):
-        above, below = north[j + 1] - north[j], south[j + 1] - south[j]
-        out[3 * j] = (above + below) * scale
-        out[3 * j + 1] = ((north[j] - south[j]) + (north[j + 1] - south[j + 1])) * scale
-        out[3 * j + 2] = (above - below) * scale
+    for plane in range(out.shape[0]):
+        ahead, lane = (plane + 1) % north.shape[0], (plane + 1) // north.shape[0]
+        nw, ne, sw, se = north[plane], north[ahead, lane:], south[plane], south[ahead, lane:]
+        east, up, twist = out[plane, 0], out[plane, 1], out[plane, 2]
+        for slot in range(min(nw.size, ne.size)):
+            above, below = ne[slot] - nw[slot], se[slot] - sw[slot]
+            east[slot] = (above + below) * scale
+            up[slot] = ((nw[slot] - sw[slot]) + (ne[slot] - se[slot])) * scale
+            twist[slot] = (above - below) * scale
