@@ -6,10 +6,10 @@ when the machine has other work: up to forty times as long as the loop itself ta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numba
 
@@ -18,13 +18,7 @@ First = TypeVar("First")
 Second = TypeVar("Second")
 
 
-def share_out(
-    do: Callable[[Part], object],
-    parts: Sequence[Part],
-    *,
-    initializer: Callable[..., object] | None = None,
-    initargs: Iterable[Any] = (),
-) -> None:
+def share_out(do: Callable[[Part], object], parts: Sequence[Part]) -> None:
     """Do every part, each in one of as many threads as numba may use, in no particular order.
 
     Parameters
@@ -33,18 +27,14 @@ def share_out(
         Takes one part. What it raises is raised here.
     parts : sequence
         The parts.
-    initializer : callable, optional
-        Called in every thread before its first part.
-    initargs : iterable, optional
-        Arguments of `initializer`.
     """
     threads = min(numba.get_num_threads(), len(parts))
-    if threads <= 1 and initializer is None:
+    if threads <= 1:
         for part in parts:
             do(part)
         return
     contexts = [copy_context() for _ in parts]  # context variables of the caller hold in the threads too
-    with ThreadPoolExecutor(threads, initializer=initializer, initargs=tuple(initargs)) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         for _ in pool.map(lambda context, part: context.run(do, part), contexts, parts):
             pass
 

@@ -83,9 +83,8 @@ def test_shipped_files_agree_with_each_other_and_with_the_card():
 
 def test_shipped_network_beats_physics_on_unseen_sites(fresh):
     judged = fresh.select(fresh.regeneration == 0.0)
-    ours = errors(predicted(read_artifact(str(SHIPPED_WEIGHTS)).net, judged)[0], judged.energy_j, judged.run)[
-        "mean_relative_error"
-    ]
+    net = read_artifact(str(SHIPPED_WEIGHTS)).net
+    ours = errors(predicted(net, judged)[0], judged.energy_j, judged.run)["mean_relative_error"]
     for name, theirs in baselines(judged).items():
         assert ours < 0.85 * theirs["mean_relative_error"], name
 
