@@ -61,6 +61,8 @@ def decoded_part(file: Path, first: int, end: int) -> tuple[int, bytes]:
             raise ValueError(
                 f"its header says {written} bytes, of which the file has {size}, for {decoded} decoded ones"
             )
+        if first == 0 and end == decoded:
+            return 0, blosc.decompress(os.pread(source, size, 0))
         if flags & _COPIED:
             return first, os.pread(source, end - first, _HEADER.size + first)
         count = -(-decoded // block)

@@ -242,15 +242,14 @@ def _energies(traction, offsets, length_m, hotel, regeneration, cells, share, pa
                     most[j] = t if t > most[j] else most[j]
             out = energy[n, i, col0:col1]
             for j in range(out.size):
-                if math.isnan(mean[j]):
-                    continue
-                response = mean[j]
-                if least[j] < 0.0:
+                out[j] = (hotel + mean[j]) * length_m[n]
+            for j in range(out.size):
+                if least[j] < 0.0 and not math.isnan(mean[j]):
                     if most[j] <= 0.0:
-                        response *= regeneration
+                        response = mean[j] * regeneration
                     else:
                         response = _kinked(traction, n, i, j + col0, part, corners, corner, blend, regeneration)
-                out[j] = (hotel + response) * length_m[n]
+                    out[j] = (hotel + response) * length_m[n]
     return energy
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of, wrap_angle
+from joulemap.model.threads import both
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.potential import even_surface, spare_bounds
@@ -171,8 +172,11 @@ def table_of(
     headings = heading_of(offsets[:, 1], -offsets[:, 0])
     length_m = np.hypot(offsets[:, 0], offsets[:, 1]) * spacing_m
     turn = turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
-    surface = even_surface(energy, offsets, length_m, lifted)
-    bounds = spare_bounds(energy, offsets, length_m, surface, RISE_SHARES)
+    flat, surface = both(  # most of the surface is found on one thread
+        lambda: spare_bounds(energy, offsets, length_m, lifted, RISE_SHARES[:1]),
+        lambda: even_surface(energy, offsets, length_m, lifted),
+    )
+    bounds = np.append(flat, spare_bounds(energy, offsets, length_m, surface, RISE_SHARES[1:]))
     return MoveTable(offsets, headings, length_m, energy, turn, surface, RISE_SHARES, bounds)
 
 

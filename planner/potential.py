@@ -255,11 +255,13 @@ def _lower(energy, offsets, length_m, surface, least, floor, effort):
     """
     rows, cols, moves = energy.shape
     cells = rows * cols
-    flat, first = surface.reshape(-1), least.reshape(-1)
+    flat, first, steps = surface.reshape(-1), least.reshape(-1), energy.reshape(cells, moves)
+    jump, floors = offsets[:, 0] * cols + offsets[:, 1], floor * length_m
     came_by = np.full(cells, -1, dtype=np.int8)
     queue = np.empty(cells, dtype=np.int64)  # a ring; no cell is in it twice
     queued = np.zeros(cells, dtype=np.bool_)
     head, size, looks = 0, 0, 0
+    check = max(cells // 16, 1024)  # then twice as late each time: a loop shows early, and looking for it takes time
     for cell in range(cells):
         if first[cell] < floor:
             queue[size] = cell
@@ -273,17 +275,17 @@ def _lower(energy, offsets, length_m, surface, least, floor, effort):
         looks += 1
         if looks > effort:
             return cell
-        if looks % cells == 0:
+        if looks == check:
+            check += min(check, cells)
             place = _loop(came_by, offsets, cols)
             if place >= 0:
                 return place
-        i, j = cell // cols, cell % cols
+        here = flat[cell]
         for n in range(moves):
-            step = energy[i, j, n]
-            if math.isnan(step):
+            top = here + steps[cell, n] - floors[n]
+            if math.isnan(top):
                 continue
-            other = (i + offsets[n, 0]) * cols + j + offsets[n, 1]
-            top = flat[cell] + step - floor * length_m[n]
+            other = cell + jump[n]
             if top < flat[other] - ROUNDING_J:
                 flat[other] = top
                 came_by[other] = n
@@ -302,7 +304,7 @@ def _loop(came_by, offsets, cols):
     Such a loop is one of negative spare energy, and while there is one in the map it turns up here in the end
     (Cherkassky & Goldberg 1999).
     """
-    seen = np.zeros(came_by.size, dtype=np.int64)
+    seen = np.zeros(came_by.size, dtype=np.int32)
     for begin in range(came_by.size):
         at = begin
         while seen[at] == 0 and came_by[at] >= 0:
