@@ -36,7 +36,7 @@ from tests.service.conftest import GOAL, START, settings_for
 from tests.service.test_calibrations import run_csv
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "openapi" / "openapi.json"
-_EXAMPLES = 5  # of an operation, with and against the document each
+_EXAMPLES = 3  # of an operation, with and against the document each
 CHECKS = [
     not_a_server_error,
     status_code_conformance,
