@@ -1,33 +1,27 @@
-"""Pictures that lie on a map, without axes: ground, energy per metre in colour, blocked ground; contours, roses."""
+"""Pictures that lie on a map, without axes: ground, energy per metre in colour, blocked ground."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
-from contourpy import contour_generator
 from matplotlib import colormaps
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.image import imsave
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
-from pyproj import Transformer
 from scipy import ndimage
 
-from joulemap.model.frames import GridFrame, heading_bins
+from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.stored_lattice import StoredLattice
 from joulemap.service.map_drawing import REASONS, blocked_everywhere, tinted_relief, values_of_view
-from joulemap.service.raster_shading import Extent, Image, block_means, centres, hillshade, thinned, thinning
+from joulemap.service.raster_shading import Extent, Image, block_means, hillshade, thinned, thinning
 
 COLOURS = {"mean": "YlGnBu", "heading": "YlGnBu", "directionality": "YlGn"}
 """Colour maps by view. All grow darker evenly, which people with any colour vision see."""
 
 _FINE_PIXELS = 900  # small maps are enlarged to about so many, so that hatching and relief are fine
-_CONTOUR_PIXELS, _CONTOURS, _SHORTEST_CONTOUR = 260, 14, 6
 _SAMPLE = 40_000  # cells that a colour scale is taken from
 _HATCH = 8  # pixels between two lines of a hatch
 _STRIP_CELLS = 8_000_000  # of a heightmap that are in memory at a time
@@ -360,100 +354,6 @@ def scale_colours(view: str, count: int = 9) -> list[str]:
         As #rrggbb.
     """
     return [to_hex(colour) for colour in colormaps[COLOURS[view]](np.linspace(0.0, 1.0, count))]
-
-
-def contours(heights: Image, frame: GridFrame) -> list[tuple[float, list[NDArray[np.float64]]]]:
-    """Return contour lines of the ground, simplified to what can be seen of the whole map.
-
-    Parameters
-    ----------
-    heights : ndarray, (rows, cols) [m]
-        NaN where unknown.
-    frame : GridFrame
-        Where the cells lie.
-
-    Returns
-    -------
-    list of tuple
-        Height [m] and lines, each (N, 2) world x, y [m].
-    """
-    ground, extent = thinned(heights, frame, most=_CONTOUR_PIXELS)
-    known = ground[np.isfinite(ground)]
-    if min(ground.shape) < 2 or known.size == 0 or known.max() - known.min() < 0.05:
-        return []
-    generator = contour_generator(*centres(ground, extent), np.ma.masked_invalid(ground))
-    levels = MaxNLocator(_CONTOURS, steps=[1, 2, 5, 10]).tick_values(float(known.min()), float(known.max()))
-    found = []
-    for level in levels:
-        lines: list[Any] = [line for line in generator.lines(level) if len(line) >= _SHORTEST_CONTOUR]
-        if lines:
-            found.append((float(level), lines))
-    return found
-
-
-def roses(
-    lattice: CostLattice | StoredLattice, bounds: tuple[float, float, float, float], *, across: int
-) -> Mapping[str, Any]:
-    """Return energy per metre by heading at evenly spaced cells of a part of the map.
-
-    Parameters
-    ----------
-    lattice : CostLattice or StoredLattice
-        The cost map.
-    bounds : tuple of float
-        West, south, east, north of the part [m]; what lies outside the map is left out.
-    across : int
-        Most cells along a side.
-
-    Returns
-    -------
-    mapping
-        ``headings_deg`` (K), ``points`` (n, 2) [m] and ``energy_per_m`` (n, K) [J/m], None where blocked.
-    """
-    west, south, east, north = bounds
-    (top, left), (bottom, right) = (lattice.frame.rowcol(x, y) for x, y in ((west, north), (east, south)))
-    rows = np.arange(max(int(np.ceil(top)), 0), min(int(np.floor(bottom)) + 1, lattice.frame.rows))
-    cols = np.arange(max(int(np.ceil(left)), 0), min(int(np.floor(right)) + 1, lattice.frame.cols))
-    step = max(1, -(-max(len(rows), len(cols)) // across))
-    rows, cols = rows[step // 2 :: step], cols[step // 2 :: step]
-    row, col = (part.ravel() for part in np.meshgrid(rows, cols, indexing="ij"))
-    x, y = lattice.frame.xy(row, col)
-    points, price = np.stack([x, y], axis=-1), np.empty((row.size, lattice.headings))
-    for k, (r, c) in enumerate(zip(row.tolist(), col.tolist(), strict=True)):
-        cell = lattice.window(r, r + 1, c, c + 1)
-        free = cell.blocked_by_heading()[0, 0] == Blocked.FREE
-        price[k] = np.where(free, lattice.robot.price_per_m(cell.traction_per_m[0, 0]), np.nan)
-    return {
-        "headings_deg": np.rad2deg(heading_bins(lattice.headings)).tolist(),
-        "points": points.tolist(),
-        "energy_per_m": [[value if np.isfinite(value) else None for value in one] for one in price.tolist()],
-    }
-
-
-def lat_lon(frame: GridFrame) -> list[list[list[float]]] | None:
-    """Return latitude and longitude of nine places of a map, between which a page can interpolate.
-
-    Parameters
-    ----------
-    frame : GridFrame
-        Of the map.
-
-    Returns
-    -------
-    list or None
-        (3, 3, 2): from north to south, from west to east, latitude and longitude [deg]. None where the CRS is unknown
-        or has no place on Earth.
-    """
-    if frame.crs is None:
-        return None
-    west, south, east, north = frame.bounds
-    x, y = np.meshgrid([west, (west + east) / 2, east], [north, (south + north) / 2, south])
-    try:
-        lon, lat = Transformer.from_crs(frame.crs, "EPSG:4326", always_xy=True).transform(x, y)
-    except (RuntimeError, ValueError):  # pyproj's errors: a local CRS has no place on Earth
-        return None
-    places = np.stack([lat, lon], axis=-1)
-    return places.tolist() if np.isfinite(places).all() else None
 
 
 def _by_strips(lattice: CostLattice, value: Callable[[CostLattice], Image]) -> Image:

@@ -27,9 +27,9 @@ from joulemap.service.map_layers import (
     ground_layer,
     layer_bounds,
     overview,
-    roses,
 )
 from joulemap.service.map_pieces import draw_piece, levels_of, look_of
+from joulemap.service.map_shapes import roses
 
 
 def wavy(rows: int = 30, cols: int = 47) -> Heightmap:

@@ -25,16 +25,14 @@ from joulemap.service.map_layers import (
     blocked_layer,
     coarse_heights,
     colour_scale,
-    contours,
     energy_layer,
     ground_layer,
-    lat_lon,
     layer_bounds,
     overview,
-    roses,
     scale_colours,
 )
 from joulemap.service.map_pieces import MOST_LEVELS, MOST_PIECES, PIECE_PIXELS, Look, draw_piece, levels_of, look_of
+from joulemap.service.map_shapes import contours, lat_lon, roses
 from joulemap.service.raster_shading import centres, thinned
 from joulemap.service.schemas.answers import number
 from joulemap.service.schemas.base import Coordinate, within
