@@ -23,6 +23,7 @@ from joulemap.service.commands import (
     reach,
     reproduction,
     services,
+    simulation,
     speeds,
     tours,
 )
@@ -86,7 +87,7 @@ for _panel, _commands in (
     (
         "Learn",
         (
-            models.simulate,
+            simulation.simulate,
             heightmaps.heightmap,
             models.train,
             models.evaluate,

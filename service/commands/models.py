@@ -1,18 +1,16 @@
-"""`joulemap simulate`, `train` and `evaluate`: measured runs, models made from them, and how well they predict."""
+"""`joulemap train` and `evaluate`: models made from measured runs, and how well they predict."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from joulemap.model.energy.architectures import ARCHITECTURES, DEFAULT_ARCHITECTURE
 from joulemap.service.commands.cluster import AsOneTask
-from joulemap.service.commands.console import JsonFile, Output, progress_bar, write_file
+from joulemap.service.commands.console import JsonFile, Output, progress_bar
 from joulemap.service.commands.options import (
     Campaign,
     MaybeHeightmap,
@@ -26,168 +24,9 @@ from joulemap.service.commands.options import (
     named_sites,
     reads_heightmap,
     refuse_to_replace,
-    robot_of,
     there,
 )
 from joulemap.service.words import runs_words
-
-if TYPE_CHECKING:
-    from joulemap.model.robot import Robot
-
-
-class SiteName(StrEnum):
-    """The simulated sites."""
-
-    GRASS_A = "grass_a"
-    GRASS_B = "grass_b"
-    DIRT = "dirt"
-    RANDOM = "random"
-
-
-class DriveName(StrEnum):
-    """How a simulated site is driven."""
-
-    LAWNMOWER = "lawnmower"
-    WAYPOINTS = "waypoints"
-
-
-class HiddenEffect(StrEnum):
-    """Effects that may be at work in simulated runs without being declared."""
-
-    TURNING = "turning"
-    TURNING_UPHILL = "turning_uphill"
-    PAYLOAD = "payload"
-    SPEED = "speed"
-    ACCELERATION = "acceleration"
-    BRAKING = "braking"
-    WIND = "wind"
-    TEMPERATURE = "temperature"
-    MOTOR_TEMPERATURE = "motor_temperature"
-    HOTEL_LOAD = "hotel_load"
-    BATTERY = "battery"
-    SENSOR_GAIN = "sensor_gain"
-    DRIFT = "drift"
-    TERRAIN_CLASS = "terrain_class"
-    LOCAL_FRICTION = "local_friction"
-    CROSS_SLOPE = "cross_slope"
-    HEADING = "heading"
-
-
-def simulate(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for dem.tif, robot.toml and run_NN.csv.")],
-    site: Annotated[
-        SiteName, typer.Option(help="Two grass sites, a dirt site, or one drawn by the seed.")
-    ] = SiteName.GRASS_A,
-    drive: Annotated[
-        DriveName, typer.Option(help="Parallel lines, or from one random point to the next.")
-    ] = DriveName.LAWNMOWER,
-    runs: Annotated[int, typer.Option(min=1, max=99, metavar="N", help="Number of runs.")] = 4,
-    robot: RobotFile = None,
-    hidden: Annotated[
-        list[HiddenEffect] | None,
-        typer.Option(
-            metavar="EFFECT...",
-            help=f"Effects at work in the runs that no file declares: {', '.join(HiddenEffect)}. Their strength is "
-            "drawn by the seed.",
-        ),
-    ] = None,
-    day: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Another day has other drives and other weather; site, survey and robot stay the same. "
-            "[default: 1, with `--hidden` 2]",
-        ),
-    ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(
-            min=0, metavar="N", help="The same seed gives the same site and robot, and on the same day the same runs."
-        ),
-    ] = 0,
-    json_file: JsonFile = None,
-) -> None:
-    """Simulate **measured runs**: a robot, a site, a battery, and a 10 Hz logger with noise, gaps and spikes.
-
-    The robot's true mass and losses differ a little from what its file declares. Without `--robot`, robot.toml declares
-    the rolling resistance that its owner would measure on smooth level ground of that site.
-
-    Examples:
-
-    `joulemap simulate --out field --site dirt --drive waypoints --runs 6`
-
-    `joulemap simulate --out new --hidden turning` (the site and the robot of `joulemap simulate --out base`)
-    """
-    from dataclasses import replace
-
-    import numpy as np
-
-    from joulemap.model.field.days import simulate_day
-    from joulemap.model.field.drives import Drive, drive_along, lawnmower, random_waypoints
-    from joulemap.model.field.logger import RunLog, simulate_run
-    from joulemap.model.field.robot_dynamics import FieldRobot
-    from joulemap.model.field.sites import named_site, random_site
-    from joulemap.model.terrain.writers import write_geotiff
-    from joulemap.model.training.simulated_set import level_ground, rolling_resistance_on
-
-    output = Output(json_file)
-    rng = np.random.default_rng([seed, 1])
-    place = random_site(np.random.default_rng(seed)) if site is SiteName.RANDOM else named_site(site.value, seed=seed)
-    declared = robot_of(robot)
-    truth = FieldRobot.drawn(declared, rng)
-    if robot is None:
-        measured = rolling_resistance_on(level_ground(place.ground, rng), place.ground, truth)
-        declared = replace(declared, rolling_resistance=round(measured, 4))
-    out.mkdir(parents=True, exist_ok=True)
-    write_geotiff(out / "dem.tif", place.survey)
-    write_file(out / "robot.toml", _toml(declared).encode())
-    today = day or (2 if hidden else 1)
-    if today > 1 or hidden:
-        rng = np.random.default_rng([seed, 2, today])
-    files, drives = [], list[Drive]()
-    west, south, east, north = place.drivable
-
-    def driven() -> Iterator[Drive]:
-        for number in range(1, runs + 1):
-            if drive is DriveName.LAWNMOWER:  # each run its own strip of the site, as a day in the field is shared out
-                strip = west + (east - west) * (number - 1) / runs, south, west + (east - west) * number / runs, north
-                points = lawnmower(strip, spacing_m=2.0)
-            else:
-                points = random_waypoints(place.drivable, 20, rng)
-            drives.append(drive_along(points, speed_mps=declared.speed_mps, rng=rng))
-            yield drives[-1]
-
-    def logged() -> Iterator[RunLog]:
-        if today > 1 or hidden:
-            yield from simulate_day(place, truth, driven(), day=today, hidden=hidden or (), rng=rng)
-        else:
-            for number, one in enumerate(driven(), start=1):
-                yield simulate_run(place, truth, one, rng=rng, start_s=3600.0 * number)
-
-    with progress_bar("Driving") as report:
-        for number, log in enumerate(logged(), start=1):
-            files.append(str(log.write_csv(out / f"run_{number:02d}.csv")))
-            report(number / runs)
-    metres = sum(one.length_m for one in drives)
-    output.say(f"[bold]Simulated[/] {runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}")
-    output.document(
-        {
-            "heightmap": str(out / "dem.tif"),
-            "robot": str(out / "robot.toml"),
-            "runs": files,
-            "length_m": metres,
-            "seed": seed,
-            "day": today,
-            "hidden": [str(name) for name in hidden or ()],
-        }
-    )
-
-
-def _toml(robot: Robot) -> str:
-    """A robot file. JSON's texts and numbers are TOML's too."""
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in robot.as_dict().items())
-
 
 Charge = Annotated[
     bool,
@@ -197,8 +36,6 @@ Charge = Annotated[
         "Logs without a voltage are always read like this.",
     ),
 ]
-
-
 Architecture = StrEnum("Architecture", {name.upper(): name for name in ARCHITECTURES})  # type: ignore[misc]
 _DEFAULT = Architecture(DEFAULT_ARCHITECTURE)
 

@@ -16,7 +16,7 @@ from joulemap.model.field.robots import FieldRobot
 from joulemap.model.field.sites import random_site
 from joulemap.model.robot import Robot
 from joulemap.service.cli import app
-from joulemap.service.commands.models import HiddenEffect
+from joulemap.service.commands.simulation import HiddenEffect
 
 MADE = ("--site", "random", "--drive", "waypoints", "--runs", "1", "--seed", "5")
 
