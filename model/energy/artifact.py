@@ -247,7 +247,7 @@ def _read(folder: Path) -> _Files:
         raise ModelError(f"{folder / CONFIG_FILE} does not say the size of the network's input", size=str(size))
     try:
         weights = load(data)
-    except SafetensorError as error:
+    except (SafetensorError, KeyError) as error:  # KeyError: a type of numbers that numpy has not
         raise ModelError(f"{folder / WEIGHTS_FILE} cannot be read: {error}") from error
     return _Files(config, weights, name, size)
 

@@ -1,5 +1,6 @@
 """Models as folders: what is saved comes back, what does not fit is refused, and what was learned is told."""
 
+import hashlib
 import json
 import math
 from dataclasses import replace
@@ -7,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save
 
 from joulemap.model.energy.architectures.compact.net import CompactNet
 from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
@@ -81,6 +83,16 @@ def test_files_that_are_not_partners_are_refused(tmp_path):
     (tmp_path / "b" / CONFIG_FILE).unlink()
     with pytest.raises(ModelError, match="not a trained model"):
         load_predictor(tmp_path / "b")
+
+
+@pytest.mark.parametrize("data", [b"no weights", save({"a": torch.zeros(3, dtype=torch.bfloat16)})])
+def test_weights_that_cannot_be_read_are_refused(tmp_path, data):
+    save_artifact(tmp_path, Artifact(CompactNet(), DOMAIN))
+    (tmp_path / WEIGHTS_FILE).write_bytes(data)
+    config = json.loads((tmp_path / CONFIG_FILE).read_text()) | {"version": hashlib.sha256(data).hexdigest()[:16]}
+    (tmp_path / CONFIG_FILE).write_text(json.dumps(config))
+    with pytest.raises(ModelError, match=r"weights.safetensors cannot be read"):
+        load_artifact(tmp_path)
 
 
 def test_an_unknown_name_is_answered_with_the_known_ones():
