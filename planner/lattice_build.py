@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -181,7 +182,7 @@ def write_lattice(
     each: Callable[[CostLattice], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Write a lattice of any size to a folder, whole or not at all, holding one tile in memory at a time.
+    """Write a lattice of any size to a folder, whole or not at all, holding two tiles in memory at a time.
 
     Cut off by an exception, Ctrl-C or SIGTERM, it leaves nothing behind.
 
@@ -216,15 +217,25 @@ def write_lattice(
     with _Interruptions() as interruptions, folder.whole_or_nothing():
         with interruptions.held_back():
             folder.lay_out(tiling, robot, with_std=knows_spread(source, robot))
-        for number, place in enumerate(tiling):
-            part = build_tile(ground, robot, source, tiling, *place)
+        writer = ThreadPoolExecutor(1)  # writes a tile while the next one is priced
+        try:
+            described = writer.submit(provenance_of, ground, robot, source, tiling)
+            writing: Future[None] | None = None
+            for number, place in enumerate(tiling):
+                part = build_tile(ground, robot, source, tiling, *place)
+                if writing is not None:
+                    writing.result()
+                writing = writer.submit(folder.write, part, *place)
+                if each is not None:
+                    each(part)
+                if progress is not None:
+                    progress((number + 1) / len(tiling))
+            if writing is not None:
+                writing.result()
+            provenance = described.result()
+        finally:
             with interruptions.held_back():
-                folder.write(part, *place)
-            if each is not None:
-                each(part)
-            if progress is not None:
-                progress((number + 1) / len(tiling))
-        provenance = provenance_of(ground, robot, source, tiling)
+                writer.shutdown(cancel_futures=True)
         with interruptions.held_back(to_the_end=True):
             folder.finish(provenance)
     return provenance

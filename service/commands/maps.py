@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -118,7 +119,6 @@ def costmap(
     """
     from joulemap.model.terrain.plausible import heightmap_warnings
     from joulemap.model.terrain.readers import open_ground
-    from joulemap.service.cost_lattices import write_cost_lattice
 
     output = Output(json_file)
     if out is not None:
@@ -139,7 +139,10 @@ def costmap(
     ground = open_ground(heightmap, **reading)
     for note in ground.notes:
         output.say(f"[bold]Heightmap[/] {note}")
-    output.warn(heightmap_warnings(ground))
+    with ThreadPoolExecutor(1) as reader:
+        warned = reader.submit(heightmap_warnings, ground)
+        from joulemap.service.cost_lattices import write_cost_lattice  # loads slowly; the map is read meanwhile
+    output.warn(warned.result())
     rover = robot_of(robot)
     _say_size(output, ground.frame, spacing, headings, max_values)
     with leaves_nothing_behind(), progress_bar("Cost map") as report:
