@@ -29,9 +29,9 @@ from joulemap.planner.strip import reserved
 TILE_CELLS = 128
 """Side of a tile of the search, a power of two; a fourth of a chunk on disk, so that little is priced in vain."""
 DEFAULT_MEMORY = 1_500_000_000
-"""Most memory of a search [bytes] unless the user says so: labels of a map of 10,000 x 10,000 cells fit into it."""
-_PRICES_MEMORY = 450_000_000
-"""Memory for priced tiles [bytes] while there is enough; more is used for the labels of cells. It holds the tiles along
+"""Most memory of a search [bytes] unless the user says so: beside the prices, labels of 79 million cells fit into it."""
+_PRICES_SHARE = 0.3
+"""Share of the memory for priced tiles; the rest is for the labels of cells. Of the default it holds the tiles along
 the edge of a search over 10,000 x 10,000 cells: with two thirds of it every tile is priced twice."""
 _LEAST_SLOTS = 24
 _LABEL_BYTES = 13
@@ -115,7 +115,7 @@ class TiledSearch:
         self._least = np.full(self._tiles, math.inf)
         self._memory = memory_bytes
         self._slot_bytes = 4 * self._side**2 * len(moves.offsets)
-        slots = min(self._tiles, max(min(_PRICES_MEMORY, memory_bytes) // self._slot_bytes, _LEAST_SLOTS))
+        slots = min(self._tiles, max(int(_PRICES_SHARE * memory_bytes) // self._slot_bytes, _LEAST_SLOTS))
         self._prices = np.empty((slots, self._side**2, len(moves.offsets)), dtype=np.float32)
         self._free = list(range(slots))
         self._priced = 0
