@@ -29,7 +29,7 @@ from joulemap.planner.strip import reserved
 TILE_CELLS = 128
 """Side of a tile of the search, a power of two; a fourth of a chunk on disk, so that little is priced in vain."""
 DEFAULT_MEMORY = 1_500_000_000
-"""Most memory of a search [bytes] unless the user says so: beside the prices, labels of 79 million cells fit into it."""
+"""Most memory of a search [bytes] unless the user says so: labels of 80 million cells fit into it beside the prices."""
 _PRICES_SHARE = 0.3
 """Share of the memory for priced tiles; the rest is for the labels of cells. Of the default it holds the tiles along
 the edge of a search over 10,000 x 10,000 cells: with two thirds of it every tile is priced twice."""
