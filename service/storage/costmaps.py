@@ -87,7 +87,7 @@ class KeptCostmaps(KeptJobs):
         return self._page(CostmapRow, limit, offset)
 
     def alike(self, row: CostmapRow) -> list[str]:
-        """Return the finished cost maps that differ from one in nothing but the model.
+        """Return the newest finished cost map of every other model that differs from one in nothing but the model.
 
         Parameters
         ----------
@@ -103,9 +103,14 @@ class KeptCostmaps(KeptJobs):
         def _but_model(request: dict[str, Any]) -> dict[str, Any]:
             return {key: value for key, value in request.items() if key != "model"}
 
+        newest: dict[str, str] = {}
         with self._sessions() as session:
             query = select(CostmapRow).where(CostmapRow.heightmap_id == row.heightmap_id, CostmapRow.status == DONE)
-            return [made.id for made in session.scalars(query) if _but_model(made.request) == _but_model(row.request)]
+            for made in session.scalars(query.order_by(CostmapRow.created_at)):
+                if _but_model(made.request) == _but_model(row.request):
+                    newest[made.request["model"]] = made.id
+        newest.pop(row.request["model"], None)
+        return list(newest.values())
 
     def load_lattice(self, costmap_id: str) -> CostLattice:
         """Load the lattice of a cost map.

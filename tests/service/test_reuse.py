@@ -65,3 +65,12 @@ def test_a_calibrated_map_reuses_the_stored_map_of_its_base(service) -> None:
     store.delete_costmap(base)
     make("furrows")
     assert sum(asked) > 80 * 80
+
+
+def test_a_worker_is_told_of_one_map_for_every_other_model(service) -> None:
+    """A service that made thousands of maps of one heightmap would send all of them with every tile."""
+    store, make, _ = service
+    old, new = make("physics"), make("physics")
+    default = make("default")
+    assert store.alike(store.costmap(make("furrows"))) == [new, default]
+    assert store.alike(store.costmap(old))[0] == default
