@@ -78,11 +78,11 @@ def bench_lattice(cells: int, resolution_m: float) -> list[Row]:
 def operations_per_cell(predictor: CompactPredictor) -> float:
     """Floating-point operations of the network's layers for one cell 1 m from its neighbours, a product and a sum each;
     without what reads and describes the ground."""
-    net = predictor.net
-    ground = 16 * net.conv0.weight.numel() + 4 * net.conv1.weight.numel() + net.conv2.weight.numel()
-    ground += net.hidden.weight.numel() + net.series.weight.numel()
-    series = net.series.weight.shape[0]
-    head = sum(layer.weight.numel() for layer in (net.tracks, net.head, net.rest, net.spread)) + series
+    sizes = {name: array.size for name, array in predictor.weights.arrays.items()}
+    ground = 16 * sizes["conv0.weight"] + 4 * sizes["conv1.weight"] + sizes["conv2.weight"]
+    ground += sizes["hidden.weight"] + sizes["series.weight"]
+    layers = ("tracks.weight", "head.weight", "rest.weight", "spread.weight", "series.bias")
+    head = sum(sizes[name] for name in layers)
     return 2.0 * (ground + HEADINGS * head)
 
 
