@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
+from contextlib import suppress
 from contextvars import ContextVar
 from datetime import UTC, datetime
+from logging.handlers import QueueHandler
+from queue import Full, Queue
 from typing import Any, Literal
 
 REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
 """Of the request that this task, or a thread that works for it, answers."""
 
 ACCESS = logging.getLogger("joulemap.access")
+_MOST_WAITING = 10_000  # lines; from then on, who logs waits until some are written
+_LAST_S = 2.0  # for the last lines when the service ends
 _TEXT = "%(asctime)s %(levelname)-8s %(name)s [%(request_id)s] %(message)s"
 
 
@@ -64,6 +70,61 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, ensure_ascii=False, default=str)
 
 
+class WrittenByAThread(QueueHandler):
+    """Leaves lines to a thread: standard error may be a pipe, and the event loop does not wait for its reader.
+
+    Parameters
+    ----------
+    kind : {"text", "json"}
+        Form of a line.
+    """
+
+    def __init__(self, kind: Literal["text", "json"]) -> None:
+        self._lines: Queue[logging.LogRecord | None] = Queue(_MOST_WAITING)
+        super().__init__(self._lines)
+        self.addFilter(WithRequestId())
+        self._writer = logging.StreamHandler()
+        self._writer.setFormatter(JsonLines() if kind == "json" else logging.Formatter(_TEXT))
+        self._thread = threading.Thread(target=self._write, name="log", daemon=True)
+        self._thread.start()
+
+    def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
+        """Return the record as it is: it is formatted where it is written.
+
+        Parameters
+        ----------
+        record : LogRecord
+            The record.
+
+        Returns
+        -------
+        LogRecord
+            The same.
+        """
+        return record
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Leave a record to the thread.
+
+        Parameters
+        ----------
+        record : LogRecord
+            The record.
+        """
+        self._lines.put(record)
+
+    def close(self) -> None:
+        """Write what waits, and end the thread; Python does it at its end. A reader that has stopped is left."""
+        with suppress(Full):
+            self._lines.put(None, timeout=_LAST_S)
+        self._thread.join(_LAST_S)
+        super().close()
+
+    def _write(self) -> None:
+        for record in iter(self._lines.get, None):
+            self._writer.handle(record)
+
+
 def log_config(kind: Literal["text", "json"]) -> dict[str, Any]:
     """Return the configuration of the log for uvicorn, which then writes no line per request of its own.
 
@@ -77,21 +138,10 @@ def log_config(kind: Literal["text", "json"]) -> dict[str, Any]:
     dict
         For `logging.config.dictConfig`.
     """
-    here = __name__
-    formatter = {"()": f"{here}.JsonLines"} if kind == "json" else {"format": _TEXT}
     return {
         "version": 1,
         "disable_existing_loggers": False,
-        "filters": {"request": {"()": f"{here}.WithRequestId"}},
-        "formatters": {"line": formatter},
-        "handlers": {
-            "stderr": {
-                "class": "logging.StreamHandler",
-                "formatter": "line",
-                "filters": ["request"],
-                "stream": "ext://sys.stderr",
-            }
-        },
+        "handlers": {"stderr": {"()": f"{__name__}.WrittenByAThread", "kind": kind}},
         "root": {"handlers": ["stderr"], "level": "WARNING"},
         "loggers": {
             "joulemap": {"level": "INFO"},

@@ -23,7 +23,7 @@ from joulemap.model.errors import BusyError
 from joulemap.service.http import health as health_module
 from joulemap.service.http.health import OK, Health, disk_check
 from joulemap.service.http.job_events import JobEvents, JobState
-from joulemap.service.http.logs import JsonLines, WithRequestId, log_config
+from joulemap.service.http.logs import JsonLines, WithRequestId, WrittenByAThread, log_config
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.storage.sizes import bytes_of
 from tests.service.conftest import GOAL, START
@@ -116,6 +116,8 @@ def test_the_configuration_of_the_log_is_valid(kind, capsys):
         dictConfig(log_config(kind))
         logging.getLogger("joulemap.service").info("hello %s", "there")
     finally:
+        for made in set(root.handlers) - set(handlers):
+            made.close()  # which writes what waits
         root.handlers[:] = handlers
         root.setLevel(level)
         for name, was in known.items():
@@ -124,6 +126,25 @@ def test_the_configuration_of_the_log_is_valid(kind, capsys):
     assert "hello there" in said
     if kind == "json":
         assert json.loads(said)["logger"] == "joulemap.service"
+
+
+def test_who_logs_does_not_wait_for_a_reader_of_the_log_that_has_stopped(monkeypatch):
+    reading, writing = os.pipe()  # whose buffer is full after 64 kB
+    pipe = os.fdopen(writing, "w")
+    monkeypatch.setattr(sys, "stderr", pipe)
+    handler = WrittenByAThread("text")
+    logger = logging.Logger("of this test")
+    logger.addHandler(handler)
+    for number in range(3_000):
+        logger.info("%d %s", number, "x" * 100)  # would wait here
+    lines: list[str] = []
+    with os.fdopen(reading) as read:
+        reader = threading.Thread(target=lambda: lines.extend(read))
+        reader.start()
+        handler.close()
+        pipe.close()
+        reader.join()
+    assert [int(line.split("] ")[1].split()[0]) for line in lines] == list(range(3_000))
 
 
 def test_readiness_tells_a_full_disk_and_a_lost_database_and_liveness_does_not(client, monkeypatch):
