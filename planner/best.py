@@ -1,7 +1,7 @@
 """The best route that we find between two places: one function, which every question goes through.
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`),
-stage by stage; after each stage only those stay that may still win, and of those near one local optimum only the best.
+stage by stage; after each stage only those stay that may still win, and of those over the same cells only the best.
 Where limits close moves, the path through `passages` is improved beside them.
 """
 
@@ -12,25 +12,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.threads import share_out
 from joulemap.planner.corridors import corridor_paths
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.passages import mark_around
 from joulemap.planner.refine import STAGES, subdivided
 
-LAGS = (0.15, 0.12, 0.1, 0.03, 0.0)
+LAGS = (0.3, 0.24, 0.2, 0.06, 0.0)
 """By how much the path that is the best in the end may lag behind before the stages and after each, as a share of the
 energy, times the root of its length [cells]. What a stage gains is a sum along the path, so its share varies with the
-inverse root of the length. The largest lags seen on three maps were 0.154, 0.117, 0.103 and 0.105, in 19 of 20 tasks at
-most 0.056, 0.062, 0.062 and 0.039."""
-KEEP = (4, 3, 1, 1)
+inverse root of the length. With half of these lags and 4, 3, 1 and 1 paths, 41 of 2,500 random tasks on the maps of
+`tests/bench/quality.py` were more than 0.1 % dearer than with twice these lags and 32 paths (up to 2.6 %)."""
+KEEP = (24, 12, 6, 3)
 """Most paths that stay after each stage."""
-SAME_CELLS = 2
-"""Paths that are nowhere further apart than this [cells] belong to one local optimum: later stages lead both there."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -114,27 +110,20 @@ def best_of(lattice: CostLattice, paths: list[Points]) -> Points:
         prices[np.isnan(prices)] = math.inf
         least = float(prices.min())
         kept = np.flatnonzero(prices <= least + lag / root * abs(least))
-        ways = _apart(lattice, [ways[k] for k in kept[np.argsort(prices[kept], kind="stable")]], most)
+        ways = _different(lattice, [ways[k] for k in kept[np.argsort(prices[kept], kind="stable")]], most)
     return ways[0]
 
 
-def _apart(lattice: CostLattice, ways: list[Points], most: int) -> list[Points]:
-    """The first of some paths, and those after it that are somewhere apart from all before."""
-    cols = lattice.frame.cols
-    out: list[Points] = []
-    near: list[NDArray[np.bool_]] = []
+def _different(lattice: CostLattice, ways: list[Points], most: int) -> list[Points]:
+    """The first of some paths over each row of cells; paths a cell apart may still lead to different optima."""
+    out: dict[bytes, Points] = {}
     for way in ways:
+        row, col = np.rint(subdivided(way, 1.0)).astype(np.int64).T
+        cells = row * lattice.frame.cols + col
+        out.setdefault(cells[np.append(True, np.diff(cells) != 0)].tobytes(), way)
         if len(out) == most:
             break
-        row, col = np.rint(subdivided(way, 1.0)).astype(np.int64).T
-        cells = row * cols + col
-        if any(taken.ravel()[cells].all() for taken in near):
-            continue
-        out.append(way)
-        if len(out) < most:
-            near.append(np.zeros(lattice.frame.shape, dtype=np.bool_))
-            mark_around(near[-1], cells, cols, SAME_CELLS)
-    return out
+    return list(out.values())
 
 
 def _improved(lattice: CostLattice, ways: list[Points], stage: Callable[[CostLattice, Points], Points]) -> list[Points]:

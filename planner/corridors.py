@@ -25,7 +25,7 @@ from joulemap.planner.passages import mark_around, path_through_passages
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals, without_repeats
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
-COUNT = 4
+COUNT = 24
 """Most corridors."""
 PLATEAU = 0.03
 """Least share of the energy that a path has in common with both searches."""
@@ -55,7 +55,7 @@ def corridor_paths(
         Fractional (row, col).
     margin : float, default 0.01
         Most energy beyond that of the best, as a share of it.
-    count : int, default 4
+    count : int, default 24
         Most paths.
 
     Returns
