@@ -140,13 +140,16 @@ class Jobs:
         try:
             async with slots if kind_of(job_id) == CALIBRATION else nullcontext():
                 summary = await self._made(client, job_id, priority)
-            done = await asyncio.to_thread(self._store.finish, job_id, summary)
+            await asyncio.to_thread(self._finish, job_id, summary)
         except Exception as error:
             await asyncio.to_thread(self._failed, job_id, error, lost=client.status != "running")
-            return
-        await asyncio.to_thread(self._store.tidy, job_id)
+
+    def _finish(self, job_id: str, summary: dict[str, Any]) -> None:
+        """Note a job as done and remove what it needed; in one go, as a service may stop as soon as it is noted."""
+        done = self._store.finish(job_id, summary)
+        self._store.tidy(job_id)
         if done and self._on_done is not None:
-            await asyncio.to_thread(self._on_done, job_id)
+            self._on_done(job_id)
 
     async def _made(self, client: Client, job_id: str, priority: float) -> dict[str, Any]:
         """Make a job; what came out. Its progress is reported now and then."""

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -158,6 +159,25 @@ def test_deleting_stops_a_job(tmp_path: Path, hill_tif: bytes) -> None:
         after = ask(http, hill_tif)
         wait_until(lambda: status(http, after) == "done")
         wait_until(lambda: [p.name for p in (tmp_path / "costmaps").iterdir()] == [f"{after.rsplit('/', 1)[-1]}.zarr"])
+
+
+def test_a_service_that_stops_while_a_job_is_noted_as_done_leaves_nothing_of_its_making(
+    tmp_path: Path, hill_tif: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted, finish = threading.Event(), Store.finish
+
+    def slow(store: Store, job_id: str, summary: dict[str, Any]) -> bool:
+        done = finish(store, job_id, summary)
+        noted.set()
+        time.sleep(0.5)
+        return done
+
+    monkeypatch.setattr(Store, "finish", slow)
+    with TestClient(create_app(settings_for(tmp_path))) as client:
+        heightmap = client.post("/v1/heightmaps", content=hill_tif).json()
+        costmap = client.post("/v1/costmaps", json={"heightmap_id": heightmap["id"], **PHYSICS}).json()
+        assert noted.wait(100.0)
+    assert [path.name for path in (tmp_path / "costmaps").iterdir()] == [f"{costmap['id']}.zarr"]
 
 
 def test_a_killed_worker_is_replaced_and_a_full_disk_waited_for(tmp_path: Path, hill_tif: bytes) -> None:
