@@ -12,7 +12,6 @@ Pinheiro & Bates 2000, chapter 2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -31,7 +30,6 @@ IntArray = NDArray[np.int64]
 _COLLINEAR = 1e-3
 """Share of a column's sum of squares that must be left beside the other columns for a test: with less, the standard
 error is over thirty times that of the column alone."""
-
 
 RUN_SPREAD = 0.25
 """Setting: share of the energy by which runs of one robot usually differ at most for unknown reasons; those of the
@@ -57,20 +55,17 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class _Within:
-    """Rows without the levels of units, (n, k + 2), their cross products and the squares of the rows with levels."""
+class _ByUnit:
+    """Cross products of every unit, of columns and, last, of the residual."""
 
-    rows: FloatArray
-    gram: FloatArray
-    squares: FloatArray
+    gram: FloatArray  # (units, q + 1, q + 1)
+    level: FloatArray  # (units, q + 1), with the level of the unit
+    size: FloatArray  # (units,), of the level with itself
 
-    @classmethod
-    def of(cls, every: FloatArray, parts: Sequence[slice]) -> _Within:
-        rows = np.empty_like(every)
-        for part in parts:
-            own, level = every[part], every[part, -2]
-            rows[part] = own - np.outer(level, level @ own / max(float(level @ level), 1e-12))
-        return cls(rows, rows.T @ rows, np.einsum("ij,ij->j", every, every))
+    def at(self, tau2: float) -> FloatArray:
+        """Those under random levels of so many variances of the noise, whose sum generalised least squares needs."""
+        share = tau2 / (1.0 + tau2 * self.size)
+        return self.gram - share[:, None, None] * self.level[:, :, None] * self.level[:, None, :]
 
 
 class MixedModel:
@@ -89,37 +84,40 @@ class MixedModel:
     ) -> None:
         energies = np.column_stack([columns, level, residual])
         every = variation.scaled(energies)
-        self.size = np.sqrt(np.mean(every[:, :-2] ** 2, axis=0))
+        self.size = np.sqrt(np.einsum("ij,ij->j", every, every)[:-2] / len(every))
         self.size[self.size == 0.0] = 1.0
         every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
         self.variation, self.rows, self.unit, self.whole_runs = variation, every, unit, whole_runs
         borders = np.flatnonzero(np.diff(unit, prepend=-1, append=-1))
         parts = [slice(a, b) for a, b in pairwise(borders)]
         self.units = len(parts)
-        self.gram = np.stack([every[part].T @ every[part] for part in parts])  # (U, k + 2, k + 2)
-        self._h, self._gamma = self.gram[:, :, -2], np.maximum(self.gram[:, -2, -2], 1e-12)
+        self._h = np.stack([every[part, -2] @ every[part] for part in parts])  # (U, k + 2), levels with columns
+        self._gamma = np.maximum(self._h[:, -2], 1e-12)
         self._energies, self._parts = energies, parts
-        self._level_variance = self._variances_of_levels(every[:, -2:-1])
+        carried = 2.0 * variation.serial_share * every[:, -2:-1] * variation.carried(every[:, -2:-1])
+        more = np.bincount(unit, weights=carried[:, 0], minlength=self.units)
+        self._level_variance = (self._gamma + more) / self._gamma**2  # of the units' levels, for noise of variance 1
         flat = variation.weight >= 1.0
         self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
 
     @cached_property
-    def _scaled(self) -> _Within:
-        """Of scaled rows, for estimates."""
-        return _Within.of(self.rows, self._parts)
+    def _scaled(self) -> tuple[FloatArray, FloatArray]:
+        """Scaled rows without the levels of units, for estimates, and the squares of the rows with them, (k + 2,)."""
+        return self._without_levels(self.rows)
 
     @cached_property
-    def _white(self) -> _Within:
-        """Of independent rows, for tests."""
+    def _white(self) -> tuple[FloatArray, FloatArray]:
+        """The same of independent rows, for tests."""
         white = self.variation.whitened(self._energies)
         white[:, :-2] /= self.size
-        return _Within.of(white, self._parts)
+        return self._without_levels(white)
 
-    def _variances_of_levels(self, level: FloatArray) -> FloatArray:
-        """Variance of the estimated level of every unit for noise of variance 1, (units,)."""
-        carried = 2.0 * self.variation.serial_share * level * self.variation.carried(level)
-        more = np.bincount(self.unit, weights=carried[:, 0], minlength=self.units)
-        return np.asarray((self._gamma + more) / self._gamma**2)
+    def _without_levels(self, every: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rows = np.empty_like(every)
+        for part in self._parts:
+            own, level = every[part], every[part, -2]
+            rows[part] = own - np.outer(level, level @ own / max(float(level @ level), 1e-12))
+        return rows, np.einsum("ij,ij->j", every, every)
 
     def tau2(self, chosen: IntArray) -> float:
         """Variance between units over that of the noise: that of the largest restricted likelihood (Harville 1977),
@@ -131,10 +129,10 @@ class MixedModel:
         """
         if self.units < 3:
             return 0.0
-        freedom = len(self.rows) - len(chosen)
+        freedom, units = len(self.rows) - len(chosen), self._by_unit(chosen)
 
         def _loss(ratio: float) -> float:
-            gram = self._marginal(chosen, ratio).sum(axis=0)
+            gram = units.at(ratio).sum(axis=0)
             normal = self._with_prior(gram[:-1, :-1])
             rest = gram[-1, -1] - gram[:-1, -1] @ np.linalg.solve(normal, gram[:-1, -1])
             levels = float(np.log1p(ratio * self._gamma).sum()) + ratio * rest / freedom / RUN_SPREAD**2
@@ -153,8 +151,7 @@ class MixedModel:
 
     def sigma2(self, chosen: IntArray) -> float:
         """Variance of the noise beside some columns, with n - q - units in the denominator."""
-        index = np.append(chosen, -1)
-        gram = self._scaled.gram[np.ix_(index, index)]
+        gram = self._inside(np.append(chosen, -1))
         c = np.append(-np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]), 1.0)
         rest = float(c @ gram @ c)
         return max(rest / max(len(self.rows) - len(chosen) - self.units, 1), 1e-300)
@@ -167,14 +164,16 @@ class MixedModel:
         diagonal = np.where(diagonal > _ROUNDING, diagonal, 1.0)
         return gram + diagonal[..., None] * np.eye(gram.shape[-1])
 
-    def _marginal(self, chosen: IntArray, tau2: float) -> FloatArray:
-        """Cross products of every unit, (units, q + 1, q + 1), of columns and, last, of the residual, under random
-        levels of so many variances of the noise: generalised least squares follows from their sum.
-        """
-        index = np.append(chosen, self.gram.shape[1] - 1)
-        h = self._h[:, index]
-        share = tau2 / (1.0 + tau2 * self._gamma)
-        return self.gram[:, index[:, None], index[None, :]] - share[:, None, None] * h[:, :, None] * h[:, None, :]
+    def _by_unit(self, chosen: IntArray) -> _ByUnit:
+        index = np.append(chosen, -1)
+        rows = self.rows[:, index]
+        gram = np.stack([rows[part].T @ rows[part] for part in self._parts])
+        return _ByUnit(gram, self._h[:, index], self._gamma)
+
+    def _inside(self, index: IntArray) -> FloatArray:
+        """Cross products of scaled columns without the levels of units."""
+        rows = self._scaled[0][:, index]
+        return np.asarray(rows.T @ rows)
 
     def coefficients(self, chosen: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
         """Coefficients (q,) by generalised least squares within limits, (q,)."""
@@ -182,7 +181,7 @@ class MixedModel:
 
     def _normal(self, chosen: IntArray, tau2: float) -> tuple[FloatArray, FloatArray]:
         """Normal equations of generalised least squares, (q, q) and (q,)."""
-        gram = self._marginal(chosen, tau2).sum(axis=0)
+        gram = self._by_unit(chosen).at(tau2).sum(axis=0)
         return self._with_prior(gram[:-1, :-1]), gram[:-1, -1]
 
     def _within_limits(
@@ -199,13 +198,14 @@ class MixedModel:
 
         whole : squared error of predictions of the rows instead, with what differs between units in it.
         """
-        part = self._marginal(chosen, tau2)
+        units = self._by_unit(chosen)
+        part = units.at(tau2)
         total, q = part.sum(axis=0), len(chosen)
         others = total - part
         others[:, :q, :q] += self._with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
         beta = np.linalg.solve(others[:, :q, :q], others[:, :q, q:])  # (U, q, 1)
         c = np.concatenate([-beta, np.ones((self.units, 1, 1))], axis=1)
-        judged = self._marginal(chosen, 0.0) if whole else part
+        judged = units.gram if whole else part
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
 
     def test_within(self, tested: IntArray, beside: IntArray) -> float:
@@ -219,18 +219,18 @@ class MixedModel:
         return 1.0 if found is None else _p_value(*found[:3])
 
     def _fit(
-        self, within: _Within, tested: IntArray, beside: IntArray, *, serial: bool = False
+        self, within: tuple[FloatArray, FloatArray], tested: IntArray, beside: IntArray, *, serial: bool = False
     ) -> tuple[FloatArray, FloatArray, float, FloatArray] | None:
         """Coefficients of combinations of columns beside other columns, their robust variance, its degrees of freedom
         and the combinations, (k, r); None where the others say what they say.
 
         serial : add what serial correlation does to the variance.
         """
-        gram = self._with_prior(within.gram[np.ix_(beside, beside)])
-        both = np.append(tested, len(self.size) + 1)
-        rest = within.rows[:, both] - within.rows[:, beside] @ np.linalg.solve(gram, within.gram[np.ix_(beside, both)])
+        rows, squares = within
+        rest, other = rows[:, np.append(tested, -1)], rows[:, beside]
+        rest -= other @ np.linalg.solve(self._with_prior(other.T @ other), other.T @ rest)
         a, z = rest[:, :-1], rest[:, -1]
-        turned = _directions(a.T @ a, within.squares[tested])  # (k, r)
+        turned = _directions(a.T @ a, squares[tested])  # (k, r)
         if turned.shape[1] == 0:
             return None
         a = a @ turned
@@ -263,24 +263,22 @@ class MixedModel:
         """
         k, fixed = len(tested), np.setdiff1d(beside, levels)
         x = np.column_stack([np.ones(self.units), self._h[:, np.append(levels, tested)] / self._gamma[:, None]])
-        if (
-            not self.whole_runs
-            or self.units <= x.shape[1]
-            or _directions(x.T @ x, np.diag(x.T @ x)).shape[1] < x.shape[1]
-        ):
+        if not self.whole_runs or self.units <= x.shape[1]:
+            return 1.0
+        if _directions(x.T @ x, np.diag(x.T @ x)).shape[1] < x.shape[1]:
             return 1.0
         every = np.concatenate([fixed, levels, tested])
-        sigma2 = self.sigma2(every)
+        sigma2, units = self.sigma2(every), self._by_unit(every)
         noise = sigma2 * self.efficiency**2 * self._level_variance
         between = _LARGE * sigma2
         for _ in range(_ROUNDS):
-            gram = self._marginal(every, between / sigma2).sum(axis=0)
+            gram = units.at(between / sigma2).sum(axis=0)
             normal = self._with_prior(gram[:-1, :-1])
             beta = np.linalg.solve(normal, gram[:-1, -1])[: len(fixed)]
             away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
             between = _between(away, noise, x)
         own = np.arange(len(fixed))
-        more = gram[np.ix_(own, own)] - self._scaled.gram[np.ix_(fixed, fixed)]
+        more = gram[np.ix_(own, own)] - self._inside(fixed)
         used = float(np.trace(np.linalg.solve(normal[np.ix_(own, own)], more)))  # levels that the others have used up
         freedom = self.units - x.shape[1] - used
         if freedom < 1.0:
@@ -299,7 +297,7 @@ class MixedModel:
         normal, target = self._normal(chosen, tau2)
         found = self._within_limits(normal, target, chosen, low, high)
         variance = np.linalg.inv(normal) * sigma2
-        inside = np.linalg.inv(self._with_prior(self._scaled.gram[np.ix_(chosen, chosen)])) * sigma2
+        inside = np.linalg.inv(self._with_prior(self._inside(chosen))) * sigma2
         freedom = np.empty(len(chosen))
         for k, column in enumerate(chosen):
             alone = self._fit(self._scaled, np.array([column]), np.delete(chosen, k), serial=True)

@@ -21,12 +21,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import qr
-from scipy.optimize import OptimizeResult, minimize, nnls
+from scipy.optimize import minimize, nnls
 
 from joulemap.model.runs.features import FloatArray
 
@@ -38,8 +39,7 @@ _COLLINEAR = 1e-6  # of a column's size is left beside the others: rounding
 _ROUNDING = 1e-10
 _BANDS = 10  # of the prediction, for the spread within each
 _ROUNDS = 2  # weights follow the correlation and the correlation the weights
-_SIMPLEX = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])  # of the search, in logarithms
-_STARTS = ((3.0, 0.3), (60.0, 0.5))  # correlation length [rows] and variance over that of the noise
+_GRID = 7  # correlation lengths, and as many variances over that of the noise, are tried first
 
 
 @njit(cache=True)
@@ -183,30 +183,28 @@ def _independent(design: FloatArray) -> FloatArray:
 def _correlated(found: Variation, design: FloatArray, z: FloatArray) -> Variation:
     """With the length and the variance of the autoregression that maximise the restricted likelihood.
 
-    The search starts where the likelihood of the residuals alone is largest, which costs a hundredth.
+    The likelihood often has two maxima, a short and a long correlation: a first search starts at the best point of a
+    grid, a later one where the earlier one ended.
     """
     columns = np.concatenate([design, z], axis=1)
-    longest = float(np.max(np.bincount(found.run)))
+    limits = np.log([(0.3, np.bincount(found.run).max()), (1e-4, 1e4)])  # beyond, nothing changes
 
     def at(x: FloatArray) -> Variation:
-        length = float(np.clip(np.exp(min(x[0], 20.0)), 0.3, longest))
-        process = float(np.clip(np.exp(min(x[1], 20.0)), 1e-4, 1e4))
-        return replace(found, length_rows=length, process=process)
+        return replace(found, length_rows=float(np.exp(x[0])), process=float(np.exp(x[1])))
 
-    def loss(candidate: Variation, columns: FloatArray) -> float:
+    def loss(candidate: Variation) -> float:
         both, log_det = candidate._filtered(columns)
-        size = np.sqrt(np.maximum((both**2).sum(axis=0), 1e-300))
-        factor = np.linalg.cholesky((both / size).T @ (both / size) + _ROUNDING * np.eye(len(size)))
+        size = np.sqrt(np.maximum(np.einsum("ij,ij->j", both, both), 1e-300))
+        both /= size
+        factor = np.linalg.cholesky(both.T @ both + _ROUNDING * np.eye(len(size)))
         free = np.log(np.diag(factor) * size)
-        freedom = max(len(both) - len(size) + 1, 1)
-        return float(log_det + 2.0 * free[:-1].sum() + 2.0 * freedom * free[-1])
+        return float(log_det + 2.0 * free[:-1].sum() + 2.0 * max(len(both) - len(size) + 1, 1) * free[-1])
 
-    def least(start: FloatArray, columns: FloatArray) -> OptimizeResult:
-        options = {"xatol": 0.1, "fatol": 0.1, "maxiter": 60, "initial_simplex": start + _SIMPLEX}
-        return minimize(lambda x: loss(at(x), columns), start, method="Nelder-Mead", options=options)
-
-    starts = [(found.length_rows, found.process)] if found.process > 0.0 else list(_STARTS)
-    start = min((least(np.log(s), z) for s in starts), key=lambda result: float(result.fun))
-    best = at(least(start.x, columns).x)
+    if found.process > 0.0:
+        start = np.clip(np.log([found.length_rows, found.process]), *limits.T)
+    else:
+        tried = np.linspace(limits[:, 0], limits[:, 1], _GRID + 2)[1:-1]
+        start = min(map(np.array, product(*tried.T)), key=lambda x: loss(at(x)))
+    best = at(minimize(lambda x: loss(at(x)), start, method="L-BFGS-B", bounds=limits, options={"eps": 1e-4}).x)
     white = replace(found, length_rows=1.0, process=0.0)
-    return best if loss(best, columns) < loss(white, columns) else white
+    return best if loss(best) < loss(white) else white

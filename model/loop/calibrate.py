@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.loop._procedure import Fitted, fit
 from joulemap.model.loop._selection import rivals_of
@@ -116,14 +118,15 @@ def calibrate(
         if progress is not None:
             progress((done + share) / (count + 1))
 
-    fitted = fit(measured, base, refused, progress=_step)
-    held = fitted.states(measured)
-    for k in range(count):
-        done = k + 1
-        _step(0.0)
-        out = fold == k
-        other, left_out = fit(measured.take(~out), base, refused), measured.take(out)
-        for key, energy in other.states(left_out).items():
-            held[key][out] = energy
+    with threadpool_limits(1, user_api="blas"):  # the matrices are small: threads would wait for each other
+        fitted = fit(measured, base, refused, progress=_step)
+        held = fitted.states(measured)
+        for k in range(count):
+            done = k + 1
+            _step(0.0)
+            out = fold == k
+            other, left_out = fit(measured.take(~out), base, refused), measured.take(out)
+            for key, energy in other.states(left_out).items():
+                held[key][out] = energy
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
     return Calibration(fitted, measured, base, errors, held, refused, count, rivals_of(fitted.selection))

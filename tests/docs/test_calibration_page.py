@@ -28,7 +28,7 @@ DECIDES = (
     "warming_up",
 )
 """Modules whose constants decide what is named."""
-NO_THRESHOLDS = {"variation._STARTS"}
+NO_THRESHOLDS = {"variation._GRID"}
 """Where a search starts, which changes no answer."""
 
 
