@@ -51,6 +51,12 @@ class Settings(BaseSettings):
     read_memory_mb: float = Field(
         default=750.0, gt=0, description="memory for reading one sent file, beyond the 220 MB of the process [MB]"
     )
+    max_connections: int = Field(
+        default=1000,
+        ge=8,
+        description="most connections at a time, and fewer where the system permits fewer open files; one more closes "
+        "that which has been silent longest in the middle of a request",
+    )
     queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or run at a time")
     max_run_mb: float = Field(default=64.0, gt=0, description="largest file of one measured run [MB]")
     max_run_rows: int = Field(default=1_000_000, gt=0, description="most rows of one measured run")

@@ -132,7 +132,7 @@ def run(folder: Path, *, kills: int, seed: int, with_cluster: bool) -> Counter[s
             one = ["worker", f"tcp://{scheduler}", "--nthreads", "1", "--no-nanny", "--no-dashboard"]
             programs += [Program("worker", [*dask, *one], slow, folder / f"worker{n}.log") for n in (1, 2)]
         for port_number in ports:
-            command = [sys.executable, "-c", SERVE, str(folder / "data"), "", str(port_number)]
+            command = [sys.executable, "-c", SERVE, str(folder / "data"), str(port_number)]
             programs.append(Program("service", command, env, folder / f"service{port_number}.log"))
         load = Load(ports, tif, draw)
         try:

@@ -35,23 +35,39 @@ def serve(
 
     Example: `joulemap serve --host 0.0.0.0 --port 8080 --data-dir /var/lib/joulemap`
     """
+    import signal
     import sys
 
     import uvicorn
 
     from joulemap.service.http.app import create_app
+    from joulemap.service.http.connections import Connections, most_connections
     from joulemap.service.http.logs import log_config
 
     settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
     sys.setswitchinterval(_SWITCH_S)
+    app = create_app(settings)
+    connections = Connections(most_connections(settings.max_connections), on_stop=app.state.service.job_events.end)
+    signal.signal(signal.SIGTERM, _end)  # uvicorn sends it once more when the service has stopped
     uvicorn.run(
-        create_app(settings),
+        app,
+        http=connections.protocol,  # type: ignore[arg-type]
         host=settings.host,
         port=settings.port,
         access_log=False,  # the service writes a line of its own, with the id of the request
         log_config=log_config(settings.log_format),
         timeout_graceful_shutdown=settings.shutdown_s,
     )
+
+
+def _end(number: int, _frame: object) -> None:
+    """Write the last lines of the log, then let the signal end this process, whatever its threads are at."""
+    import logging
+    import signal
+
+    logging.shutdown()
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
 
 
 @reads_heightmap

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
-from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -15,6 +15,7 @@ from joulemap.service.problems import problem_of
 HEALTH_PATHS = ("/healthz", "/readyz")
 """Probes call these by any address; they tell nothing about what is kept."""
 
+_HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]{1,5})?", re.IGNORECASE)
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _WILDCARDS = ("", "0.0.0.0", "::")
 _SAME = ("same-origin", "none")  # `none`: the user typed the address
@@ -58,8 +59,8 @@ class TrustedPages:
         await self._app(scope, receive, send)
 
     def _check(self, scope: Scope, headers: Headers) -> None:
-        host = headers.get("host", "")
-        name = _name_of(f"//{host}")
+        host = ", ".join(headers.getlist("host"))
+        name = _name_of(host)
         if "*" not in self._hosts and name not in self._hosts:
             known = ", ".join(sorted(self._hosts))
             raise ForbiddenError(
@@ -82,12 +83,10 @@ class TrustedPages:
             )
 
 
-def _name_of(url: str) -> str | None:
-    """The host's name, without port and brackets, in lower case; None where there is none."""
-    try:
-        return urlsplit(url).hostname
-    except ValueError:
-        return None
+def _name_of(host: str) -> str | None:
+    """The name in a header `Host`, without port and brackets, in lower case; None where it is no host."""
+    found = _HOST.fullmatch(host)
+    return found and (found[1] or found[2]).lower()
 
 
 def _is_link(scope: Scope, headers: Headers) -> bool:

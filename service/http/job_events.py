@@ -89,11 +89,14 @@ class JobEvents:
         self._states: Mapping[str, JobState] = {}
         self._looked = asyncio.Event()
         self._pause_s = _FIRST_S
+        self._ended = False
         self._task: asyncio.Task[None] | None = None
         self._thread = anyio.CapacityLimiter(1)  # of its own: a look waits for no other request
 
     async def follow(self, job_id: str) -> AsyncIterator[JobState | None]:
-        """Yield the state of a job now and whenever it has changed, until it is over; None where it was deleted.
+        """Yield the state of a job now and whenever it has changed; None where it was deleted.
+
+        It ends when the job is over, or when the service stops.
 
         Parameters
         ----------
@@ -109,7 +112,7 @@ class JobEvents:
         self._pause_s = _FIRST_S
         try:
             seen: JobState | None = JobState("", -1.0)
-            while True:
+            while not self._ended:
                 looked = self._next_look()
                 await looked.wait()
                 state = self._states.get(job_id)
@@ -123,7 +126,7 @@ class JobEvents:
             self._followed += Counter()  # without those that nobody follows any more
 
     async def until_over(self, job_id: str, timeout_s: float) -> None:
-        """Wait until a job is over or deleted.
+        """Wait until a job is over or deleted, or the service stops.
 
         Parameters
         ----------
@@ -135,6 +138,11 @@ class JobEvents:
         with anyio.move_on_after(timeout_s):
             async for _state in self.follow(job_id):
                 pass
+
+    def end(self) -> None:
+        """Let nobody wait any longer, because the service stops."""
+        self._ended = True
+        self._looked.set()
 
     def _next_look(self) -> asyncio.Event:
         """What the next look that begins from now on sets."""

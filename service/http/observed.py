@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
 import re
 import time
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from joulemap.model.errors import BusyError
 from joulemap.service.http.logs import ACCESS, REQUEST_ID
 from joulemap.service.http.metrics import Metrics
+from joulemap.service.http.problem_answers import response
+from joulemap.service.problems import problem_of
 
 _ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _METHODS = {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"}
 _QUIET = {"/healthz", "/readyz", "/metrics"}
+_BACK_S = 10.0  # until a service that was stopped answers again
 _NO_ANSWER = 499  # as nginx logs a request whose client closed the connection
 
 
@@ -50,6 +55,10 @@ class Observed:
         token = REQUEST_ID.set(request_id)
         try:
             await self._app(scope, receive, _counted)
+        except asyncio.CancelledError:  # by the server, which stops
+            if status == _NO_ANSWER:
+                stops = BusyError("the service stops: ask again when it is back", retry_after_s=_BACK_S)
+                await response(problem_of(stops, request_id))(scope, receive, _counted)
         finally:
             self._saw(scope, status, size, time.perf_counter() - began)
             REQUEST_ID.reset(token)

@@ -59,7 +59,18 @@ def test_own_names_are_answered(paged: TestClient, host: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example", "localhost.evil.example", "127.0.0.1.nip.io:8000", "[", "", "a@b", "xlocalhost"]
+    "host",
+    [
+        *("evil.example", "localhost.evil.example", "127.0.0.1.nip.io:8000", "xlocalhost", "", "[", "[::1", "::1"),
+        *(
+            "a@b",
+            "evil.example@localhost",
+            "localhost:evil.example",
+            "localhost:80:80",
+            "localhost:123456",
+            "localhost/",
+        ),
+    ],
 )
 def test_other_names_are_refused(paged: TestClient, host: str) -> None:
     answer = paged.get("/v1", headers={"Host": host})
@@ -69,6 +80,11 @@ def test_other_names_are_refused(paged: TestClient, host: str) -> None:
     assert problem["context"]["host"] == host
     assert "JOULEMAP_ALLOWED_HOSTS" in problem["detail"]
     assert answer.headers["x-request-id"] == problem["request_id"]
+
+
+def test_a_request_has_one_host(paged: TestClient) -> None:
+    answer = paged.get("/v1", headers=[("Host", "localhost"), ("Host", "evil.example")])
+    assert (answer.status_code, answer.json()["context"]["host"]) == (403, "localhost, evil.example")
 
 
 def test_probes_may_use_any_name(paged: TestClient) -> None:

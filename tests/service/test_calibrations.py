@@ -366,7 +366,7 @@ def test_a_killed_calibration_is_done_again(tmp_path: Path) -> None:
     """A real process, killed without warning while it calibrates."""
     port = free_port()
     env = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "JOULEMAP_WORKERS": "1"}
-    process = subprocess.Popen([sys.executable, "-c", SERVE, str(tmp_path), "", str(port)], env=env)
+    process = subprocess.Popen([sys.executable, "-c", SERVE, str(tmp_path), str(port)], env=env)
     try:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as http:
             wait_until(lambda: answers(http, "/readyz"), timeout_s=200.0)

@@ -129,9 +129,10 @@ def test_compose_starts_this_image(image: Image) -> None:
     assert f"data:{image.volumes[0]}\n" in compose
 
 
-def test_the_root_is_read_only_and_nothing_more_is_allowed(image: Image) -> None:
-    compose = (REPOSITORY / "docker" / "compose.yaml").read_text()
-    for line in ("read_only: true", "cap_drop: [ALL]", '"no-new-privileges:true"', "- /tmp:"):
+@pytest.mark.parametrize("name", ["compose.yaml", "compose.cluster.yaml"])
+def test_the_root_is_read_only_and_nothing_more_is_allowed(image: Image, name: str) -> None:
+    compose = (REPOSITORY / "docker" / name).read_text()
+    for line in ("read_only: true", "cap_drop: [ALL]", '"no-new-privileges:true"', "- /tmp:", "stop_grace_period: 15s"):
         assert line in compose, line
     for volume in image.volumes:  # else nothing could be written there
         assert re.search(rf"- \w+:{volume}\b", compose), volume

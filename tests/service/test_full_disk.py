@@ -79,7 +79,7 @@ def test_a_heightmap_is_written_as_a_whole_or_not_at_all(tmp_path: Path) -> None
 def serving_on_small_disk(folder: Path) -> Iterator[tuple[httpx.Client, Path]]:
     """A service, and its data folder as this process sees it."""
     port = free_port()
-    command = on_small_disk("24m", folder, sys.executable, "-c", SERVE, str(folder), "", str(port))
+    command = on_small_disk("24m", folder, sys.executable, "-c", SERVE, str(folder), str(port))
     env = {**os.environ, "PYTHONPATH": str(ROOT), "JOULEMAP_MIN_FREE_MB": "2", "JOULEMAP_WORKERS": "1"}
     process = subprocess.Popen(command, env=env, cwd=ROOT)
     try:

@@ -14,6 +14,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
@@ -25,6 +26,7 @@ from joulemap.service.http.health import OK, Health, disk_check
 from joulemap.service.http.job_events import JobEvents, JobState
 from joulemap.service.http.logs import JsonLines, WithRequestId, WrittenByAThread, log_config
 from joulemap.service.http.metrics import Metrics
+from joulemap.service.http.observed import Observed
 from joulemap.service.storage.sizes import bytes_of
 from tests.service.conftest import GOAL, START
 
@@ -335,3 +337,32 @@ def test_freed_arrays_are_given_back():
     kept, after, given = out.stdout.split()
     assert given == "True"
     assert float(after) < 20 < 150 < float(kept)
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_request_that_is_cut_off_is_told_why_where_no_answer_has_begun(begun: bool) -> None:
+    sent: list[dict[str, Any]] = []
+
+    async def slow(_scope: Any, _receive: Any, send: Any) -> None:
+        if begun:
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+        await asyncio.sleep(60.0)
+
+    async def cut_off() -> None:
+        async def send(message: Any) -> None:
+            sent.append(message)
+
+        scope = {"type": "http", "method": "GET", "path": "/v1", "headers": [(b"x-request-id", b"one")]}
+        request = asyncio.create_task(Observed(slow, metrics=Metrics())(scope, None, send))  # type: ignore[arg-type]
+        await asyncio.sleep(0.01)
+        request.cancel()
+        await request
+
+    asyncio.run(cut_off())
+    if begun:
+        assert [message["type"] for message in sent] == ["http.response.start"]
+    else:
+        start, body = sent
+        problem = json.loads(body["body"])
+        assert (start["status"], problem["code"], problem["request_id"]) == (503, "busy", "one")
+        assert (b"retry-after", b"10") in start["headers"]

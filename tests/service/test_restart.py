@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -82,13 +83,11 @@ def test_what_killed_processes_left_is_removed_and_what_is_whole_stays(tmp_path:
 
 
 SERVE = """
-import sys
+import os, sys
 from pathlib import Path
-import uvicorn
-from joulemap.service.http.app import create_app
-from joulemap.service.settings import Settings
-settings = Settings(data_dir=Path(sys.argv[1]), warm_models=("physics",))
-uvicorn.run(create_app(settings), host="127.0.0.1", port=int(sys.argv[3]), log_level="warning")
+from joulemap.service.commands.services import serve
+os.environ["JOULEMAP_WARM_MODELS"] = '["physics"]'
+serve(port=int(sys.argv[2]), data_dir=Path(sys.argv[1]))
 """
 
 
@@ -96,7 +95,7 @@ uvicorn.run(create_app(settings), host="127.0.0.1", port=int(sys.argv[3]), log_l
 def serving(folder: Path, **env: str) -> Iterator[tuple[subprocess.Popen[bytes], httpx.Client]]:
     """A service in a process of its own, killed in the end, and a client of it."""
     port = free_port()
-    command = [sys.executable, "-c", SERVE, str(folder), "", str(port)]
+    command = [sys.executable, "-c", SERVE, str(folder), str(port)]
     process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(ROOT), "JOULEMAP_WORKERS": "1", **env})
     try:
         with httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=60.0) as http:
@@ -148,6 +147,24 @@ def test_a_job_that_is_cut_off_is_taken_up_again(tmp_path: Path, hill_tif: bytes
         wait_until(lambda: status(http, place) == "done")
         assert http.post(f"{place}/paths", json={"start": START, "goal": GOAL}).status_code == 200
         wait_until(lambda: [p.name for p in (tmp_path / "costmaps").iterdir()] == [f"{place.rsplit('/', 1)[-1]}.zarr"])
+
+
+def test_who_waits_for_a_job_is_answered_when_the_service_stops(
+    tmp_path: Path, hill_tif: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with serving(tmp_path, **disturbed(tile_cells=16, pause_s=20.0)) as (process, http), ThreadPoolExecutor() as pool:
+        place = ask(http, hill_tif)
+        body = {"heightmap_id": http.get("/v1/heightmaps").json()["items"][0]["id"], **PHYSICS, "headings": 16}
+        events = pool.submit(lambda: http.get(f"{place}/events").text)
+        waiting = pool.submit(lambda: http.post("/v1/costmaps", json=body, headers=WAIT))
+        wait_until(lambda: http.get("/v1/costmaps").json()["total"] == 2)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10.0) == -signal.SIGTERM
+        assert waiting.result().status_code == 202
+        assert waiting.result().json()["status"] in ("queued", "running")
+        assert events.result().startswith("event: progress")
+        assert "event: end" not in events.result()
+    assert "Finished server process" in capfd.readouterr().err
 
 
 def test_deleting_stops_a_job(tmp_path: Path, hill_tif: bytes) -> None:
