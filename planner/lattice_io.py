@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import secrets
 import shutil
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,8 @@ _COMPRESSOR = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")  # noise of t
 class LatticeFolder:
     """A lattice on its way to disk: it is built beside its place, in `path`.partial, and moved there by `finish`.
 
-    Tiles may come in any order, again, and from several processes that share the folder: a tile is whole chunks.
+    Tiles may come in any order, again, and from several processes that share the folder: a tile is whole chunks. Such
+    processes need a folder of notes, `path`.tiles. `discard` removes it first; who finds it gone removes what it wrote.
 
     Parameters
     ----------
@@ -46,11 +48,20 @@ class LatticeFolder:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.partial = self.path.with_name(self.path.name + ".partial")
+        self.notes = self.path.with_name(self.path.name + ".tiles")
 
     @property
     def is_whole(self) -> bool:
         """Whether the lattice is in its place; one that is being removed is not."""
         return (self.path / "zarr.json").is_file()
+
+    def begin(self) -> None:
+        """Make the folder of notes; tiles without notes, of an older version, are removed."""
+        try:
+            self.notes.mkdir()
+        except FileExistsError:
+            return
+        shutil.rmtree(self.partial, ignore_errors=True)
 
     def lay_out(self, tiling: Tiling, robot: Robot, *, with_std: bool, again: bool = True) -> None:
         """Make the empty arrays with their coordinates, whole or not at all.
@@ -148,7 +159,7 @@ class LatticeFolder:
         Raises
         ------
         OSError
-            If a lattice is in its place that is not to be replaced.
+            If a lattice is in its place that is not to be replaced, or if it was discarded meanwhile.
         """
         if self.partial.exists():
             for torn in self.partial.rglob("*.partial"):  # a chunk whose writer was killed; it was written again
@@ -157,11 +168,21 @@ class LatticeFolder:
             if replace:
                 shutil.rmtree(self.path, ignore_errors=True)
             self.partial.rename(self.path)
+            if not all((self.path / name / "zarr.json").is_file() for name in _ARRAYS):  # zarr made the folder anew
+                shutil.rmtree(self.path, ignore_errors=True)
+                raise FileNotFoundError(errno.ENOENT, "the lattice was discarded while it was finished", str(self.path))
         else:
             _describe(self.path, provenance)
 
     def discard(self) -> None:
-        """Remove the folder, finished or not: first what makes it whole, so that nobody reads a part of it."""
+        """Remove the folder, finished or not: first what makes it whole, so that nobody reads a part of it.
+
+        What another process moves into its place at this moment is removed there, because the place comes last.
+        """
+        gone = self.path.with_name(f"{self.path.name}.{secrets.token_hex(4)}.partial")
+        with suppress(FileNotFoundError):
+            self.notes.rename(gone)  # at once: a note that is written meanwhile would keep the folder
+        shutil.rmtree(gone, ignore_errors=True)
         for place in (self.partial, self.path):
             (place / "zarr.json").unlink(missing_ok=True)
             shutil.rmtree(place, ignore_errors=True)

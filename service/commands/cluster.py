@@ -118,6 +118,7 @@ def costmap_there(
 
     order.folder.check_place()
     _clear(order)
+    order.notes.mkdir(parents=True)
     try:
         found = asyncio.run(_make())
     except OSError as error:

@@ -20,7 +20,7 @@ Report = Callable[[float], Awaitable[None]]
 
 
 def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | VaultedOrder:
-    """Return what a worker is told of a cost map.
+    """Return what a worker is told of a cost map, once its notes have a folder.
 
     Parameters
     ----------
@@ -35,6 +35,11 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     -------
     MapOrder or VaultedOrder
         With places that do not depend on where a worker runs.
+
+    Raises
+    ------
+    NotFoundError
+        If it was deleted.
     """
     row = store.costmap(costmap_id)
     asked = row.request
@@ -51,6 +56,7 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
     )
     if isinstance(store.vault, ObjectVault):  # what other machines have finished is no file here
         return VaultedOrder(store.vault.url, store.folder.resolve(), replace(order, finished=()))
+    store.begin(costmap_id)
     return order
 
 

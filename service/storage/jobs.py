@@ -83,6 +83,25 @@ class KeptJobs(Kept):
                 found |= {job_id: at.replace(tzinfo=dt.UTC).timestamp() for job_id, at in session.execute(query)}
         return found
 
+    def begin(self, costmap_id: str) -> None:
+        """Make the folder of notes without which nothing is written of a cost map.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Its id.
+
+        Raises
+        ------
+        NotFoundError
+            If it was deleted, or has ended.
+        """
+        folder = LatticeFolder(self.lattice_path(costmap_id))
+        folder.begin()
+        if self.status(costmap_id) not in (QUEUED, RUNNING):  # since then: who deletes it looks for the folder later
+            shutil.rmtree(folder.notes, ignore_errors=True)
+            raise NotFoundError(f"nobody waits for cost map {costmap_id} any more", costmap_id=costmap_id)
+
     def report(self, job_id: str, progress: float) -> None:
         """Note how far a job is.
 
@@ -194,7 +213,7 @@ class KeptJobs(Kept):
             asked_for = but is not None and place.name.endswith(FETCHED)  # by who saw first that the job is done
             if place != but and not asked_for:
                 shutil.rmtree(place, ignore_errors=True)
-        self._forget(made.with_name(f"{made.name}.tiles"))
+        self._forget(LatticeFolder(made).notes)
         if made != but:
             self._forget(made)
 

@@ -1,16 +1,19 @@
 """A cost map by tiles: it is laid out, built tile by tile wherever a worker is free, and finished.
 
 The store says how far it is: a tile is there when its figures are, which are written after it. Every function may be
-called again, by another process, after one that was killed; what is there already is not made again.
+called again, by another process, after one that was killed; what is there already is not made again. Who orders a cost
+map makes the folder of its notes, and who deletes it removes them first: without them nothing is left of the rest.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import secrets
 import shutil
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,8 +74,8 @@ class MapOrder:
 
     @property
     def notes(self) -> Path:
-        """Folder of what is known of the tiles that are there; it goes when the cost map is done."""
-        return self.place.with_name(self.place.name + ".tiles")
+        """Folder of what is known of the tiles that are there; it goes when the cost map is done, or deleted."""
+        return self.folder.notes
 
     @property
     def folder(self) -> LatticeFolder:
@@ -137,16 +140,22 @@ def lay_out(order: MapOrder) -> tuple[int, list[int]]:
         Number of its tiles.
     missing : list of int
         Those that are not there.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the cost map was deleted.
     """
     tiles = Tiles.of(order)
+    if not order.notes.exists():
+        raise FileNotFoundError(errno.ENOENT, "the cost map was deleted, or is done", str(order.place))
     if (order.notes / _SUMMARY).exists():
         return len(tiles.tiling), []
     if not (order.notes / _LAYOUT).exists():
-        if not order.replace:
-            order.folder.discard()  # what an older version of joulemap left
-        order.folder.lay_out(tiles.tiling, tiles.robot, with_std=knows_spread(tiles.source, tiles.robot), again=False)
-        order.notes.mkdir(exist_ok=True)
-        _write(order.notes / _LAYOUT, provenance_of(tiles.ground, tiles.robot, tiles.source, tiles.tiling))
+        std = knows_spread(tiles.source, tiles.robot)
+        with _unless_deleted(order):
+            order.folder.lay_out(tiles.tiling, tiles.robot, with_std=std, again=False)
+            _write(order.notes / _LAYOUT, provenance_of(tiles.ground, tiles.robot, tiles.source, tiles.tiling))
     count = len(tiles.tiling)
     return count, [number for number in range(count) if not _note(order, number).exists()]
 
@@ -166,13 +175,9 @@ def build(order: MapOrder, number: int) -> None:
     tiles = Tiles.of(order)
     place = tiles.tiling[number]
     part = build_tile(tiles.ground, tiles.robot, tiles.source, tiles.tiling, *place)
-    try:
+    with _unless_deleted(order):
         order.folder.write(part, *place)
         _write(_note(order, number), figures_of(part))
-    except Exception:
-        if not order.notes.exists():  # the cost map was deleted meanwhile; what was just written of it goes too
-            shutil.rmtree(order.folder.partial, ignore_errors=True)
-        raise
 
 
 def finish(order: MapOrder) -> dict[str, Any]:
@@ -189,12 +194,24 @@ def finish(order: MapOrder) -> dict[str, Any]:
         JSON-able: robot, frame, provenance, prices and what is blocked.
     """
     noted = order.notes / _SUMMARY
-    if not noted.exists():
-        _write(noted, _summary(Tiles.of(order)))
-    summary: dict[str, Any] = json.loads(noted.read_text(encoding="utf-8"))
-    if order.replace or not order.folder.is_whole:
-        order.folder.finish(summary["provenance"], replace=order.replace)
+    with _unless_deleted(order):
+        if not noted.exists():
+            _write(noted, _summary(Tiles.of(order)))
+        summary: dict[str, Any] = json.loads(noted.read_text(encoding="utf-8"))
+        if order.replace or not order.folder.is_whole:
+            order.folder.finish(summary["provenance"], replace=order.replace)
     return summary
+
+
+@contextmanager
+def _unless_deleted(order: MapOrder) -> Iterator[None]:
+    """Remove what is written of a cost map that is deleted at the same time."""
+    try:
+        yield
+    except Exception:
+        if not order.notes.exists():
+            shutil.rmtree(order.folder.partial, ignore_errors=True)
+        raise
 
 
 def _summary(tiles: Tiles) -> dict[str, Any]:

@@ -65,7 +65,9 @@ class VaultedOrder:
         self.vault.fetch(heightmap.as_posix(), _ready(copies / heightmap))
         _fetch_model(self.vault, str(self.order.model), copies)
         place = _ready(copies / self.key)
-        return replace(self.order, place=place, heightmap=copies / heightmap, models_dir=copies / "models")
+        here = replace(self.order, place=place, heightmap=copies / heightmap, models_dir=copies / "models")
+        here.folder.begin()
+        return here
 
 
 def lay_out(order: VaultedOrder) -> tuple[int, list[int]]:

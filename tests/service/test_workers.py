@@ -80,7 +80,7 @@ def test_what_failed_is_made_again_though_somebody_still_holds_the_error(tmp_pat
     """Dask would answer with the error of the first try as long as its future is known by name."""
     ground = tmp_path / "ground.tif"
     order = MapOrder(tmp_path / "map.zarr", ground, {}, Robot().as_dict(), "physics", 1.0, 8)
-
+    order.folder.begin()
     shares: list[float] = []
 
     async def _report(share: float) -> None:
