@@ -22,7 +22,9 @@ from joulemap.model.threads import pieces, share_out
 SWEEPS = 5
 """Averages over the eight nearest neighbours: they remove noise, which is all that has to go."""
 HALVINGS = 5
-"""How closely the largest `a` is found: the span that it may lie in, which is a few J/m, is halved this many times."""
+"""How often, at most, the span that the largest `a` may lie in is halved."""
+CLOSE = 0.02
+"""The span, as a share of its upper end, at which halving ends: a further try costs more than it gains."""
 EFFORT = 0.5
 """Visits of cells that one try may take, as a share of all cells; where a loop forbids it they never end."""
 CELLS_A_PART = 50_000
@@ -82,6 +84,8 @@ def even_surface(
         return surface
     base, low, high = surface, float(least.min()), float(np.median(least[np.isfinite(least)]))
     for _ in range(HALVINGS):
+        if high - low <= CLOSE * high:
+            break
         aim = 0.5 * (low + high)
         lower = base.copy()
         if _lower(energy, offsets, length_m, lower, least, aim, EFFORT * least.size) < 0:
