@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from importlib.metadata import version
 from typing import Annotated
 
@@ -49,6 +50,11 @@ app = typer.Typer(
 )
 
 
+_NEW_OBJECTS = 50_000
+"""After so many new objects cycles are looked for: what libraries make while they load stays, and to look through it
+time and again took a sixth of the start-up."""
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"joulemap {version('joulemap')}")
@@ -66,6 +72,7 @@ def joulemap(
     From a heightmap: a directional cost map, the energy-optimal path, and whether the battery lasts. From measured
     runs: a model of your robot, and what it lacks.
     """
+    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
 
 
 for _panel, _commands in (
