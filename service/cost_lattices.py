@@ -14,7 +14,7 @@ from joulemap.model.robot import Robot
 from joulemap.model.terrain.windows import Ground
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.lattice_build import DEFAULT_HEADINGS, build_lattice, write_lattice
+from joulemap.planner.lattice_build import DEFAULT_HEADINGS, build_lattice, knows_spread, write_lattice
 from joulemap.planner.tiles import Tiling
 from joulemap.service.models import DEFAULT_MODEL, find_predictor, planning_robot
 
@@ -110,6 +110,24 @@ def prepare_build(
     tiling = check_lattice(ground.frame, spacing_m=spacing_m, headings=headings, max_values=max_values)
     predictor = find_predictor(model, models_dir=models_dir)
     return planning_robot(predictor, robot), predictor, tiling
+
+
+def load_kernels(model: str | Path, robot: Robot) -> None:
+    """Load a model's modules and its compiled kernels, which needs no map: a caller may read the map meanwhile.
+
+    Parameters
+    ----------
+    model : str or Path
+        Name or folder of the model, see `find_predictor`.
+    robot : Robot
+        The robot to ask for.
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or its files do not fit together.
+    """
+    knows_spread(find_predictor(model), robot)
 
 
 def make_cost_lattice(

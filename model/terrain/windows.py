@@ -138,7 +138,7 @@ class HeightmapFile:
     def _read_through(self) -> tuple[str, float]:
         digest, known = hashlib.sha256(), 0
         for heights in self._strips():
-            digest.update(heights.tobytes())
+            digest.update(np.ascontiguousarray(heights).data)
             known += int(np.count_nonzero(~np.isnan(heights)))
         digest.update(self.frame.identity.encode())
         if not known:

@@ -139,12 +139,15 @@ def costmap(
     ground = open_ground(heightmap, **reading)
     for note in ground.notes:
         output.say(f"[bold]Heightmap[/] {note}")
+    rover = robot_of(robot)
     with ThreadPoolExecutor(1) as reader:
         warned = reader.submit(heightmap_warnings, ground)
-        from joulemap.service.cost_lattices import write_cost_lattice  # loads slowly; the map is read meanwhile
+        from joulemap.service.cost_lattices import load_kernels, write_cost_lattice  # slowly; the map is read meanwhile
+
+        _say_size(output, ground.frame, spacing, headings, max_values)
+        if scheduler is None:
+            load_kernels(model, rover)
     output.warn(warned.result())
-    rover = robot_of(robot)
-    _say_size(output, ground.frame, spacing, headings, max_values)
     with leaves_nothing_behind(), progress_bar("Cost map") as report:
         how: dict[str, Any] = {"model": model, "spacing_m": spacing, "headings": headings, "progress": report}
         if scheduler is not None:
