@@ -13,10 +13,8 @@ from joulemap.model.loop._variation import HUBER, spread_of
 from joulemap.model.loop.forms import NOT_OF_SLOPE
 from joulemap.model.loop.forms._base_parameters import SCALE, BaseParameters, with_base_parameters
 from joulemap.model.loop.terms import Term
-from joulemap.model.runs.features import Drives
+from joulemap.model.runs.features import Drives, FloatArray
 from joulemap.model.runs.residuals import Residuals
-
-FloatArray = NDArray[np.float64]
 
 _MOST_LOST = 0.6
 """Share of the declared rolling resistance that may be losses of the drives, which hold no robot back on a descent:

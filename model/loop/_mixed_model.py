@@ -44,13 +44,21 @@ class Estimate:
     """Coefficients of a choice of columns."""
 
     coefficients: FloatArray  # (q,), within their limits
-    variance: FloatArray  # (q, q), with between-unit variation in it
+    left_out: FloatArray  # (units, q), without limits, by the other units
     freedom: FloatArray  # (q,) degrees of freedom
-    between: float  # variance between units, as shares of their levels
+    tau2: float  # variance between units over that of the noise
+
+    def only(self, own: NDArray[np.bool_], gains: FloatArray) -> Estimate:
+        """Some of the coefficients, over numbers of the same fits, (1 + units,)."""
+        left_out = self.left_out[:, own] / gains[1:, None]
+        return Estimate(self.coefficients[own] / gains[0], left_out, self.freedom[own], self.tau2)
 
     def interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper ends of confidence intervals, (q,), of the given coverage."""
-        reach = student.ppf(0.5 + 0.5 * level, np.maximum(self.freedom, 1.0)) * np.sqrt(np.diag(self.variance))
+        """Lower and upper ends of confidence intervals, (q,), of the given coverage: Student's t with the variance of
+        the jackknife over units, which assumes nothing of what is within a unit (MacKinnon, Nielsen & Webb 2023).
+        """
+        variance = (len(self.left_out) - 1) * self.left_out.var(axis=0)
+        reach = student.ppf(0.5 + 0.5 * level, np.maximum(self.freedom, 1.0)) * np.sqrt(variance)
         return self.coefficients - reach, self.coefficients + reach
 
 
@@ -101,23 +109,23 @@ class MixedModel:
         self.efficiency = float(variation.weight.mean() / max(float(flat.mean()), 1e-3))  # Huber 1973, eq. 6.5
 
     @cached_property
-    def _scaled(self) -> tuple[FloatArray, FloatArray]:
-        """Scaled rows without the levels of units, for estimates, and the squares of the rows with them, (k + 2,)."""
+    def _scaled(self) -> FloatArray:
+        """Scaled rows without the levels of units, for estimates."""
         return self._without_levels(self.rows)
 
     @cached_property
     def _white(self) -> tuple[FloatArray, FloatArray]:
-        """The same of independent rows, for tests."""
+        """The same of independent rows, for tests, and the squares of the rows with the levels, (k + 2,)."""
         white = self.variation.whitened(self._energies)
         white[:, :-2] /= self.size
-        return self._without_levels(white)
+        return self._without_levels(white), np.einsum("ij,ij->j", white, white)
 
-    def _without_levels(self, every: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _without_levels(self, every: FloatArray) -> FloatArray:
         rows = np.empty_like(every)
         for part in self._parts:
             own, level = every[part], every[part, -2]
             rows[part] = own - np.outer(level, level @ own / max(float(level @ level), 1e-12))
-        return rows, np.einsum("ij,ij->j", every, every)
+        return rows
 
     def tau2(self, chosen: IntArray) -> float:
         """Variance between units over that of the noise: that of the largest restricted likelihood (Harville 1977),
@@ -172,7 +180,7 @@ class MixedModel:
 
     def _inside(self, index: IntArray) -> FloatArray:
         """Cross products of scaled columns without the levels of units."""
-        rows = self._scaled[0][:, index]
+        rows = self._scaled[:, index]
         return np.asarray(rows.T @ rows)
 
     def coefficients(self, chosen: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -200,13 +208,16 @@ class MixedModel:
         """
         units = self._by_unit(chosen)
         part = units.at(tau2)
-        total, q = part.sum(axis=0), len(chosen)
-        others = total - part
-        others[:, :q, :q] += self._with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
-        beta = np.linalg.solve(others[:, :q, :q], others[:, :q, q:])  # (U, q, 1)
-        c = np.concatenate([-beta, np.ones((self.units, 1, 1))], axis=1)
+        c = np.concatenate([-self._by_others(part), np.ones((self.units, 1, 1))], axis=1)
         judged = units.gram if whole else part
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
+
+    def _by_others(self, part: FloatArray) -> FloatArray:
+        """Coefficients without each unit, (units, q, 1), by the cross products of every unit."""
+        total, q = part.sum(axis=0), part.shape[1] - 1
+        others = total - part
+        others[:, :q, :q] += self._with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
+        return np.asarray(np.linalg.solve(others[:, :q, :q], others[:, :q, q:]))
 
     def test_within(self, tested: IntArray, beside: IntArray) -> float:
         """p-value of columns by their course inside units, with a free level of every unit: Wald's test by generalised
@@ -215,24 +226,13 @@ class MixedModel:
         The variance is the larger of the model's and of the one that is robust against unequal spread (HC3: MacKinnon &
         White 1985), with the mean over the columns of the degrees of freedom of Bell & McCaffrey 2002.
         """
-        found = self._fit(self._white, tested, beside)
-        return 1.0 if found is None else _p_value(*found[:3])
-
-    def _fit(
-        self, within: tuple[FloatArray, FloatArray], tested: IntArray, beside: IntArray, *, serial: bool = False
-    ) -> tuple[FloatArray, FloatArray, float, FloatArray] | None:
-        """Coefficients of combinations of columns beside other columns, their robust variance, its degrees of freedom
-        and the combinations, (k, r); None where the others say what they say.
-
-        serial : add what serial correlation does to the variance.
-        """
-        rows, squares = within
+        rows, squares = self._white
         rest, other = rows[:, np.append(tested, -1)], rows[:, beside]
         rest -= other @ np.linalg.solve(self._with_prior(other.T @ other), other.T @ rest)
         a, z = rest[:, :-1], rest[:, -1]
         turned = _directions(a.T @ a, squares[tested])  # (k, r)
         if turned.shape[1] == 0:
-            return None
+            return 1.0
         a = a @ turned
         inverse = np.linalg.inv(a.T @ a)
         beta = inverse @ (a.T @ z)
@@ -243,14 +243,7 @@ class MixedModel:
         robust, model = inverse @ (spread.T @ spread) @ inverse, inverse * noise
         variance = max((robust, model), key=lambda v: -_wald(beta, v))
         freedom = float(np.mean(np.sum(a**2, axis=0) ** 2 / np.sum(a**4, axis=0)))
-        if serial:
-            cross = a.T @ self.variation.carried(a) * (noise * self.variation.serial_share)
-            more = inverse @ _positive(cross + cross.T) @ inverse
-            share = float(np.max(np.diag(more) / np.diag(variance + more)))
-            stretches = max(len(z) * (1.0 - self.variation.phi) / (1.0 + self.variation.phi), float(self.units))
-            variance = variance + more
-            freedom = 1.0 / ((1.0 - share) ** 2 / freedom + share**2 / stretches)
-        return beta, variance * self.efficiency**2, freedom, turned
+        return _p_value(beta, variance * self.efficiency**2, freedom)
 
     def test_between(self, tested: IntArray, beside: IntArray, levels: IntArray) -> float:
         """p-value of columns by the levels of units, with the degrees of freedom that units give: a random-effects
@@ -286,37 +279,27 @@ class MixedModel:
         inverse, coefficients, misfit = _of_levels(away, 1.0 / (noise + between), x)
         return _p_value(coefficients[-k:], (inverse * max(misfit / freedom, 1.0))[-k:, -k:], freedom)
 
-    def estimate(self, chosen: IntArray, low: FloatArray, high: FloatArray, levels: IntArray) -> Estimate:
+    def estimate(self, chosen: IntArray, low: FloatArray, high: FloatArray, always: IntArray) -> Estimate:
         """Coefficients by generalised least squares within limits, (q,).
 
-        levels : columns whose effect was found in the levels of units. Degrees of freedom follow Satterthwaite (1946):
-        information inside units counts rows, or independent stretches of an autoregression (Bartlett 1946); information
-        between them counts units.
+        always : columns that are in every model. Units differ no more beside effects than without them: more is an
+        error of an effect, which levels would hide. Degrees of freedom are the effective number of units minus one
+        (Carter, Schnepel & Steigerwald 2017).
         """
-        sigma2, tau2, size = self.sigma2(chosen), self.tau2(chosen), self.size[chosen]
+        tau2, size = min(self.tau2(chosen), self.tau2(always)), self.size[chosen]
         normal, target = self._normal(chosen, tau2)
-        found = self._within_limits(normal, target, chosen, low, high)
-        variance = np.linalg.inv(normal) * sigma2
-        inside = np.linalg.inv(self._with_prior(self._inside(chosen))) * sigma2
-        freedom = np.empty(len(chosen))
-        for k, column in enumerate(chosen):
-            alone = self._fit(self._scaled, np.array([column]), np.delete(chosen, k), serial=True)
-            share, rows, units = 0.0, 1.0, max(self.units - 1.0 - len(levels), 1.0)
-            if alone is not None:  # robust against unequal spread and serial correlation
-                share = float(np.clip(variance[k, k] / max(inside[k, k], 1e-300), 0.0, 1.0))
-                own = float(alone[1][0, 0] * alone[3][0, 0] ** 2)
-                ratio = max(own / float(inside[k, k]), 1.0)
-                variance[k, :] *= np.sqrt(ratio)
-                variance[:, k] *= np.sqrt(ratio)
-                rows = max(alone[2], 1.0)
-            freedom[k] = 1.0 / (share**2 / rows + (1.0 - share) ** 2 / units)
-        return Estimate(found, variance / np.outer(size, size), freedom, tau2 * sigma2)
+        part, inverse = self._by_unit(chosen).at(tau2), np.linalg.inv(normal)
+        own = np.einsum("ik,uij,jk->uk", inverse, part[:, :-1, :-1], inverse, optimize=True)
+        freedom = own.sum(axis=0) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300) - 1.0
+        found, left_out = self._within_limits(normal, target, chosen, low, high), self._by_others(part)[:, :, 0] / size
+        return Estimate(found, left_out, freedom, tau2)
 
-
-def _positive(matrix: FloatArray) -> FloatArray:
-    """The matrix without negative eigenvalues: serial correlation is credited with no precision."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+    def coefficients_of(self, energy: FloatArray, chosen: IntArray, tau2: float) -> FloatArray:
+        """What the same fit finds, (q,), in another energy of the rows, (n,)."""
+        z = self.variation.scaled(energy[:, None])[:, 0]
+        level = np.array([self.rows[part, -2] @ z[part] for part in self._parts])
+        target = self.rows[:, chosen].T @ z - (level * tau2 / (1.0 + tau2 * self._gamma)) @ self._h[:, chosen]
+        return np.asarray(np.linalg.solve(self._normal(chosen, tau2)[0], target) / self.size[chosen])
 
 
 def _directions(information: FloatArray, squares: FloatArray) -> FloatArray:

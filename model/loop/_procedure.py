@@ -11,6 +11,7 @@ from joulemap.model.loop._base_step import base_step
 from joulemap.model.loop._design import make_design
 from joulemap.model.loop._selection import Selection, select
 from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE
+from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.terms import Correction, Effect, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
 from joulemap.model.runs.residuals import Residuals, joined
@@ -71,24 +72,22 @@ def fit(
     new = np.arange(len(rows)) >= len(rows) - len(measured)
     rows, first, scale = base_step(rows, new)
     selection = select(make_design(rows, new, refused, first), progress=progress)
-    _, estimate, index = selection.estimate()
-    low, high = estimate.interval()
-    effects = []
-    for candidate, verdict in zip(selection.chosen, selection.verdicts, strict=True):
-        own = np.isin(index, candidate.tested)
-        term = Term(candidate.form, tuple(estimate.coefficients[own].tolist()))
-        effects.append(Effect(term, low[own], high[own], verdict.p_value, verdict.gain, verdict.between))
-    own = np.isin(index, selection.design.fixed)
-    terms, base_terms = selection.terms(), selection.terms(lambda form: False)
-    planner_terms = selection.terms(lambda form: form.known_before, without=(MEASURED_SLOPE,))
+    estimate, index, found = selection.estimate()
+    effects, terms = [], list(found)
+    for k, (candidate, verdict) in enumerate(zip(selection.chosen, selection.verdicts, strict=True)):
+        form, own, gains = candidate.form, np.isin(index, candidate.tested), np.ones(1 + len(estimate.left_out))
+        if isinstance(form, LogFault):
+            gains = selection.gains(form, own, estimate, index)
+            form = replace(form, gain=float(gains[0]))
+            terms[k + 1] = Term(form, tuple(c / form.gain for c in terms[k + 1].coefficients))
+        mine = estimate.only(own, gains)
+        term = Term(form, tuple(mine.coefficients.tolist()))
+        effects.append(Effect(term, *mine.interval(), verdict.p_value, verdict.gain, verdict.between))
+    low, high = (ends[np.isin(index, selection.design.fixed)] for ends in estimate.interval())
+    base_terms = selection.estimate(lambda form: False)[-1]
+    planner_terms = selection.estimate(lambda form: form.known_before, without=(MEASURED_SLOPE,))[-1]
     ranges = driven_ranges(measured.features)
-    return Fitted(
-        selection,
-        low[own],
-        high[own],
-        tuple(sorted(effects, key=lambda e: -e.share)),
-        Correction(terms, planner_terms, ranges, rows.features.drives, first, rows.charge),
-        base_terms,
-        scale,
-        float(np.sqrt(estimate.between)),
-    )
+    correction = Correction(tuple(terms), planner_terms, ranges, rows.features.drives, first, rows.charge)
+    ranked = tuple(sorted(effects, key=lambda e: -e.share))
+    run_share = float(np.sqrt(estimate.tau2 * selection.model.sigma2(index)))
+    return Fitted(selection, low, high, ranked, correction, base_terms, scale, run_share)

@@ -15,17 +15,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.loop._design import Candidate, Design, fit_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
 from joulemap.model.loop.forms import UNNAMED, Form
-from joulemap.model.loop.forms._base_parameters import BaseParameters
+from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters
+from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
-from joulemap.model.runs.features import FloatArray
+from joulemap.model.runs.features import Features, FloatArray
 
 ALPHA = 0.01
 """Largest p-value of an effect, allowing for every test: one false find in a hundred calibrations."""
@@ -67,33 +70,48 @@ class Selection:
 
     def estimate(
         self, keep: Callable[[Form], bool] = lambda form: True, without: tuple[str, ...] = ()
-    ) -> tuple[list[Candidate], Estimate, IntArray]:
-        """Fit the coefficients of the chosen effects: those that `keep` says, their estimate, and the columns to which
-        it belongs, (q,).
+    ) -> tuple[Estimate, IntArray, tuple[Term, ...]]:
+        """Fit the base parameters and the chosen effects together, those that `keep` says: their coefficients, the
+        columns to which these belong, (q,), and the terms as new runs have them.
 
         without : base parameters that are not fitted.
         """
         kept = [c for c in self.chosen if keep(c.form)]
-        between = [c for c, v in zip(self.chosen, self.verdicts, strict=True) if v.between and keep(c.form)]
         design = replace(self.design, without=without)
         model = fit_model(design, kept, self.model.variation) if without else self.model
         index = design.index(kept)
-        return kept, model.estimate(index, design.low[index], design.high[index], _tested(between)), index
+        estimate = model.estimate(index, design.low[index], design.high[index], design.fixed)
+        return estimate, index, self._terms(kept, estimate.coefficients, index)
 
-    def terms(
-        self, keep: Callable[[Form], bool] = lambda form: True, without: tuple[str, ...] = ()
-    ) -> tuple[Term, ...]:
-        """Base parameters and effects, fitted together as `estimate` says, as new runs have them."""
-        kept, estimate, index = self.estimate(keep, without)
+    def _terms(self, kept: Sequence[Candidate], coefficients: FloatArray, index: IntArray) -> tuple[Term, ...]:
         value = np.zeros(len(self.design.low))
-        value[index] = estimate.coefficients
-        base = BaseParameters(tuple(name for name in self.design.base.names if name not in without))
-        terms = [Term(base, tuple(estimate.coefficients[: len(base.names)].tolist()))]
+        value[index] = coefficients
+        base = BaseParameters(tuple(name for k, name in enumerate(self.design.base.names) if k in index))
+        terms = [Term(base, tuple(coefficients[: len(base.names)].tolist()))]
         for candidate in kept:
             total = value[candidate.tested]
             total[candidate.shared] += value[candidate.beside]  # the base model's own error
             terms.append(Term(candidate.form, tuple(total.tolist())))
         return tuple(terms)
+
+    def gains(self, fault: LogFault, own: NDArray[np.bool_], estimate: Estimate, index: IntArray) -> FloatArray:
+        """What the same fit finds of a simulated fault of the log, over what was simulated, (1 + units,): by the
+        estimate, and by that without each unit (indirect inference: Gourieroux, Monfort & Renault 1993). own : its
+        columns among those of the estimate, (q,).
+        """
+        design, new = self.design, np.flatnonzero(self.design.new)
+        rows, energy, out = design.residuals.features.take(new), np.zeros(len(design.new)), []
+        for values in (estimate.coefficients, *estimate.left_out):
+            others = [t for t in self._terms(self.chosen, values, index) if t.form is not fault]
+            energy[new] = fault.simulated(rows, values[own], partial(self._energy, others))
+            found = self.model.coefficients_of(energy, index, estimate.tau2)[own]
+            out.append(float(found @ values[own]) / float(values[own] @ values[own]))
+        return np.asarray(out)
+
+    def _energy(self, terms: Sequence[Term], rows: Features) -> FloatArray:
+        rows = with_base_parameters(rows, self.design.base, np.asarray(self.design.level_of))
+        said = 0.0 if self.design.residuals.charge else rows.predicted
+        return np.asarray(sum((t.energy(rows) for t in terms), start=said))
 
 
 def rivals_of(selection: Selection) -> dict[str, list[str]]:

@@ -16,18 +16,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.errors import InfeasibleError
 from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.loop.forms import Form
 from joulemap.model.robot import Robot
-from joulemap.model.runs.features import Features, planned_features
+from joulemap.model.runs.features import Features, FloatArray, planned_features
 from joulemap.model.runs.residuals import Residuals
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
 
-FloatArray = NDArray[np.float64]
 Traction = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 _STEP_M = 0.1
@@ -198,10 +196,5 @@ def _over_and_over(once: Features, speeds: tuple[float, ...], length_m: float) -
     pace = np.repeat([1.0 / speeds[k % len(speeds)] for k in range(rounds)], count)
     again = once.take(np.tile(np.arange(count), rounds))
     gentle = np.stack([np.minimum(again.turned_abs_rad, rate * pace) for rate in TURN_LIMITS_RADPS], axis=1)
-    return replace(
-        again,
-        duration_s=pace,
-        gentle_turn_rad=gentle,
-        since_s=np.cumsum(pace),
-        driven_m=np.arange(1.0, pace.size + 1.0),
-    )
+    metres = np.arange(1.0, pace.size + 1.0)
+    return replace(again, duration_s=pace, gentle_turn_rad=gentle, since_s=np.cumsum(pace), driven_m=metres)

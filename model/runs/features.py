@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
 
 from joulemap.model.errors import ModelError
 from joulemap.model.frames import heading_vector
@@ -315,6 +316,60 @@ class Features:
     def coasting_tan(self) -> float:
         """Tangent of the descent on which the drives neither pull nor brake."""
         return -(self.robot.rolling_resistance + self.drives.coasting_shift)
+
+    @property
+    def measured_tan(self) -> FloatArray:
+        """Tangent of the slope by the robot's own attitude sensor, the column `pitch` [deg], (n,); NaN where it is not
+        known. The sensor's tilt, the median of the run, is taken out.
+        """
+        pitch = self.columns.get("pitch", np.full(len(self), np.nan)).copy()
+        pitch[self.standing] = np.nan
+        for run in np.unique(self.run):
+            mine = self.run == run
+            if np.isfinite(pitch[mine]).any():
+                pitch[mine] -= np.nanmedian(pitch[mine])
+        return np.tan(np.radians(np.clip(pitch, -60.0, 60.0)))
+
+    def moved(self, east_m: float, north_m: float) -> Features:
+        """Return the rows as if the map lay elsewhere.
+
+        Parameters
+        ----------
+        east_m, north_m : float
+            By which it is moved [m].
+
+        Returns
+        -------
+        Features
+            With other slopes, to first order, and the base model's traction on them.
+        """
+        more = np.nan_to_num(self.grade_east * east_m + self.grade_north * north_m)
+        traction = self.traction_per_m + self.robot.weight_n * more
+        return replace(self, grade=self.grade + more, grades=self.grades + more[:, None], traction_per_m=traction)
+
+    def read_late(self, energy: FloatArray, lag_s: float) -> FloatArray:
+        """Return what a late meter says of each row.
+
+        Parameters
+        ----------
+        energy : ndarray of float, (n,)
+            That each row took [J, or A s].
+        lag_s : float
+            Of the meter [s].
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Energy by a cubic spline through what was drawn until the end of each row. A stationary interval has its
+            own.
+        """
+        out = energy.copy()
+        for run in np.unique(self.run[~self.standing]):
+            mine = np.flatnonzero((self.run == run) & ~self.standing)
+            ends = np.append(0.0, np.cumsum(np.maximum(self.duration_s[mine], 1e-6)))
+            drawn = CubicSpline(ends, np.append(0.0, np.cumsum(energy[mine])))
+            out[mine] = np.diff(drawn(np.clip(ends - lag_s, 0.0, ends[-1])))
+        return out
 
     @property
     def pulling(self) -> FloatArray:

@@ -89,7 +89,7 @@ def fits_of(case: Case, answers: Sequence[Answer]) -> list[Row]:
     """
     out: list[Row] = []
     for effect in case.effects:
-        true = effect.coefficients(case.robot)
+        true = effect.stated(case.robot, case.declared)
         if not true:
             continue
         units = UNITS.get(effect.unit, {effect.unit})

@@ -79,19 +79,6 @@ def _of_mass(rows: Features, squares_m2ps2: FloatArray) -> FloatArray:
     return rows.slowness * rows.robot.mass_kg * squares_m2ps2 / rows.unit_j
 
 
-def _measured_slope(rows: Features) -> FloatArray:
-    """Work against the slope that the robot's own attitude sensor measured; 0 without a column `pitch` [deg]. The
-    sensor's tilt, the median of the run, is taken out.
-    """
-    pitch = rows.columns.get("pitch", np.full(len(rows), np.nan)).copy()
-    pitch[rows.standing] = np.nan
-    for run in np.unique(rows.run):
-        mine = rows.run == run
-        if np.isfinite(pitch[mine]).any():
-            pitch[mine] -= np.nanmedian(pitch[mine])
-    return np.nan_to_num(rows.weight_length * rows.pulling * np.tan(np.radians(np.clip(pitch, -60.0, 60.0))))
-
-
 PARTS: dict[str, _Part] = {
     "rolling_resistance": _Part("", lambda rows: rows.weight_length * rows.pulling, lambda rows: rows.coasting_tan),
     "energy_of_motion": _Part("", lambda rows: rows.base_motion, lambda rows: -1.0),
@@ -105,7 +92,9 @@ PARTS: dict[str, _Part] = {
     "with_speed": _Part("A s/m", lambda rows: rows.length_m),
     "speeding_up": _Part("", lambda rows: _of_mass(rows, rows.gained_m2ps2)),
     "slowing_down": _Part("", lambda rows: _of_mass(rows, rows.kinetic_m2ps2 - rows.gained_m2ps2)),
-    "measured_slope": _Part("", _measured_slope, lambda rows: -np.inf),
+    "measured_slope": _Part(
+        "", lambda rows: rows.weight_length * rows.pulling * rows.measured_tan, lambda rows: -np.inf
+    ),
 }
 """Every parameter by name. Slowing down is what rolling needs less from the drives."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +10,32 @@ import numpy as np
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 
+Energy = Callable[[Features], FloatArray]
+_STEP = 1e-3  # of a shift, for its derivative
+
 
 @dataclass(frozen=True)
-class MeterLag(Form):
+class LogFault(Form):
+    """A fault of the log, which its columns describe to first order.
+
+    Attributes
+    ----------
+    gain : float
+        What a fit of the first order finds of a fault of one unit.
+    """
+
+    gain: float = 1.0
+
+    planned = False
+    on_map = False
+
+    def simulated(self, rows: Features, size: FloatArray, energy: Energy) -> FloatArray:
+        """Energy that a fault adds to rows, (n,), by that of rows without it. size : of the fault, (k,)."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class MeterLag(LogFault):
     """Time by which the measured power is late.
 
     Notes
@@ -25,19 +49,20 @@ class MeterLag(Form):
     meaning = "time by which the power readings are later than the positions"
     unit = "s"
     reveals = "sudden starts and stops; better, one clock for all sensors"
-    planned = False
-    on_map = False
 
     def column(self, rows: Features) -> FloatArray:
         power = rows.power_w / rows.unit_j
         follows = (np.diff(rows.run) == 0) & ~rows.standing[1:] & ~rows.standing[:-1]
-        border = np.where(follows, 0.5 * (power[1:] + power[:-1]), np.nan)
-        start, end = np.concatenate([[np.nan], border]), np.concatenate([border, [np.nan]])
-        return start - end
+        border = np.pad(np.where(follows, 0.5 * (power[1:] + power[:-1]), np.nan), 1, constant_values=np.nan)
+        return self.gain * (border[:-1] - border[1:])
+
+    def simulated(self, rows: Features, size: FloatArray, energy: Energy) -> FloatArray:
+        drawn = energy(rows)
+        return rows.read_late(drawn, size[0]) - drawn
 
 
 @dataclass(frozen=True)
-class MapShift(Form):
+class MapShift(LogFault):
     """Distance by which the map lies too far east and north, to first order in the change of the grade."""
 
     key = "map_shift"
@@ -45,13 +70,14 @@ class MapShift(Form):
     meaning = "distance by which the positions are off the map"
     unit = "m"
     reveals = "a survey of three marks that the map shows"
-    planned = False
-    on_map = False
     of_map = True
 
     def coefficient_names(self) -> tuple[str, ...]:
         return ("east", "north")
 
     def columns(self, rows: Features) -> FloatArray:
-        amount = (rows.weight_length * rows.pulling)[:, None]
+        amount = (self.gain * rows.weight_length * rows.pulling)[:, None]
         return np.nan_to_num(amount * np.stack([rows.grade_east, rows.grade_north], axis=1))
+
+    def simulated(self, rows: Features, size: FloatArray, energy: Energy) -> FloatArray:
+        return (energy(rows.moved(*(_STEP * size))) - energy(rows)) / _STEP

@@ -10,7 +10,7 @@ from joulemap.model.runs.features import Features, FloatArray, quantity
 
 @dataclass(frozen=True)
 class Payload(Form):
-    """Energy of motion in proportion to a logged load."""
+    """Energy of motion in proportion to a logged load; its kilograms are those of the declared mass."""
 
     key = "payload"
     label = "payload"

@@ -26,7 +26,10 @@ def _classes(rows: Features) -> Iterator[tuple[str, list[str]]]:
 
 @dataclass(frozen=True)
 class _ByClass(Form):
-    """What each class of a logged column of text has of its own; a class that is not listed is the reference."""
+    """What each class of a logged column of text has of its own; a class that is not listed is the reference.
+
+    column_name : the column. classes : those with a coefficient.
+    """
 
     column_name: str
     classes: tuple[str, ...]
@@ -50,10 +53,6 @@ class TerrainClass(_ByClass):
 
     Attributes
     ----------
-    column_name : str
-        The column.
-    classes : tuple of str
-        Those with a coefficient.
     of_motion : bool
         A share of the energy of motion instead of energy per metre.
     """
@@ -92,10 +91,6 @@ class TurningByClass(_ByClass):
 
     Attributes
     ----------
-    column_name : str
-        The column.
-    classes : tuple of str
-        Those with a coefficient.
     limit_per_m : float, optional
         As of `Turning`.
     """

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.robot import Robot
 from tests.loop.generators.config import CaseConfig
 from tests.loop.generators.drive import Motion
 from tests.loop.generators.robots import TrueRobot
@@ -129,6 +130,10 @@ class HiddenEffect:
     def coefficients(self, robot: TrueRobot) -> tuple[float, ...]:
         """True coefficients in `unit`; none where no one number says it."""
         return ()
+
+    def stated(self, robot: TrueRobot, declared: Robot) -> tuple[float, ...]:
+        """True coefficients as a model of the declared robot has them."""
+        return self.coefficients(robot)
 
     def is_named_by(self, answer: str) -> bool:
         """Whether an answer (name and label) is a right one."""

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from joulemap.model.robot import Robot
 from tests.loop.generators.config import CaseConfig
 from tests.loop.generators.effect import HiddenEffect, Scene
 from tests.loop.generators.robots import G_MPS2, TrueRobot
@@ -111,6 +112,10 @@ class Cargo(HiddenEffect):
     def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Mass per logged mass."""
         return (1.0,)
+
+    def stated(self, robot: TrueRobot, declared: Robot) -> tuple[float]:
+        """In kilograms of the declared mass: no energy tells that mass from the true one."""
+        return (declared.mass_kg / robot.mass_kg,)
 
     def force_n(self, scene: Scene) -> FloatArray:
         """Rolling resistance and climb of the load."""
