@@ -176,6 +176,27 @@ def test_readings_that_are_late_belong_to_the_row_before():
     assert not MeterLag.on_map
 
 
+def test_a_late_meter_says_what_was_drawn_earlier():
+    """Constant power moves nothing but the start; a ramp of 10 W per row of 2 s moves 5 W/s times the lag."""
+    rows = even(5, duration_s=[2.0] * 5)
+    steady = rows.read_late(np.full(5, 60.0), 0.5)
+    np.testing.assert_allclose(steady, [45.0, 60.0, 60.0, 60.0, 60.0])
+    ramp = 2.0 * (10.0 * np.arange(5) + 30.0)
+    np.testing.assert_allclose(rows.read_late(ramp, 0.5)[1:], ramp[1:] - 2.0 * 5.0 * 0.5)
+
+
+def test_a_moved_map_has_other_slopes():
+    rows = even(grade_east=[0.01], grade_north=[-0.02]).moved(2.0, 1.0)
+    assert rows.grade == pytest.approx([0.0])
+    assert even(grade_east=[0.01]).moved(2.0, 0.0).base_motion - even().base_motion == pytest.approx([0.02 * W])
+
+
+def test_a_fault_that_a_fit_finds_in_part_is_the_same_energy():
+    rows = even(grade_east=[0.01], grade_north=[-0.02])
+    whole = Term(MapShift(), (0.7, 0.3)).energy(rows)
+    np.testing.assert_allclose(Term(MapShift(gain=0.7), (1.0, 0.3 / 0.7)).energy(rows), whole)
+
+
 def test_what_comes_first_are_the_declared_numbers():
     form = BaseParameters.of(charge=False)
     added = dict(zip(form.coefficient_names(), form.columns(even())[0], strict=True))

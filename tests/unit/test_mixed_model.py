@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import linregress
+from scipy.stats import linregress, t
 from statsmodels.regression.mixed_linear_model import MixedLM
 
 from joulemap.model.loop._mixed_model import MixedModel
@@ -126,6 +126,46 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
         low, high = estimate.interval()
         covered.append(low[0] <= 1.5 <= high[0])
     assert 0.90 <= np.mean(covered) <= 0.99
+
+
+def test_intervals_cover_a_coefficient_that_differs_from_run_to_run():
+    """A factor on all that a run takes changes its effects too; rows of one run do not tell by how much."""
+    rng = np.random.default_rng(15)
+    covered = []
+    for _ in range(200):
+        run, x, z = _data(rng, runs=8, rows=60)
+        slopes = rng.normal(1.5, 0.3, 8)
+        estimate = _model(x, z + slopes[run] * x[:, 0], run).estimate(
+            np.array([0, 1]), np.full(2, -np.inf), np.full(2, np.inf), NONE
+        )
+        low, high = estimate.interval()
+        covered.append(low[0] <= 1.5 <= high[0])
+    assert 0.90 <= np.mean(covered) <= 0.99
+
+
+def test_an_interval_of_equal_runs_is_that_of_their_own_estimates():
+    """Of a coefficient that each run says as well as any other: Student's interval of the mean of the runs."""
+    rng = np.random.default_rng(16)
+    x = np.tile(rng.normal(size=200), 6)
+    run, slopes = np.repeat(np.arange(6), 200), rng.normal(2.0, 0.5, 6)
+    wide = np.array([np.inf])
+    low, high = _model(x[:, None], slopes[run] * x, run).estimate(FIRST, -wide, wide, NONE).interval()
+    own = t.interval(0.95, 5, slopes.mean(), slopes.std(ddof=1) / np.sqrt(6))
+    np.testing.assert_allclose([low[0], high[0]], own, rtol=0.01)
+
+
+def test_runs_differ_no_more_beside_an_effect_than_without_it():
+    """Inside the later runs the energy follows a part of a column; the rest of the column, as large as the energy
+    itself, could be hidden behind levels of these runs. Predictions of new runs have no levels.
+    """
+    rng = np.random.default_rng(17)
+    run, later = np.repeat(np.arange(10), 60), np.repeat([0.0, 1.0], 300)
+    level, part = rng.uniform(50.0, 150.0, run.size), rng.normal(0.0, 5.0, run.size)
+    columns = np.column_stack([rng.normal(size=run.size), later * (level + part)])
+    model = _model(columns, later * part + rng.normal(size=run.size), run, level=level)
+    both, wide = np.array([0, 1]), np.full(2, np.inf)
+    assert model.coefficients(both, -wide, wide)[1] == pytest.approx(1.0, abs=0.1)
+    assert model.estimate(both, -wide, wide, FIRST).coefficients[1] == pytest.approx(0.0, abs=0.1)
 
 
 def test_an_estimate_stays_within_its_physical_limits():
