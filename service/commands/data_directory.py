@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
-from joulemap.service.commands.data_folder import DataDir, opened_store, settings_of, writable
+from joulemap.service.commands.data_folder import DataDir, opened_store, settings_of, used, writable
 from joulemap.service.commands.options import there
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def check(
     from joulemap.service.storage.tables import CalibrationRow, CostmapRow, HeightmapRow, RunsRow
 
     output, settings = Output(json_file), settings_of(data_dir=data_dir)
-    there(settings.data_dir)
+    used(settings)
     found: list[dict[str, Any]] = []
     answers: dict[Any, Any] = {
         HeightmapRow: heightmap_out,
@@ -99,7 +99,7 @@ def backup(
     from joulemap.service.storage.backup import back_up
 
     output, settings = Output(json_file), settings_of(data_dir=data_dir)
-    there(settings.data_dir)
+    used(settings)
     with opened_store(settings) as store, progress_bar("Backup") as report:
         manifest = back_up(store, target, models_dir=settings.resolved_models_dir, progress=report)
     _say(output, manifest, f"written: {target}")

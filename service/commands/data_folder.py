@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from joulemap.model.errors import InputError
+from joulemap.model.errors import InputError, NotFoundError
 
 if TYPE_CHECKING:
     from joulemap.service.settings import Settings
@@ -46,6 +46,14 @@ def writable(settings: Settings) -> Settings:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     if not os.access(settings.data_dir, os.W_OK):
         raise PermissionError(errno.EACCES, "no right to write there", str(settings.data_dir))
+    return settings
+
+
+def used(settings: Settings) -> Settings:
+    """The same settings, of a service that was started before. Raises NotFoundError where nothing was ever kept."""
+    if settings.database_url is None and not (settings.data_dir / "joulemap.db").is_file():
+        words = f"{settings.data_dir} is no data directory of joulemap: it has no joulemap.db"
+        raise NotFoundError(words, data_dir=str(settings.data_dir))
     return settings
 
 

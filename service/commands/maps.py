@@ -119,10 +119,12 @@ def costmap(
     """
     from joulemap.model.terrain.plausible import heightmap_warnings
     from joulemap.model.terrain.readers import open_ground
+    from joulemap.planner.lattice_io import LatticeFolder
 
     output = Output(json_file)
     if out is not None:
         refuse_to_replace(out, overwrite=overwrite)
+        LatticeFolder(out).check_place()
     if server is not None:
         refuse_local(geotiff=geotiff, npz=npz, picture=picture, scheduler=scheduler)
         with service_at(server, key) as service, progress_bar("Cost map") as report:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from joulemap.model.errors import InputError
 from joulemap.service.commands.options import there
 
 if TYPE_CHECKING:
@@ -68,12 +69,21 @@ def refuse_local(**options: Any) -> None:
 
 
 def unpack(zipped: bytes, folder: Path) -> None:
-    """Write a zipped cost map into a folder, which is replaced."""
-    shutil.rmtree(folder, ignore_errors=True)
-    with zipfile.ZipFile(io.BytesIO(zipped)) as archive:
-        for name in archive.namelist():
-            if Path(name).is_absolute() or ".." in Path(name).parts:
-                raise typer.BadParameter(f"the service sent a file outside of the cost map: {name[:80]!r}")
-            below = folder.joinpath(*Path(name).parts[1:])  # without the service's name of the map
-            below.parent.mkdir(parents=True, exist_ok=True)
-            below.write_bytes(archive.read(name))
+    """Write a zipped cost map into a folder, whole or not at all; a cost map that is there is replaced."""
+    from joulemap.planner.lattice_io import LatticeFolder
+
+    made = LatticeFolder(folder)
+    with made.whole_or_nothing():
+        shutil.rmtree(made.partial, ignore_errors=True)
+        try:
+            with zipfile.ZipFile(io.BytesIO(zipped)) as archive:
+                for name in archive.namelist():
+                    if Path(name).is_absolute() or ".." in Path(name).parts:
+                        raise InputError(f"the service sent a file outside of the cost map: {name[:80]!r}")
+                    below = made.partial.joinpath(*Path(name).parts[1:])  # without the service's name of the map
+                    below.parent.mkdir(parents=True, exist_ok=True)
+                    below.write_bytes(archive.read(name))
+        except zipfile.BadZipFile as error:
+            raise InputError(f"the service sent no cost map: {error}") from error
+        shutil.rmtree(folder, ignore_errors=True)
+        made.partial.rename(folder)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,11 @@ import pytest
 
 import joulemap as jm
 from joulemap.model import errors
+from joulemap.model.errors import InputError
+from joulemap.planner.lattice_io import load_lattice
 from joulemap.service.cli import app
 from joulemap.service.client.connection import error_of, tree_of
+from joulemap.service.commands.remote import unpack
 from joulemap.service.http.app import create_app
 from joulemap.service.problems import problem_of
 from joulemap.service.storage.keys import add_key
@@ -252,3 +257,30 @@ def test_commands_fail_as_without_a_service(
     assert command("path", costmap.id, *ends, **how) == 3  # no folder is called so
     assert command("path", costmap.id, *ends, "--server", url, "--picture", "x.png", **how) == 2
     assert command("costmap", "dem.tif", **how) in (2, 5)
+
+
+def zipped(**files: bytes) -> bytes:
+    held = io.BytesIO()
+    with zipfile.ZipFile(held, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return held.getvalue()
+
+
+@pytest.mark.parametrize(
+    "sent", [b"<html>log in</html>", zipped(**{"m/a": b"1"})[:-9], zipped(**{"m/a": b"1", "../b": b"2"})]
+)
+def test_what_is_no_cost_map_replaces_none(tmp_path: Path, local: jm.CostMap, sent: bytes) -> None:
+    place = local.save(tmp_path / "good.zarr")
+    with pytest.raises(InputError, match="the service sent"):
+        unpack(sent, place)
+    assert [path.name for path in tmp_path.iterdir()] == ["good.zarr"]
+    assert load_lattice(place).frame.rows == hill().frame.rows
+
+
+def test_a_folder_of_something_else_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "text").write_text("x")
+    with pytest.raises(InputError, match="will not be overwritten"):
+        unpack(zipped(**{"m/zarr.json": b"{}"}), tmp_path / "thesis")
+    assert [path.name for path in tmp_path.rglob("*")] == ["thesis", "text"]

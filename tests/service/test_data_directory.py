@@ -540,3 +540,10 @@ def test_a_copy_is_restored_into_an_object_store(
         ("damaged", kept["heightmap"]),
         ("orphan", "object runs/runs-999999999999"),
     }
+
+
+@pytest.mark.parametrize("words", [("check",), ("check", "--repair"), ("backup", "no-copy")])
+def test_another_folder_is_left_as_it_is(tmp_path: Path, words: tuple[str, ...]) -> None:
+    (tmp_path / "dem.tif").touch()
+    assert joulemap(*words, "--data-dir", tmp_path)[0] == 5
+    assert [path.name for path in tmp_path.iterdir()] == ["dem.tif"]
