@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from joulemap.model.errors import RunsError
+from joulemap.model.errors import RunsError, TooLargeError
 from joulemap.model.runs.formats.contract import Log, Stream, content_of
 from joulemap.model.runs.table import (
     FloatArray,
@@ -29,6 +29,7 @@ from joulemap.model.source_file import SourceFile
 _SEPARATORS = (",", ";", "\t")
 _COMMENT = re.compile(rb"[#%][^\r\n]*[\r\n]*")
 _OTHER_ENCODING = "cp1252"  # what spreadsheets write in Western Europe and America
+_LONGEST_HEADER = 1_000_000  # bytes of the line with the names
 _BLOCK_BYTES = 1 << 22
 _BLOCK_CELLS = 500_000  # of a table with quotes
 _EMPTY_LINES = re.compile(rb"[\r\n]*")
@@ -155,6 +156,13 @@ def _read(
     last = content.endswith((b"\n", b"\r"))
     lines = content.count(b"\n", end) + content.count(b"\r", end) - content.count(b"\r\n", end) - last
     limits.check(0, columns, name)
+    if len(first) > _LONGEST_HEADER:
+        raise TooLargeError(
+            f"run {name}: its first line has {len(first):,} bytes, the limit is {_LONGEST_HEADER:,}",
+            run=name,
+            found=len(first),
+            limit=_LONGEST_HEADER,
+        )
     quoted = b'"' in content
     header = _header(content, start, end, quoted, separator)
     if not header:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import RunsError, TooLargeError
 
+LONGEST_NAME = 300
+"""Most characters of the name of a column."""
 FloatArray = NDArray[np.float64]
 TextArray = NDArray[np.str_]
 
@@ -168,7 +170,7 @@ def columns_there(numbers: Iterable[str]) -> str:
 
 
 def check_names(columns: Sequence[str], name: str) -> None:
-    """Refuse a table in which two columns have the same name.
+    """Refuse a table in which two columns have the same name, or one has a name that is too long.
 
     Parameters
     ----------
@@ -180,8 +182,12 @@ def check_names(columns: Sequence[str], name: str) -> None:
     Raises
     ------
     RunsError
-        If a name is there twice.
+        If a name is there twice, or has more than `LONGEST_NAME` characters.
     """
+    longest = max(columns, key=len, default="")
+    if len(longest) > LONGEST_NAME:
+        words = f"run {name}: the column {longest[:40]!r}... has a name of {len(longest):,} characters"
+        raise RunsError(f"{words}, the limit is {LONGEST_NAME}", run=name, found=len(longest), limit=LONGEST_NAME)
     twice = sorted(column for column, count in Counter(columns).items() if count > 1)
     if twice:
         raise RunsError(f"run {name}: column {twice[0][:80]!r} appears twice", run=name, column=twice[0][:80])

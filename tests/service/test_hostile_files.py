@@ -69,6 +69,8 @@ ATTACKS: list[tuple[str, Any, dict, int, str, str]] = [
         "too_large",
         "200,000 columns, the limit is 2,000",
     ),
+    (RUNS, lambda: b"a" * 2_000_000, {}, 413, "too_large", "first line has 2,000,000 bytes, the limit is 1,000,000"),
+    (RUNS, lambda: b"#" * 2_000_000, {}, 413, "too_large", "first line has 2,000,000 bytes, the limit is 1,000,000"),
     (RUNS, lambda: b"a,b,a\n1,2,3", {}, 422, "invalid_runs", "column 'a' appears twice"),
     (RUNS, lambda: b"t,x\r1,2" + b"\r" * 1_500_000, {}, 413, "too_large", "1,500,000 rows, the limit is 1,000,000"),
     (
