@@ -49,11 +49,28 @@ class Connections:
         self._looking = False
 
     def protocol(self, *arguments: Any, **options: Any) -> asyncio.Protocol:
-        """Return the protocol of a new connection, as uvicorn asks for it."""
+        """Return the protocol of a new connection, as uvicorn asks for it.
+
+        Parameters
+        ----------
+        *arguments, **options : object
+            Of uvicorn's own protocol.
+
+        Returns
+        -------
+        Protocol
+            For one connection.
+        """
         return _Connection(self, *arguments, **options)
 
     def owes(self, connection: _Connection) -> None:
-        """Note that bytes of a request are awaited from now on."""
+        """Note that bytes of a request are awaited from now on.
+
+        Parameters
+        ----------
+        connection : Protocol
+            On which it comes.
+        """
         loop = asyncio.get_running_loop()
         self.waiting[connection] = loop.time()
         self.waiting.move_to_end(connection)
@@ -62,11 +79,23 @@ class Connections:
             loop.call_later(_LOOK_S, self._look)
 
     def owes_nothing(self, connection: _Connection) -> None:
-        """Note that a request is whole, or that its connection is closed."""
+        """Note that a request is whole, or that its connection is closed.
+
+        Parameters
+        ----------
+        connection : Protocol
+            On which it comes.
+        """
         self.waiting.pop(connection, None)
 
     def make_room(self, newest: _Connection) -> None:
-        """Close the connection that has been silent longest, or the newest where all are being answered."""
+        """Close the connection that has been silent longest, or the newest where all are being answered.
+
+        Parameters
+        ----------
+        newest : Protocol
+            The one too many.
+        """
         closed = next(iter(self.waiting), newest)
         closed.give_up(503, "too_many_connections", f"more than {self.most} connections are open")
 
