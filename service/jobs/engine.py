@@ -91,6 +91,7 @@ class Jobs:
                     nice = 0 if settings.scheduler else NICE
                     warm = Warm(settings.warm_models, settings.resolved_models_dir.resolve(), nice=nice)
                     await client.register_plugin(warm)
+                    self.trouble = None
                     await self._serve(client)
             except OSError as error:  # a scheduler that restarts comes back
                 self.trouble = f"no Dask scheduler answers at {settings.scheduler or '127.0.0.1'}: {error}"
@@ -109,8 +110,6 @@ class Jobs:
             while not self._stopping:
                 if client.status != "running":
                     raise ConnectionError("the connection is lost")
-                idle = self._settings.scheduler is not None and not client.scheduler_info()["workers"]
-                self.trouble = f"the scheduler at {self._settings.scheduler} has no workers" if idle else None
                 try:
                     wanted = await asyncio.to_thread(self._store.wanted)
                     ours = await asyncio.to_thread(claims.keep, wanted)

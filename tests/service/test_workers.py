@@ -76,12 +76,6 @@ def test_a_scheduler_that_comes_late_is_waited_for(tmp_path: Path) -> None:
             assert client.app.state.service.jobs.trouble is None  # type: ignore[attr-defined]
 
 
-def test_a_scheduler_without_workers_is_said(tmp_path: Path) -> None:
-    with cluster(0) as (address, _), TestClient(create_app(settings_for(tmp_path, scheduler=address))) as client:
-        wait_until(lambda: f"{address} has no workers" in (client.app.state.service.jobs.trouble or ""))  # type: ignore[attr-defined]
-        wait_until(lambda: "has no workers" in client.get("/readyz").text)
-
-
 def test_what_failed_is_made_again_though_somebody_still_holds_the_error(tmp_path: Path) -> None:
     """Dask would answer with the error of the first try as long as its future is known by name."""
     ground = tmp_path / "ground.tif"
