@@ -101,9 +101,9 @@ class Connections:
 
     def stopping(self) -> None:
         """Note that the server stops."""
-        told, self._on_stop = self._on_stop, None
-        if told is not None:
-            told()
+        callback, self._on_stop = self._on_stop, None
+        if callback is not None:
+            callback()
 
     def _look(self) -> None:
         loop = asyncio.get_running_loop()

@@ -20,7 +20,7 @@ Report = Callable[[float], Awaitable[None]]
 
 
 def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | VaultedOrder:
-    """Return what a worker is told of a cost map, once its notes have a folder.
+    """Return the order of a cost map for its workers, after making the folder of its notes.
 
     Parameters
     ----------
