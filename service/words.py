@@ -21,6 +21,7 @@ __all__ = [
     "route_words",
     "runs_words",
     "saving_words",
+    "turning_words",
     "verdict_words",
 ]
 
@@ -105,6 +106,28 @@ def p_words(p_value: float) -> str:
         Such as "= 0.02", or "< 1e-9": smaller ones rest on the far tail of a distribution, which no data can check.
     """
     return "< 1e-9" if p_value < 1e-9 else f"= {p_value:.2g}"
+
+
+def turning_words(trained: Mapping[str, Any]) -> str:
+    """Say what turning costs by a model that was trained.
+
+    Parameters
+    ----------
+    trained : mapping
+        Facts of the training.
+
+    Returns
+    -------
+    str
+        At the declared speed and, where it differs, on the spot.
+    """
+    from joulemap.model.energy.drive_costs import DriveCosts
+
+    words = f"{trained['turn_j_per_rad']:.1f} J/rad more than straight driving, used in plans too"
+    costs = DriveCosts.from_dict(trained["drive_costs"])
+    if costs.eased_turn_j_per_rad:
+        words += f"; {costs.spot_turn_j_per_rad:.1f} J/rad on the spot"
+    return words
 
 
 def route_words(route: Mapping[str, Any]) -> str:

@@ -274,9 +274,11 @@ class Learned(ABC):
         Returns
         -------
         Robot
-            With another `turn_j_per_rad`.
+            With another `turn_j_per_rad`: that at its declared speed, or at the nearest that the runs showed.
         """
-        turn = robot.turn_j_per_rad + self.costs.planned_turn_j_per_rad(robot)
+        low, high = self.domain.driven.get("speed_mps", (0.0, math.inf))
+        shown = replace(robot, speed_mps=min(max(robot.speed_mps, low), high))
+        turn = robot.turn_j_per_rad + self.costs.planned_turn_j_per_rad(shown)
         return replace(robot, turn_j_per_rad=max(turn, 0.0))
 
     def drive_energy_j(self, robot: Robot, segments: Segments) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ from joulemap.service.commands.options import (
     refuse_to_replace,
     there,
 )
-from joulemap.service.words import runs_words
+from joulemap.service.words import runs_words, turning_words
 
 Charge = Annotated[
     bool,
@@ -169,7 +169,7 @@ def train(
                 if name != "the same without fine-tuning"
             },
             "track used": coverage_words(made["coverage"]),
-            "turning": f"{made['turn_j_per_rad']:.1f} J/rad more than straight driving, used in plans too",
+            "turning": turning_words(made),
             "speeding up": f"{made['drive_costs']['speed_up_kg']:.3g} J for each m2/s2 of half the squared speed",
             "driving": f"{made['drive_costs']['driving_w'] or 0.0:.3g} W more than the declared idle power",
         }

@@ -14,7 +14,7 @@ from joulemap.service.library.html import html_table, text_table
 from joulemap.service.library.run_files import RunsLike
 from joulemap.service.library.sites import SiteLike, sites_given
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.words import runs_words
+from joulemap.service.words import runs_words, turning_words
 
 
 class InFolder(Protocol):
@@ -81,7 +81,7 @@ class Model:
             "version": facts["version"],
             "learned from": f"{facts['segments']:,} segments of 1 m of {runs_words(len(facts['runs']))}",
             "held-out error": f"{facts['held_out']['mean_relative_error']:.1%} of the energy of a metre in the mean",
-            "turning": f"{facts['turn_j_per_rad']:.1f} J/rad beyond straight driving",
+            "turning": turning_words(facts),
         } | ({"warning": "; ".join(self.warnings)} if self.warnings else {})
 
     def __repr__(self) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from joulemap.model.energy.drive_costs import DriveCosts
+from joulemap.model.energy.drive_costs import DriveCosts, easing
 from joulemap.model.errors import ModelError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
@@ -71,6 +71,21 @@ def test_what_was_put_in_is_found_with_another_rolling_resistance_than_declared(
     assert fit.level == pytest.approx(0.05, abs=0.004)
 
 
+def test_turning_that_costs_less_at_speed_is_told_from_turning_that_does_not():
+    truth = replace(COSTS, turn_j_per_rad=20.0, eased_turn_j_per_rad=60.0, speed_mps=0.5)
+    fit = fit_costs(rows_of(drives(6000), costs=truth))
+    for speed_mps in (0.1, 0.5, 1.0):
+        asked = replace(ROBOT, speed_mps=speed_mps)
+        said, true = (costs.planned_turn_j_per_rad(asked) for costs in (fit.costs, truth))
+        assert said == pytest.approx(true, rel=0.08)
+    steady = fit_costs(rows_of(drives(6000))).costs
+    assert steady.planned_turn_j_per_rad(replace(ROBOT, speed_mps=1.0)) == pytest.approx(50.0, rel=0.1)
+
+
+def test_a_radian_on_the_spot_costs_half_as_much_again_as_at_cruising_speed():
+    np.testing.assert_allclose(easing([0.0, 0.5, 1.0], 0.5), [1.5, 1.0, 0.75])
+
+
 def test_what_costs_nothing_stays_within_bounds():
     truth = DriveCosts(turn_j_per_rad=-30.0, driving_w=0.0, speed_up_kg=-40.0, mass_kg=60.0)
     fit = fit_costs(rows_of(drives(1500), costs=truth))
@@ -107,6 +122,11 @@ def test_a_robot_of_twice_the_mass_pays_twice_for_turning():
 def test_costs_come_back_from_a_file_and_nonsense_does_not():
     costs = DriveCosts(turn_j_per_rad=3.0, driving_w=None)
     assert DriveCosts.from_dict(costs.as_dict()) == costs
-    for values in ({"turning": 1.0}, {"turn_j_per_rad": float("nan")}, {"speed_up_kg": "much"}):
+    for values in (
+        {"eased_turn_j_per_rad": 1.0},
+        {"turning": 1.0},
+        {"turn_j_per_rad": float("nan")},
+        {"speed_up_kg": "much"},
+    ):
         with pytest.raises(ModelError):
             DriveCosts.from_dict(values)
