@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.energy.calibrated import CalibratedPredictor
-from joulemap.model.energy.domain import Learned
+from joulemap.model.energy.learned import Learned
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame, wrap_angle

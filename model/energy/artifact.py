@@ -15,8 +15,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from joulemap.model.energy.architectures import ARCHITECTURES, find_architecture
-from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
+from joulemap.model.energy.learned import Learned
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
 

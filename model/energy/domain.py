@@ -1,34 +1,23 @@
-"""The ranges that a model has learned, warnings for maps and robots outside of them, and the base of predictors."""
+"""The ranges that a model has learned, and warnings for maps and robots outside of them."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.energy.drive_costs import DriveCosts
-from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import ModelError
-from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.runs.segments import Segments
 from joulemap.model.terrain.heightmap import Heightmap
 
 ROBOT_KEYS = ("mass_kg", "width_m", "length_m", "wheel_radius_m", "speed_mps", "rolling_resistance")
 """Fields of the robot file that a network knows; the hotel load over the weight is added to them."""
 
-_TOLERANCE = 0.005  # of a limit: a value on the edge is inside
+TOLERANCE = 0.005
+"""Share of a limit: a value on the edge is inside."""
 _SHARE_WARNED = 0.001  # of the map that must be too steep before a warning is given
-_COMPARED = {  # what the prices of a model of measured runs depend on, in words
-    "mass_kg": "{:.4g} kg",
-    "rolling_resistance": "rolling resistance {:.3g}",
-    "idle_power_w": "{:.4g} W idle",
-}
 _SAMPLE_CELLS = 4_000_000  # a larger map's slopes are judged on every n-th row and column
 
 
@@ -145,18 +134,18 @@ class Domain:
         values["hotel_over_weight"] = robot.hotel_per_m / robot.weight_n
         for key, (low, high) in self.robot.items():
             value = values[key]
-            if not low * (1.0 - _TOLERANCE) <= value <= high * (1.0 + _TOLERANCE):
+            if not low * (1.0 - TOLERANCE) <= value <= high * (1.0 + TOLERANCE):
                 label = "idle power / (speed x weight)" if key == "hotel_over_weight" else key
                 found.append(f"{label} = {value:.3g} is outside the {low:.3g}..{high:.3g} the network learned")
         if "speed_mps" in self.driven:
             low, high = self.driven["speed_mps"]
-            if not low * (1.0 - _TOLERANCE) <= robot.speed_mps <= high * (1.0 + _TOLERANCE):
+            if not low * (1.0 - TOLERANCE) <= robot.speed_mps <= high * (1.0 + TOLERANCE):
                 found.append(
                     f"speed_mps = {robot.speed_mps:.3g} is outside the {low:.3g}..{high:.3g} m/s of the runs that the "
                     "model was trained with"
                 )
         low, high = self.resolution_m
-        if not low * (1.0 - _TOLERANCE) <= heightmap.resolution_m <= high * (1.0 + _TOLERANCE):
+        if not low * (1.0 - TOLERANCE) <= heightmap.resolution_m <= high * (1.0 + TOLERANCE):
             found.append(
                 f"the heightmap's resolution of {heightmap.resolution_m:g} m/pixel is outside the {low:g}..{high:g} "
                 "the network learned"
@@ -169,220 +158,6 @@ class Domain:
                 "the network learned"
             )
         return found
-
-
-def robot_warnings(trained: Mapping[str, Any], robot: Robot, *, model: str) -> list[str]:
-    """Return a warning where a model of measured runs is asked about another robot than that of its runs.
-
-    Speed, limits and names may differ: another declared speed is a question that a plan may ask.
-
-    Parameters
-    ----------
-    trained : mapping
-        The robot of the runs, by the keys of the robot file; empty where the model learned from no single robot.
-    robot : Robot
-        What the model is asked about.
-    model : str
-        What the model is called.
-
-    Returns
-    -------
-    list of str
-        One sentence with the value that differs most, or nothing.
-    """
-    most, words = _TOLERANCE, None
-    for key, unit in _COMPARED.items():
-        try:
-            then, now = float(trained[key]), float(getattr(robot, key))
-        except (KeyError, TypeError, ValueError):  # an older model, or a file that somebody wrote
-            continue
-        difference = abs(now - then) / max(abs(now), abs(then), 1e-9)
-        if difference > most:
-            most, words = difference, (unit.format(now), unit.format(then))
-    if words is None:
-        return []
-    return [
-        f"this robot is {robot.name} ({words[0]}), but the model {model} was trained with "
-        f"{trained.get('name', 'another robot')} ({words[1]}): give that robot's file, or expect errors"
-    ]
-
-
-class Learned(ABC):
-    """The part that all predictors of a trained network share.
-
-    Parameters
-    ----------
-    name : str
-        What the model is called.
-    domain : Domain
-        Ranges of what it was trained on.
-    provenance : mapping
-        What the predictor says of itself, JSON-able.
-    spread : Spread, optional
-        Its errors on held-out runs.
-    costs : DriveCosts, optional
-        Of turning, time and speeding up in its runs, beyond straight driving.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        domain: Domain,
-        provenance: Mapping[str, Any],
-        *,
-        spread: Spread | None = None,
-        costs: DriveCosts | None = None,
-    ) -> None:
-        self.name = name
-        self.domain = domain
-        self.spread = spread or Spread()
-        self.costs = costs or DriveCosts()
-        self._provenance = dict(provenance)
-
-    def provenance(self) -> dict[str, Any]:
-        """Return what the predictor is, JSON-able."""
-        return {"name": self.name, "spread": self.spread.as_dict(), **self._provenance}
-
-    def warnings(self, heightmap: Heightmap, robot: Robot) -> list[str]:
-        """Return one sentence for every way in which a map or robot differs from what the network learned.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-
-        Returns
-        -------
-        list of str
-            As `robot_warnings` and `Domain.warnings`.
-        """
-        training = (self._provenance.get("config") or {}).get("training") or {}
-        trained = training.get("robot")
-        other = robot_warnings(trained, robot, model=self.name) if isinstance(trained, Mapping) else []
-        return [*other, *self.domain.warnings(heightmap, robot)]
-
-    def robot_with_turning(self, robot: Robot) -> Robot:
-        """Return the robot with the energy of turning that the model's runs showed.
-
-        Parameters
-        ----------
-        robot : Robot
-            As its file declares it.
-
-        Returns
-        -------
-        Robot
-            With another `turn_j_per_rad`: that at its declared speed, or at the nearest that the runs showed.
-        """
-        low, high = self.domain.driven.get("speed_mps", (0.0, math.inf))
-        shown = replace(robot, speed_mps=min(max(robot.speed_mps, low), high))
-        turn = robot.turn_j_per_rad + self.costs.planned_turn_j_per_rad(shown)
-        return replace(robot, turn_j_per_rad=max(turn, 0.0))
-
-    def drive_energy_j(self, robot: Robot, segments: Segments) -> NDArray[np.float64]:
-        """Return what measured segments cost beyond going straight ahead at the declared speed.
-
-        Parameters
-        ----------
-        robot : Robot
-            As its file declares it.
-        segments : Segments
-            Measured.
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Energy [J], to be added to the price of the ground: the declared cost of turning and the model's own costs.
-        """
-        usual = self.costs.planned_turn_j_per_rad(robot) * self.domain.turned_rad
-        declared = robot.turn_j_per_rad * segments.turned_abs_rad
-        return np.asarray(declared + self.costs.energy_j(robot, segments) - usual)
-
-    def traction_per_m(
-        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """Return the traction demand at the cell centres of a lattice.
-
-        Parameters
-        ----------
-        heightmap, robot, frame, headings_rad : Heightmap, Robot, GridFrame, ndarray
-            As `traction_and_std`.
-
-        Returns
-        -------
-        ndarray of float32, (rows, cols, K)
-            Traction demand [J/m]; NaN where the map is unknown.
-        """
-        return self.traction_and_std(heightmap, robot, frame, headings_rad)[0]
-
-    def segment_traction(
-        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
-    ) -> NDArray[np.float64]:
-        """Return the traction demand of 1 m segments.
-
-        Parameters
-        ----------
-        heightmap, robot, x, y, heading_rad : Heightmap, Robot, array_like
-            As `segment_traction_and_std`.
-
-        Returns
-        -------
-        ndarray of float64, (n,)
-            Traction demand [J/m]; NaN where the map is unknown.
-        """
-        return self.segment_traction_and_std(heightmap, robot, x, y, heading_rad)[0]
-
-    @abstractmethod
-    def traction_and_std(
-        self, heightmap: Heightmap, robot: Robot, frame: GridFrame, headings_rad: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return traction and uncertainty at the cell centres of a lattice.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        frame : GridFrame
-            Cells of the lattice.
-        headings_rad : ndarray of float64, (K,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float32, (rows, cols, K)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float32, (rows, cols, K)
-            Standard deviation of a 1 m segment's energy [J].
-        """
-
-    @abstractmethod
-    def segment_traction_and_std(
-        self, heightmap: Heightmap, robot: Robot, x: ArrayLike, y: ArrayLike, heading_rad: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return traction and uncertainty of 1 m segments.
-
-        Parameters
-        ----------
-        heightmap : Heightmap
-            The ground.
-        robot : Robot
-            What drives on it.
-        x, y : array_like, (n,)
-            Centres of the segments [m].
-        heading_rad : array_like, (n,)
-            Headings [rad].
-
-        Returns
-        -------
-        traction : ndarray of float64, (n,)
-            Traction demand [J/m]; NaN where the map is unknown.
-        std : ndarray of float64, (n,)
-            Standard deviation of the energy [J].
-        """
 
 
 def steep_share(heightmap: Heightmap, limit_deg: float) -> float:
@@ -415,4 +190,4 @@ def steep_share(heightmap: Heightmap, limit_deg: float) -> float:
     known = np.isfinite(slope)
     if not known.any():
         return 0.0
-    return float((slope[known] > math.tan(math.radians(limit_deg)) * (1.0 + _TOLERANCE)).mean())
+    return float((slope[known] > math.tan(math.radians(limit_deg)) * (1.0 + TOLERANCE)).mean())

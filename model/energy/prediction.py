@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.energy.domain import Learned
+from joulemap.model.energy.learned import Learned
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, segment_std
 from joulemap.model.robot import Robot

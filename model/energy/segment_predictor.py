@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.examples import cut_examples
+from joulemap.model.energy.learned import Learned
 from joulemap.model.energy.tensors import ExampleTensors
 from joulemap.model.energy.uncertainty import USUAL_SPREAD, Spread, segment_std
 from joulemap.model.frames import GridFrame

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from joulemap.model.energy.architectures import find_architecture
 from joulemap.model.energy.artifact import Artifact, load_artifact, predictor_of, read_artifact, save_artifact
-from joulemap.model.energy.domain import Learned
 from joulemap.model.energy.examples import Examples, concatenate, cut_examples
+from joulemap.model.energy.learned import Learned
 from joulemap.model.energy.prediction import Prediction, predict_segments
 from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import FEWEST, fit_spread

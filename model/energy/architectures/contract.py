@@ -17,9 +17,10 @@ if TYPE_CHECKING:  # torch takes seconds to load, and not every architecture nee
     from torch import Tensor, nn
 
     from joulemap.model.energy.architectures.network import Network
-    from joulemap.model.energy.domain import Domain, Learned
+    from joulemap.model.energy.domain import Domain
     from joulemap.model.energy.drive_costs import DriveCosts
     from joulemap.model.energy.examples import Examples, FloatArray
+    from joulemap.model.energy.learned import Learned
     from joulemap.model.energy.tensors import ExampleTensors, NetworkOutput
     from joulemap.model.energy.uncertainty import Spread
     from joulemap.model.terrain.heightmap import Heightmap

@@ -15,9 +15,10 @@ from joulemap.model.energy.architectures.compact.head import Headings, answer_ti
 from joulemap.model.energy.architectures.compact.raster import Buffers, read_cells
 from joulemap.model.energy.architectures.compact.tracks import PIXEL_M, REACH_M, SQUARE, track_features
 from joulemap.model.energy.architectures.compact.weights import CompactWeights, RobotWeights, heading_basis
-from joulemap.model.energy.domain import Domain, Learned
+from joulemap.model.energy.domain import Domain
 from joulemap.model.energy.drive_costs import DriveCosts
 from joulemap.model.energy.grade import tan_grade, tan_grade_lattice
+from joulemap.model.energy.learned import Learned
 from joulemap.model.energy.robot_features import robot_features
 from joulemap.model.energy.uncertainty import Spread, segment_std
 from joulemap.model.frames import GridFrame
