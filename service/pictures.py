@@ -20,18 +20,10 @@ from joulemap.planner.energy_map import EnergyMap, FieldKind
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.reach_map import ReachMap
 from joulemap.planner.route import Route
-from joulemap.service.map_drawing import (
-    FAINT,
-    INK,
-    OPTIMAL,
-    SHORTEST,
-    VIEWS,
-    draw_costmap,
-    draw_ground,
-    draw_lattice_ground,
-    draw_profile,
-    draw_routes,
-)
+from joulemap.service.ground_drawing import draw_ground, draw_lattice_ground
+from joulemap.service.map_drawing import VIEWS, draw_costmap
+from joulemap.service.map_style import FAINT, INK, OPTIMAL, SHORTEST
+from joulemap.service.route_drawing import draw_profile, draw_routes
 
 _NAME_LETTERS = 60  # of a name that is drawn
 

@@ -43,7 +43,8 @@ class CostMapOutput(CostMapBase):
         InputError
             On another view, or without a heading where one is needed.
         """
-        from joulemap.service.map_drawing import draw_costmap, new_axes
+        from joulemap.service.map_drawing import draw_costmap
+        from joulemap.service.map_style import new_axes
 
         ax = new_axes() if ax is None else ax
         view = view or ("mean" if heading_deg is None else "heading")

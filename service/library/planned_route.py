@@ -126,7 +126,9 @@ class PlannedRoute:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.map_drawing import draw_lattice_ground, draw_routes, new_axes
+        from joulemap.service.ground_drawing import draw_lattice_ground
+        from joulemap.service.map_style import new_axes
+        from joulemap.service.route_drawing import draw_routes
 
         ax = new_axes() if ax is None else ax
         patches = draw_lattice_ground(ax, self.lattice)
@@ -155,7 +157,8 @@ class PlannedRoute:
         InputError
             On another quantity.
         """
-        from joulemap.service.map_drawing import OPTIMAL, SHORTEST, draw_profile, new_axes
+        from joulemap.service.map_style import OPTIMAL, SHORTEST, new_axes
+        from joulemap.service.route_drawing import draw_profile
 
         if quantity not in ("energy", "elevation"):
             raise InputError(f"`quantity` is {quantity!r}: give 'energy' or 'elevation'", quantity=quantity)

@@ -72,7 +72,8 @@ class PlannedTour:
         matplotlib.axes.Axes
             The map, in metres of its CRS.
         """
-        from joulemap.service.map_drawing import OPTIMAL, draw_lattice_ground, new_axes
+        from joulemap.service.ground_drawing import draw_lattice_ground
+        from joulemap.service.map_style import OPTIMAL, new_axes
 
         ax = new_axes() if ax is None else ax
         draw_lattice_ground(ax, self.lattice)

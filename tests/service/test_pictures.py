@@ -18,8 +18,8 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.plan import RoutePlanner
-from joulemap.service import map_drawing, raster_shading
-from joulemap.service.map_drawing import INK, OPTIMAL, SHORTEST
+from joulemap.service import ground_drawing, raster_shading
+from joulemap.service.map_style import INK, OPTIMAL, SHORTEST
 from joulemap.service.pictures import lattice_image, route_picture
 
 
@@ -64,7 +64,7 @@ def test_opposite_headings_look_different_on_a_slope(lattice: CostLattice) -> No
 
 def test_what_is_too_steep_is_marked_where_it_blocks(lattice: CostLattice) -> None:
     """The bank climbs to the north at 0.8 m per metre (39 degrees): too steep along north, across for east."""
-    grade, cross = (map_drawing.REASONS[reason][0] for reason in (Blocked.GRADE, Blocked.CROSS_SLOPE))
+    grade, cross = (ground_drawing.REASONS[reason][0] for reason in (Blocked.GRADE, Blocked.CROSS_SLOPE))
     north, east = (lattice_image(lattice, view="heading", heading_deg=h) for h in (0.0, 90.0))
     assert share_of(north, grade) > 5.0 * share_of(east, grade)
     assert share_of(east, cross) > 5.0 * share_of(north, cross)
@@ -104,7 +104,7 @@ def test_what_is_blocked_in_some_headings_is_in_the_picture_of_a_path() -> None:
     labels, pictures = [], []
     for ground in (sides, free):
         axes = Figure().add_subplot()
-        labels.append([patch.get_label() for patch in map_drawing.draw_lattice_ground(axes, ground)])
+        labels.append([patch.get_label() for patch in ground_drawing.draw_lattice_ground(axes, ground)])
         pictures.append(pixels(route_picture(ground, plan.route, plan.shortest, title="bank")))
     assert label in labels[0]
     assert label not in labels[1]

@@ -16,11 +16,12 @@ from joulemap.model.ranges import HEADING_DEG
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.stored_lattice import StoredLattice
 from joulemap.planner.stored_planner import StoredPlanner
+from joulemap.service.ground_drawing import REASONS
 from joulemap.service.http.dependencies import KernelsDep, ServiceDep
 from joulemap.service.http.documents import problems
 from joulemap.service.http.long_questions import while_connected
 from joulemap.service.http.service import Service
-from joulemap.service.map_drawing import REASONS, VIEWS
+from joulemap.service.map_drawing import VIEWS
 from joulemap.service.map_layers import (
     blocked_layer,
     coarse_heights,
