@@ -19,8 +19,9 @@ from threadpoolctl import threadpool_limits
 
 from joulemap.model.errors import InputError
 from joulemap.model.reproduction import networks
-from joulemap.model.reproduction.experiments import EXPERIMENTS, Setting, field_of
+from joulemap.model.reproduction.experiments import EXPERIMENTS, field_of
 from joulemap.model.reproduction.profiles import FIRST_SEED, STRATEGIES
+from joulemap.model.reproduction.test_sets import Setting
 
 SETTING_FILE = "setting.json"
 WORKERS = 2

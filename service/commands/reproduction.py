@@ -81,10 +81,10 @@ def reproduce(
     Example: `joulemap reproduce --out reproduction`
     """
     _need_scikit_learn()
-    from joulemap.model.reproduction.experiments import Setting
     from joulemap.model.reproduction.profiles import PROFILES
     from joulemap.model.reproduction.report import publish
     from joulemap.model.reproduction.runner import run_all
+    from joulemap.model.reproduction.test_sets import Setting
 
     output = Output(json_file)
     extent = PROFILES["full" if full else profile.value]

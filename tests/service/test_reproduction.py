@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from joulemap.model.reproduction.experiments import Setting
 from joulemap.model.reproduction.fieldwork import read_measured
 from joulemap.model.reproduction.profiles import FIRST_SEED, PROFILES
+from joulemap.model.reproduction.test_sets import Setting
 from joulemap.model.robot import Robot
 from joulemap.service.cli import app
 

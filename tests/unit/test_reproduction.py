@@ -10,12 +10,13 @@ import pytest
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import GridFrame
-from joulemap.model.reproduction.experiments import EXPERIMENTS, Setting
+from joulemap.model.reproduction.experiments import EXPERIMENTS
 from joulemap.model.reproduction.fieldwork import roughness_m3
 from joulemap.model.reproduction.profiles import PROFILES
 from joulemap.model.reproduction.report import _missed
 from joulemap.model.reproduction.runner import plan
 from joulemap.model.reproduction.summary import Interval, Summary, checks
+from joulemap.model.reproduction.test_sets import Setting
 from joulemap.model.terrain.heightmap import Heightmap
 
 
