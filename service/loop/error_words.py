@@ -88,6 +88,7 @@ def error_words(document: Mapping[str, Any]) -> list[str]:
         )
     states = _states(document["error"], unit_of(document))
     lines.append(f"Errors {validation_words(document)}: {states}.")
+    lines += _worse_words(document)
     if not document["validation"]["whole_procedure"]:
         lines.append(
             "WARNING: these are errors of the fit, because a quick calibration was asked for. Errors on other runs are "
@@ -99,6 +100,20 @@ def error_words(document: Mapping[str, Any]) -> list[str]:
             "may be larger."
         )
     return lines
+
+
+def _worse_words(document: Mapping[str, Any]) -> list[str]:
+    """A warning where other runs are predicted worse than before."""
+    error = (document.get("test_set") or document)["error"]
+    before, after = error["before"]["rmse"], error["after"]["rmse"]
+    if after <= before:
+        return []
+    unit = unit_of(document)
+    return [
+        f"WARNING: the calibrated model errs more than the model before ({after:.3g} against {before:.3g} {unit} root "
+        "mean square). These runs are too few to correct that model: keep it, or calibrate on more runs. If it was "
+        "trained on these very runs, its error on other runs is larger than stated here."
+    ]
 
 
 def _states(error: Mapping[str, Any], unit: str) -> str:

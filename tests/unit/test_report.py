@@ -182,6 +182,16 @@ def test_test_runs_come_first(turning):
     assert second.startswith("Errors on runs that had no part")
 
 
+def test_a_calibration_that_makes_predictions_worse_is_warned_of(turning):
+    assert not any("errs more" in line for line in error_words(turning.document))
+    worse = turning.document | {"error": errors(SIZES)}
+    worse["error"]["before"] |= {"rmse": 310.0}
+    worse["error"]["after"] |= {"rmse": 422.0}
+    said = next(line for line in error_words(worse) if line.startswith("WARNING"))
+    assert "(422 against 310 J root mean square)" in said
+    assert "keep it, or calibrate on more runs" in said
+
+
 def test_errors_of_the_fit_are_said_to_be_that(nothing):
     """`nothing` is a quick calibration."""
     said = error_words(nothing.document)
