@@ -42,8 +42,13 @@ def easing(speed_mps: ArrayLike, cruising_mps: float) -> FloatArray:
 
     Notes
     -----
-    A wheel that rolls while it is pushed sideways slips at a smaller angle, where less than its full friction acts
-    (Dugoff, Fancher & Segel 1970). The hyperbola is the simplest curve with that property, not a law of theirs.
+    A wheel that rolls while it is pushed sideways slips at a smaller angle, where less than its full friction acts. The
+    hyperbola is the simplest curve with that property, and no law.
+
+    References
+    ----------
+    Dugoff, Fancher & Segel 1970, "An analysis of tire traction properties and their influence on vehicle dynamic
+    performance" (the force sideways grows with the angle of slip).
     """
     return np.asarray((HALF_SPEEDS + 1.0) / (HALF_SPEEDS + np.asarray(speed_mps, dtype=np.float64) / cruising_mps))
 

@@ -24,8 +24,8 @@ DECIDES = (
     "mixed_model",
     "refused_columns",
     "structure",
-    "turning",
     "warming_up",
+    "declared",
 )
 """Modules whose constants decide what is named."""
 NO_THRESHOLDS = {"variation._GRID"}
@@ -33,8 +33,8 @@ NO_THRESHOLDS = {"variation._GRID"}
 
 
 def source_of(name: str) -> Path:
-    """File of a module of the loop, of its forms, or of the runs that it works on."""
-    folders = ("model/loop", "model/loop/forms", "model/runs")
+    """File of a module of the loop, of its forms, or of what it shares with training."""
+    folders = ("model/loop", "model/loop/forms", "model/runs", "model/energy")
     files = [ROOT / folder / f"{start}{name}.py" for folder in folders for start in ("", "_")]
     return next(path for path in files if path.is_file())
 

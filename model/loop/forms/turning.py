@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from joulemap.model.energy.drive_costs import easing
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
-
-_HALF = 2.0
-"""Setting: cruising speeds at which a radian costs half of what it costs on the spot."""
 
 
 @dataclass(frozen=True)
@@ -25,14 +23,11 @@ class Turning(Form):
     limit_per_m : float, optional
         Curvature above which a tighter turn takes no more current from motors [rad/m].
     eases : bool
-        Whether a radian costs less at speed: a wheel that rolls while it is pushed sideways slips at a smaller angle,
-        where less than its full friction acts. It is stated at cruising speed, and costs 1.5 times as much on the spot.
+        Whether a radian costs less at speed (`easing`). It is stated at cruising speed.
 
     References
     ----------
-    Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain". Dugoff,
-    Fancher & Segel 1970, "An analysis of tire traction properties and their influence on vehicle dynamic performance"
-    (the force sideways grows with the angle of slip).
+    Morales et al. 2009, "Power consumption modeling of skid-steer tracked mobile robots on rigid terrain".
     """
 
     limit_radps: float | None = None
@@ -55,8 +50,7 @@ class Turning(Form):
         if self.limit_radps is not None:
             return rows.gentle_turn_rad[:, TURN_LIMITS_RADPS.index(self.limit_radps)]
         if self.eases:
-            half = _HALF * rows.robot.speed_mps
-            return rows.turned_abs_rad * (half + rows.robot.speed_mps) / (half + rows.speed_mps)
+            return rows.turned_abs_rad * easing(rows.speed_mps, rows.robot.speed_mps)
         return rows.slowness * rows.turned_up_to(self.limit_per_m)
 
     @classmethod
@@ -76,5 +70,5 @@ class Turning(Form):
         if self.limit_per_m is not None:
             return f"everywhere; a curve of a radius below {1.0 / self.limit_per_m:.2g} m takes no more current"
         if self.eases:
-            return f"everywhere, at cruising speed; on the spot {1.0 + 1.0 / _HALF:.2g} times as much"
+            return f"everywhere, at cruising speed; on the spot {float(easing(0.0, 1.0)):.2g} times as much"
         return "everywhere"
