@@ -1,18 +1,18 @@
-"""What goes over the wire between a client and its service: questions, answers, events, and errors of the tree."""
+"""What goes over the wire between a client and its service: questions, answers and events."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import httpx
-from pydantic import BaseModel
 
 from joulemap.model.errors import BusyError, InputError, JoulemapError
+from joulemap.service.client.answers import Answer, answer_of, error_of, refuse_failed, stranger
 
-Answer = TypeVar("Answer", bound=BaseModel)
+_EVENTS = "text/event-stream"
 
 
 class Connection:
@@ -68,8 +68,10 @@ class Connection:
         ------
         JoulemapError
             As the service says why there is no answer.
+        InputError
+            If it is not what a joulemap service answers.
         """
-        return model.model_validate(self.send(method, path, **how).json())
+        return answer_of(model, self.send(method, path, **how))
 
     def send(self, method: str, path: str, **how: Any) -> httpx.Response:
         """Send a request.
@@ -93,15 +95,16 @@ class Connection:
         """
         try:
             answer = self._http.request(method, path, **how)
-        except httpx.TransportError as error:
-            raise self._unreachable(error) from error
-        if not answer.is_success:
-            raise error_of(document_of(answer.content), answer.status_code)
+        except (httpx.RequestError, httpx.InvalidURL) as error:
+            raise self._without_answer(error) from error
+        refuse_failed(answer)
         return answer
 
-    def _unreachable(self, error: httpx.TransportError) -> BusyError:
+    def _without_answer(self, error: httpx.RequestError | httpx.InvalidURL) -> JoulemapError:
         words = str(error) or type(error).__name__
-        return BusyError(f"the service at {self.url} does not answer: {words}", url=self.url, unreachable=True)
+        if isinstance(error, (httpx.InvalidURL, httpx.UnsupportedProtocol)):
+            return InputError(f"{self.url[:100]!r} is no address like http://HOST:8000: {words}", url=self.url[:100])
+        return BusyError(f"the service at {self.url} does not answer: {words}", url=self.url)
 
     def events(self, path: str, body: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         """Ask a question and follow it, as server-sent events.
@@ -124,9 +127,11 @@ class Connection:
             As the service says why there is no answer.
         """
         try:
-            with self._http.stream("POST", path, json=dict(body), headers={"Accept": "text/event-stream"}) as answer:
-                if not answer.is_success:
-                    raise error_of(document_of(answer.read()), answer.status_code)
+            with self._http.stream("POST", path, json=dict(body), headers={"Accept": _EVENTS}) as answer:
+                if not answer.headers.get("content-type", "").startswith(_EVENTS):
+                    answer.read()
+                    refuse_failed(answer)
+                    raise stranger(answer, "no events")
                 name = ""
                 for line in answer.iter_lines():
                     field, _, value = line.partition(": ")
@@ -136,8 +141,10 @@ class Connection:
                         raise error_of(json.loads(value))
                     elif field == "data":
                         yield name, json.loads(value)
-        except httpx.TransportError as error:
-            raise self._unreachable(error) from error
+        except (httpx.RequestError, httpx.InvalidURL) as error:
+            raise self._without_answer(error) from error
+        except json.JSONDecodeError as error:
+            raise stranger(answer, "an event that is no JSON") from error
 
 
 def part_of_path(text: str) -> str:
@@ -161,65 +168,3 @@ def part_of_path(text: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9._-]{1,100}", text) or set(text) == {"."}:
         raise InputError(f"{text[:100]!r} is no id", id=text[:100])
     return text
-
-
-def document_of(content: bytes) -> dict[str, Any]:
-    """Return what an answer says.
-
-    Parameters
-    ----------
-    content : bytes
-        Its body.
-
-    Returns
-    -------
-    dict
-        Empty where it is no JSON object.
-    """
-    try:
-        found = json.loads(content)
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def error_of(problem: Mapping[str, Any], status: int | None = None) -> JoulemapError:
-    """Return the error of the tree that the service raised. Not every answer is a service's: a proxy's has no code.
-
-    Parameters
-    ----------
-    problem : mapping
-        A problem body, as of RFC 9457.
-    status : int, optional
-        Of the answer; by default as the body says.
-
-    Returns
-    -------
-    JoulemapError
-        With the words of the service.
-    """
-    code, detail = problem.get("code"), problem.get("detail")
-    context = dict(problem.get("context") or {}) | {"request_id": problem.get("request_id")}
-    found = next((cls for cls in tree_of(JoulemapError) if cls.code == code), None)
-    number = status if status is not None else int(problem.get("status") or 500)
-    if found is None:
-        found = InputError if 400 <= number < 500 else BusyError if number in (502, 503, 504) else JoulemapError
-    return found(str(detail or f"the service answered {number} without saying why"), **context)
-
-
-def tree_of(cls: type[JoulemapError]) -> Iterator[type[JoulemapError]]:
-    """Yield all errors below one.
-
-    Parameters
-    ----------
-    cls : type
-        Of the error tree.
-
-    Yields
-    ------
-    type
-        Those that are derived from it.
-    """
-    for child in cls.__subclasses__():
-        yield child
-        yield from tree_of(child)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import httpx
+
 from joulemap.model.errors import BusyError, ConflictError
 from joulemap.model.frames import GridFrame
-from joulemap.service.client.connection import Connection, document_of
+from joulemap.service.client.answers import document_of, stranger
+from joulemap.service.client.connection import Connection
 from joulemap.service.coordinates import PlaceLike
 from joulemap.service.schemas.homeward import ReturnOut
 from joulemap.service.schemas.maps import AtOut, CostmapOut
@@ -121,7 +124,12 @@ class ServedCostMap:
         InputError
             If the map has no CRS, and degrees are wanted.
         """
-        return document_of(self.plan_file(start, goal, format="geojson", coordinates=coordinates, **options))
+        body = {"start": _sent(start), "goal": _sent(goal), **options}
+        answer = self._file("paths", body, "geojson", coordinates)
+        lines = document_of(answer.content)
+        if lines.get("type") != "FeatureCollection":
+            raise stranger(answer, "no GeoJSON")
+        return lines
 
     def plan_file(
         self, start: Point, goal: Point, *, format: str, coordinates: str | None = None, **options: Any
@@ -150,7 +158,7 @@ class ServedCostMap:
             If the map has no CRS and the format needs degrees.
         """
         body = {"start": _sent(start), "goal": _sent(goal), **options}
-        return self._file("paths", body, format, coordinates)
+        return self._file("paths", body, format, coordinates).content
 
     def tour_file(
         self, stops: Sequence[Point], *, format: str, coordinates: str | None = None, **options: Any
@@ -178,11 +186,11 @@ class ServedCostMap:
         InputError
             If the map has no CRS and the format needs degrees.
         """
-        return self._file("tours", {"stops": [_sent(stop) for stop in stops], **options}, format, coordinates)
+        return self._file("tours", {"stops": [_sent(stop) for stop in stops], **options}, format, coordinates).content
 
-    def _file(self, question: str, body: dict[str, Any], format: str, coordinates: str | None) -> bytes:
+    def _file(self, question: str, body: dict[str, Any], format: str, coordinates: str | None) -> httpx.Response:
         query = {"format": format} | ({} if coordinates is None else {"coordinates": coordinates})
-        return self._connection.send("POST", f"{self._place}/{question}", json=body, params=query).content
+        return self._connection.send("POST", f"{self._place}/{question}", json=body, params=query)
 
     def tour(self, stops: Sequence[Point], **options: Any) -> TourOut:
         """Find the round trip of least energy over several stops, home first.

@@ -14,7 +14,8 @@ from joulemap.model.errors import BusyError, ConflictError, RateError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.mapping import MappingLike, read_mapping
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.service.client.connection import Connection, error_of, part_of_path
+from joulemap.service.client.answers import error_of
+from joulemap.service.client.connection import Connection, part_of_path
 from joulemap.service.client.costmap import Progress, ServedCostMap
 from joulemap.service.library.heightmaps import robot_of
 from joulemap.service.models import DEFAULT_MODEL
@@ -28,7 +29,8 @@ RobotLike = Robot | Mapping[str, Any] | str | Path | None
 
 _HEIGHTMAP_ID = re.compile(r"hm-[0-9a-f]+")
 _PAUSE_S = (0.05, 1.0)  # between looks whether a job is over: at first, and at most
-_MARGIN_S = 10.0  # more than the service waits itself
+_ABSENT_S = 60.0
+"""A service that has said nothing of a job for so long is not waited for any more [s]; a restart takes ten."""
 
 
 class Client:
@@ -152,7 +154,7 @@ class Client:
         JoulemapError
             As the service says why it cannot be made.
         BusyError
-            If it takes longer than `timeout_s`.
+            If it takes longer than `timeout_s`; without one, if the service says nothing of it for a minute.
         """
         body = {"heightmap_id": self._ground_id(ground), "model": model, "spacing_m": spacing_m, "headings": headings}
         asked = self._connection.ask(CostmapOut, "POST", "/v1/costmaps", json=body | _robot_values(robot))
@@ -267,7 +269,7 @@ class Client:
         JoulemapError
             As the service says why it cannot be done.
         BusyError
-            If it takes longer than `timeout_s`.
+            If it takes longer than `timeout_s`; without one, if the service says nothing of it for a minute.
         """
         given = [runs] if isinstance(runs, str | RunsOut) else runs
         body: dict[str, Any] = {"runs": [one if isinstance(one, str) else one.id for one in given], **options}
@@ -303,6 +305,7 @@ class Client:
     def _wait(self, job: Job, place: str, progress: Progress | None, timeout_s: float | None) -> Job:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         pause, longest = _PAUSE_S
+        heard = time.monotonic()
         while True:
             if progress is not None:
                 progress(job.progress)
@@ -314,14 +317,18 @@ class Client:
                 return job
             if deadline is not None and time.monotonic() > deadline:
                 raise BusyError(f"{job.id} is {job.status} ({job.progress:.0%}) after {timeout_s:g} s", job_id=job.id)
-            time.sleep(pause)
+            time.sleep(pause if deadline is None else min(pause, max(0.0, deadline - time.monotonic())))
             pause = min(1.3 * pause, longest)
             try:
                 job = self._connection.ask(type(job), "GET", f"{place}/{job.id}")
             except (BusyError, RateError) as error:  # a service that restarts goes on with the job
-                if deadline is None and error.context.get("unreachable"):
-                    raise
-                pause = max(pause, float(error.context.get("retry_after_s", 0.0)))
+                absent_s = time.monotonic() - heard
+                if deadline is None and absent_s > _ABSENT_S:
+                    words = f"the service has said nothing of {job.id} for {absent_s:.0f} s; the job may go on"
+                    raise type(error)(f"{words}: {error.message}", **(error.context | {"job_id": job.id})) from error
+                pause = max(pause, min(float(error.context.get("retry_after_s", 0.0)), _ABSENT_S))
+            else:
+                heard = time.monotonic()
 
 
 def _robot_values(robot: RobotLike) -> dict[str, Any]:

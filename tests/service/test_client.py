@@ -17,10 +17,13 @@ from joulemap.model import errors
 from joulemap.model.errors import InputError
 from joulemap.planner.lattice_io import load_lattice
 from joulemap.service.cli import app
-from joulemap.service.client.connection import error_of, tree_of
+from joulemap.service.client import service as client_of_a_service
+from joulemap.service.client.answers import error_of, tree_of
+from joulemap.service.client.connection import Connection
+from joulemap.service.client.costmap import ServedCostMap
 from joulemap.service.commands.remote import unpack
 from joulemap.service.http.app import create_app
-from joulemap.service.problems import problem_of
+from joulemap.service.problems import exit_code, problem_of
 from joulemap.service.storage.keys import add_key
 from tests.service.conftest import GOAL, IN_HOLE, START, hill, settings_for
 from tests.service.test_calibrations import ROBOT, hills, run_csv
@@ -153,19 +156,124 @@ def test_every_error_comes_back_as_itself(cls: type[errors.JoulemapError]) -> No
 
 
 @pytest.mark.parametrize(
-    ("status", "body", "kind"),
+    ("status", "body", "kind", "code"),
     [
-        (502, b"<html>Bad Gateway</html>", errors.BusyError),
-        (404, b"[]", errors.InputError),
-        (500, b'{"code": "internal_error", "detail": "x"}', errors.JoulemapError),
-        (422, b'{"code": "invalid_request", "detail": "x"}', errors.InputError),
+        (302, b"", errors.InputError, 3),
+        (400, b"", errors.InputError, 3),
+        (401, b"", errors.UnauthorizedError, 9),
+        (403, b"<html>Forbidden</html>", errors.ForbiddenError, 10),
+        (404, b"[]", errors.NotFoundError, 5),
+        (409, b"", errors.ConflictError, 6),
+        (413, b"", errors.TooLargeError, 7),
+        (413, b"<html>Request Entity Too Large</html>", errors.TooLargeError, 7),
+        (422, b'{"code": "invalid_request", "detail": "x"}', errors.InputError, 3),
+        (429, b'{"message": "slow down", "context": []}', errors.RateError, 11),
+        (500, b"", errors.JoulemapError, 1),
+        (500, b'{"code": "internal_error", "detail": "x", "context": {"message": "y"}}', errors.JoulemapError, 1),
+        (502, b"<html>Bad Gateway</html>", errors.BusyError, 8),
+        (503, b"", errors.BusyError, 8),
+        (504, b"", errors.BusyError, 8),
+        (507, b"", errors.StorageFullError, 12),
+        (599, b"", errors.JoulemapError, 1),
     ],
 )
-def test_answers_that_are_no_problem_of_a_service(status: int, body: bytes, kind: type[Exception]) -> None:
-    transport = httpx.MockTransport(lambda _: httpx.Response(status, content=body))
+def test_answers_that_are_no_problem_of_a_service(
+    status: int, body: bytes, kind: type[errors.JoulemapError], code: int
+) -> None:
+    """Those of a proxy: the exit code is the table's for the status."""
+    headers = {"Retry-After": "7", "Location": "https://login.example/sso"}
+    transport = httpx.MockTransport(lambda _: httpx.Response(status, content=body, headers=headers))
     with jm.Client("http://proxy", transport=transport) as client, pytest.raises(kind) as found:
         client.open_costmap("cm-1")
-    assert type(found.value) is kind
+    assert (type(found.value), exit_code(found.value)) == (kind, code)
+    if status == 302:
+        assert "sends requests on to https://login.example/sso" in found.value.message
+    else:
+        assert found.value.context["retry_after_s"] == 7.0
+    if b"code" not in body and status not in (302, 599):
+        assert f"http://proxy/v1/costmaps/cm-1 answered {status}" in found.value.message
+
+
+@pytest.mark.parametrize(
+    ("body", "media", "words"),
+    [
+        (b"<html>log in</html>", "text/html; charset=utf-8", "a web page"),
+        (b"ok", "text/plain", "text/plain and no JSON"),
+        (b"\xff\xfe", "application/json", "no JSON"),
+        (b"[" * 100_000, "application/json", "no JSON"),
+        (b'{"user": "anna"}', "application/json", "id: Field required"),
+        (b"[]", "application/json", "the document: "),
+    ],
+)
+def test_a_success_that_is_no_answer_of_a_service(body: bytes, media: str, words: str) -> None:
+    answer = httpx.Response(200, content=body, headers={"Content-Type": media})
+    with jm.Client("http://proxy", transport=httpx.MockTransport(lambda _: answer)) as client:
+        with pytest.raises(errors.InputError, match="no answer of a joulemap service") as found:
+            client.open_costmap("cm-1")
+        assert words in found.value.message
+
+
+def test_a_web_page_in_place_of_events_or_of_a_file(costmap: Any) -> None:
+    page = httpx.Response(200, content=b"<html>log in</html>", headers={"Content-Type": "text/html"})
+    text = httpx.Response(200, content=b"ok", headers={"Content-Type": "text/plain"})
+    broken = httpx.Response(200, content=b"event: answer\ndata: {\n\n", headers={"Content-Type": "text/event-stream"})
+    for answers, words in ((page, "a web page"), (text, "no events"), (broken, "an event that is no JSON")):
+        connection = Connection("http://proxy", key=None, timeout_s=9.0, transport=transport_of(answers))
+        with pytest.raises(errors.InputError, match=words):
+            ServedCostMap(connection, costmap.about).plan(START, GOAL, progress=lambda _: None)
+    served_map = ServedCostMap(
+        Connection("http://proxy", key=None, timeout_s=9.0, transport=transport_of(page)), costmap.about
+    )
+    with pytest.raises(errors.InputError, match="a web page"):
+        served_map.plan_file(START, GOAL, format="gpx")
+    served_map = ServedCostMap(
+        Connection("http://proxy", key=None, timeout_s=9.0, transport=transport_of(text)), costmap.about
+    )
+    with pytest.raises(errors.InputError, match="no GeoJSON"):
+        served_map.plan_geojson(START, GOAL)
+
+
+def transport_of(answer: httpx.Response) -> httpx.MockTransport:
+    return httpx.MockTransport(lambda _: answer)
+
+
+@pytest.mark.parametrize("url", ["http://[::1", "localhost:8000", "ftp://x", "nonsense", ""])
+def test_an_address_that_is_none_is_said(url: str) -> None:
+    with pytest.raises(errors.InputError, match=r"cannot be asked|is no address"), jm.Client(url) as client:
+        client.open_costmap("cm-1")
+
+
+def test_an_answer_that_cannot_be_decoded_is_no_traceback() -> None:
+    answer = httpx.Response(200, headers={"Content-Encoding": "gzip"}, stream=httpx.ByteStream(b"no gzip"))
+    with jm.Client("http://x", transport=transport_of(answer)) as client, pytest.raises(errors.BusyError):
+        client.open_costmap("cm-1")
+
+
+@pytest.mark.parametrize("status", [429, 502, None])
+def test_a_job_whose_service_stays_away_is_given_up(
+    costmap: Any, monkeypatch: pytest.MonkeyPatch, status: int | None
+) -> None:
+    """Behind a proxy that answers 502, or with no service any more: after a minute, here a quarter of a second."""
+    monkeypatch.setattr(client_of_a_service, "_ABSENT_S", 0.25)
+    waiting = costmap.about.model_copy(update={"status": "running", "progress": 0.5}).model_dump(mode="json")
+    asked = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request.method)
+        if len(asked) == 1:
+            return httpx.Response(202, json=waiting)
+        if status is None:
+            raise httpx.ConnectError("refused")
+        return httpx.Response(status)
+
+    kind = errors.RateError if status == 429 else errors.BusyError
+    with (
+        jm.Client("http://x", transport=httpx.MockTransport(answer)) as client,
+        pytest.raises(kind, match=r"said nothing of cm-[0-9a-f]+ for 0 s; the job may go on") as found,
+    ):
+        client.costmap("hm-5f0c2a9d41be")
+    assert found.value.context["job_id"] == costmap.id
+    assert len(asked) > 3
 
 
 def test_waiting_goes_on_when_the_service_is_busy(costmap: Any) -> None:
