@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from joulemap.service.models import DEFAULT_MODEL
+from joulemap.service.scheduler_address import scheduler_address
 
 Names = Annotated[tuple[str, ...], NoDecode]
 
@@ -121,6 +122,12 @@ class Settings(BaseSettings):
     def _separated_by_commas(cls, value: str | tuple[str, ...]) -> tuple[str, ...]:
         names = value.split(",") if isinstance(value, str) else value
         return tuple(name.strip().lower().rstrip("/") for name in names if name.strip())
+
+    @field_validator("scheduler")
+    @classmethod
+    def _address(cls, value: str | None) -> str | None:
+        """An empty one is none, as compose files pass on what is not set."""
+        return scheduler_address(value) if value is not None and value.strip() else None
 
     @field_validator("data_dir", mode="before")
     @classmethod

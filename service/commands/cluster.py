@@ -5,23 +5,38 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.markup import escape
 
 from joulemap.model.errors import BusyError
 from joulemap.service.commands.arguments import TYPED
+from joulemap.service.scheduler_address import scheduler_address
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from joulemap.service.cost_lattices import Written
 
 _HELP = "Let workers of a Dask scheduler do it, like tcp://HOST:8786. They must find the same files at the same paths."
 
 
-def _run_there(context: typer.Context, address: str | None) -> None:
+def _checked(address: str | None) -> str | None:
+    """The address that was typed. Raises typer.BadParameter where it is none."""
+    try:
+        return None if address is None else scheduler_address(address)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _run_there(context: typer.Context, typed_address: str | None) -> None:
     """Run the whole command on a worker, and end with its exit code."""
+    address = _checked(typed_address)
     if address is None or context.resilient_parsing:
         return
     typed = list(context.meta[TYPED])
@@ -30,25 +45,41 @@ def _run_there(context: typer.Context, address: str | None) -> None:
     raise typer.Exit(_run(address, [str(context.info_name), *typed]))
 
 
-Scheduler = Annotated[str | None, typer.Option("--scheduler", metavar="URL", help=_HELP)]
+Scheduler = Annotated[str | None, typer.Option("--scheduler", metavar="URL", help=_HELP, callback=_checked)]
 """Of a command that sends its parts off by itself."""
 AsOneTask = Annotated[str | None, typer.Option("--scheduler", metavar="URL", help=_HELP, callback=_run_there)]
 """Of a command that runs as a whole on one worker."""
 
 
-def _run(address: str, arguments: list[str]) -> int:
-    from distributed import Client
+@asynccontextmanager
+async def _client_at(address: str) -> AsyncIterator[Client]:
+    """A client of the scheduler, which is said to have no workers. Raises BusyError where none answers."""
+    from joulemap.service.jobs.cluster import connected
 
-    from joulemap.service.jobs.cluster import CONNECT_S
+    async with AsyncExitStack() as stack:
+        try:
+            client = await stack.enter_async_context(connected(address, workers=0))
+        except OSError as error:
+            raise _no_scheduler(address) from error
+        if not await client.nthreads():  # some clusters start workers only when there is work
+            words = f"the scheduler at {address} has no workers: the work waits for one, of `dask worker {address}`"
+            Console(stderr=True, soft_wrap=True).print(f"[bold yellow]warning:[/] {escape(words)}", highlight=False)
+        yield client
+
+
+def _run(address: str, arguments: list[str]) -> int:
     from joulemap.service.work.processes import run_command
 
     topic = f"joulemap-{secrets.token_hex(6)}"
-    try:
-        with Client(address, timeout=CONNECT_S, set_as_default=False) as client:
+
+    async def _there() -> int:
+        async with _client_at(address) as client:
             client.subscribe_topic(topic, lambda event: typer.echo(event[1]))
-            return int(client.submit(run_command, arguments, os.getcwd(), topic, key=topic).result())
-    except OSError as error:
-        raise _no_scheduler(address) from error
+            return int(await client.submit(run_command, arguments, os.getcwd(), topic, key=topic))
+
+    import asyncio  # loads slowly, and most commands need it not
+
+    return asyncio.run(_there())
 
 
 def costmap_there(
@@ -100,7 +131,6 @@ def costmap_there(
     from joulemap.model.frames import GridFrame
     from joulemap.model.robot import Robot
     from joulemap.service.cost_lattices import Written
-    from joulemap.service.jobs.cluster import connected
     from joulemap.service.jobs.costmaps import make
     from joulemap.service.work.tiles import MapOrder
 
@@ -111,7 +141,7 @@ def costmap_there(
         progress(share)
 
     async def _make() -> dict[str, Any]:
-        async with connected(address, workers=0) as client:
+        async with _client_at(address) as client:
             return await make(client, order, key=f"joulemap-{secrets.token_hex(6)}", report=_report)
 
     import asyncio  # loads slowly, and most commands need it not
@@ -121,8 +151,6 @@ def costmap_there(
     order.notes.mkdir(parents=True)
     try:
         found = asyncio.run(_make())
-    except OSError as error:
-        raise _no_scheduler(address) from error
     finally:
         _clear(order)
     west, _, _, north = found["frame"]["bounds"]
@@ -137,4 +165,7 @@ def _clear(order: Any) -> None:
 
 
 def _no_scheduler(address: str) -> BusyError:
-    return BusyError(f"no Dask scheduler answers at {address}: start one with `dask scheduler`", scheduler=address)
+    from joulemap.service.jobs.cluster import CONNECT_S
+
+    words = f"no Dask scheduler answers at {address} within {CONNECT_S:g} s: start one with `dask scheduler`"
+    return BusyError(f"{words}, or name another one", scheduler=address)

@@ -35,10 +35,15 @@ def settings_of(**given: Any) -> Settings:
     try:
         return Settings(**{key: value for key, value in given.items() if value is not None})
     except ValidationError as error:
-        wrong = [f"JOULEMAP_{e['loc'][0]!s}".upper() + f" is {e['input']!r}: {e['msg']}" for e in error.errors()]
-        raise typer.BadParameter("; ".join(wrong)) from error
+        raise typer.BadParameter("; ".join(map(_wrong, error.errors()))) from error
     except SettingsError as error:
         raise typer.BadParameter(f"{error}: it is a list in JSON") from error
+
+
+def _wrong(found: Any) -> str:
+    """One of pydantic's findings in words."""
+    words = str(found["msg"]).removeprefix("Value error, ")
+    return f"JOULEMAP_{found['loc'][0]!s}".upper() + f" is {found['input']!r}: {words}"
 
 
 def writable(settings: Settings) -> Settings:

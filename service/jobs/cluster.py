@@ -5,14 +5,17 @@ Dask takes half a second to load: import this module where it is needed.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import signal
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 import dask
 from distributed import Client, LocalCluster, Security
+
+from joulemap.model.errors import InputError
 
 CONNECT_S = 10.0
 """Longest time until a scheduler answers [s]."""
@@ -46,6 +49,27 @@ def _kill(cluster: LocalCluster) -> None:
                 os.kill(nanny.pid, signal.SIGKILL)
 
 
+def check_certificates(scheduler: str) -> None:
+    """Refuse an address with TLS where Dask's configuration names no certificates.
+
+    Parameters
+    ----------
+    scheduler : str
+        As `scheduler_address` returns it.
+
+    Raises
+    ------
+    InputError
+        If it is so.
+    """
+    if scheduler.startswith(("tls:", "wss:")) and not Security().get_connection_args("client").get("ssl_context"):
+        raise InputError(
+            f"{scheduler} wants certificates: name them with DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
+            "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT and DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY",
+            scheduler=scheduler,
+        )
+
+
 @asynccontextmanager
 async def connected(scheduler: str | None, *, workers: int) -> AsyncIterator[Client]:
     """Connect to a cluster in the loop that runs.
@@ -66,12 +90,19 @@ async def connected(scheduler: str | None, *, workers: int) -> AsyncIterator[Cli
     ------
     OSError
         If no scheduler answers.
+    InputError
+        If it wants TLS, and there are no certificates.
     """
     for name in ("", ".scheduler", ".nanny", ".core", ".client"):
         logging.getLogger(f"distributed{name}").setLevel(logging.WARNING)
     with dask.config.set(_CONFIG):
         if scheduler is not None:
-            async with Client(scheduler, asynchronous=True, timeout=CONNECT_S, set_as_default=False) as client:
+            check_certificates(scheduler)
+            async with AsyncExitStack() as stack:
+                client = Client(scheduler, asynchronous=True, timeout=CONNECT_S, set_as_default=False)
+                stack.push_async_exit(client.__aexit__)
+                async with asyncio.timeout(CONNECT_S):  # Dask's own limit is of each step, and not of all of them
+                    await client
                 yield client
             return
         security = Security.temporary()  # the ports are this process's alone: other users of the machine have no key

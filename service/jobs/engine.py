@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy.exc import OperationalError
 
+from joulemap.model.errors import InputError
 from joulemap.service.jobs import calibrations, costmaps
+from joulemap.service.jobs.attendance import Attendance
 from joulemap.service.problems import problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
@@ -91,18 +93,29 @@ class Jobs:
                     nice = 0 if settings.scheduler else NICE
                     warm = Warm(settings.warm_models, settings.resolved_models_dir.resolve(), nice=nice)
                     await client.register_plugin(warm)
-                    self.trouble = None
                     await self._serve(client)
             except OSError as error:  # a scheduler that restarts comes back
-                self.trouble = f"no Dask scheduler answers at {settings.scheduler or '127.0.0.1'}: {error}"
+                words = str(error) or "nothing within its time"
+                self.trouble = f"no Dask scheduler answers at {settings.scheduler or '127.0.0.1'}: {words}"
                 _LOG.warning("%s", self.trouble)
+            except InputError as error:
+                self.trouble = error.message
+                _LOG.error("%s", self.trouble)
             except Exception:
                 self.trouble = "the workers do not start: see the log"
                 _LOG.exception("%s", self.trouble)
             await self._pause()
 
+    async def _watch(self, client: Client) -> None:
+        """Look for workers again and again, also while the database does not answer."""
+        attendance = Attendance(client, self._settings.scheduler)
+        while True:
+            self.trouble = await attendance.trouble()
+            await asyncio.sleep(_LOOK_S)
+
     async def _serve(self, client: Client) -> None:
         """Send off what is wanted until the service stops. Raises OSError where the scheduler is lost."""
+        watching = asyncio.create_task(self._watch(client))
         making: dict[str, asyncio.Task[None]] = {}
         claims = self._store.claims()
         slots = asyncio.Semaphore(self._settings.calibrations_at_once)
@@ -123,9 +136,9 @@ class Jobs:
                         making[job_id] = asyncio.create_task(self._make(client, job_id, -wanted[job_id], slots))
                 await self._pause()
         finally:
-            for task in making.values():
+            for task in (watching, *making.values()):
                 task.cancel()
-            await asyncio.gather(*making.values(), return_exceptions=True)
+            await asyncio.gather(watching, *making.values(), return_exceptions=True)
             claims.close()
 
     async def _pause(self) -> None:
