@@ -274,5 +274,18 @@ def cut_log(rng: Rng) -> Sent:
     return Sent(f"{kind} cut off", RUNS, content[: int(rng.integers(1, len(content)))])
 
 
+@hostile
+def long_tail(rng: Rng) -> Sent:
+    """A good log, and then 50 MB that are none."""
+    from tests.fuzz import recordings
+
+    kind = str(rng.choice(["tlog", "ulg", "bin"]))
+    how = str(rng.choice(["zeros", "noise", "marks", "specks"]))
+    mark = {"tlog": b"\xfe\0", "ulg": b"\x2f\x73\x13\x20\x25\x0c\xbb\x12", "bin": b"\xa3\x95"}[kind]
+    part = {"zeros": bytes(1_000), "noise": rng.bytes(50_000_000), "marks": mark, "specks": bytes(200) + rng.bytes(3)}
+    tail = part[how] * (50_000_000 // len(part[how]))
+    return Sent(f"{kind} with a tail of {how}", RUNS, recordings.logs(kind)[0] + tail)
+
+
 BOMBS = tuple(make for make in MAKERS if make.__module__ == __name__)
 """Those of this module."""

@@ -69,6 +69,47 @@ def test_of_a_log_that_was_cut_off_the_whole_records_are_kept_with_a_note(kind, 
     np.testing.assert_allclose(cut.drawn(), whole.drawn()[: len(cut)], rtol=1e-9)
 
 
+@pytest.mark.parametrize("fill", [b"\0", b"\xff"])
+@pytest.mark.parametrize("kind", ["tlog", "ulg"])
+def test_room_that_was_taken_and_never_written_ends_a_log_with_a_note(kind, fill, tmp_path):
+    """As of a memory card whose robot lost its power: all that was written is read, within the time of that."""
+    content = WRITERS[kind](tmp_path / f"a.{kind}", files.drive(20.0)).read_bytes()
+    whole = parse_run(content, name="run", crs=files.CRS)
+    began = time.process_time()
+    found = parse_run(content + fill * 50_000_000, name="run", crs=files.CRS)
+    assert time.process_time() - began < 5.0
+    (note,) = found.notes
+    words = "zeros" if fill == b"\0" else "bytes of 255"
+    assert f"was not closed: from byte {len(content):,} to its end at {len(content) + 50_000_000:,} it holds " in note
+    assert f"nothing but {words}. What comes before is kept" in note
+    np.testing.assert_array_equal(found.drawn(), whole.drawn())
+    cut = content[: int(0.6 * len(content))]
+    torn = parse_run(cut + fill * 100_000, name="run", crs=files.CRS)
+    assert 0.4 * len(whole) < len(torn) < 0.8 * len(whole)
+    assert len(torn) - len(parse_run(cut, name="run", crs=files.CRS)) in (0, 1)  # the record that was begun
+
+
+@pytest.mark.parametrize("kind", ["tlog", "ulg"])
+def test_a_few_zeros_at_the_end_take_no_record_away(kind, tmp_path):
+    """The last record may end with zeros itself."""
+    content = WRITERS[kind](tmp_path / f"a.{kind}", files.drive(20.0)).read_bytes()
+    whole = parse_run(content, name="run", crs=files.CRS)
+    for more in (1, 7, 8, 9, 300, 600):
+        np.testing.assert_array_equal(
+            parse_run(content + bytes(more), name="run", crs=files.CRS).drawn(), whole.drawn()
+        )
+
+
+@pytest.mark.parametrize("kind", ["tlog", "ulg"])
+def test_a_long_tail_of_noise_is_refused_soon(kind, tmp_path):
+    content = WRITERS[kind](tmp_path / f"a.{kind}", files.drive(20.0)).read_bytes()
+    for part in (np.random.default_rng(1).bytes(20_000_000), (bytes(200) + b"abc") * 100_000):
+        began = time.process_time()
+        with pytest.raises(RunsError, match=r"run run: the .* is (truncated or )?corrupt (after|at)"):
+            parse_run(content + part, name="run", crs=files.CRS)
+        assert time.process_time() - began < 8.0
+
+
 def test_a_recording_without_its_summary_has_all_its_messages(tmp_path):
     content = files.write_mcap(tmp_path / "a.mcap", files.drive(20.0)).read_bytes()
     run = parse_run(content[:-100], name="run", crs=files.CRS)

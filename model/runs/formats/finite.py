@@ -2,10 +2,72 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, BinaryIO
 
 _MOST_ENDS = 100
 _LOOKS_PER_BYTE, _LOOKS = 5, 10_000
+_BLOCK_BYTES = 1 << 20
+_FILL = {0: "zeros", 255: "bytes of 255"}
+
+
+def fill_at(file: Path) -> int:
+    """Return where a file begins to hold nothing but zeros, or bytes of 255, up to its end.
+
+    Room for a log may be taken before it is written, and stays so where the power is cut.
+
+    Parameters
+    ----------
+    file : Path
+        The log.
+
+    Returns
+    -------
+    int
+        Its length where its last byte is another one [bytes]. Such bytes may also end the last record.
+    """
+    with file.open("rb") as stream:
+        at = stream.seek(0, 2)
+        last = b""
+        while at > 0:
+            begin = max(0, at - _BLOCK_BYTES)
+            stream.seek(begin)
+            block = stream.read(at - begin)
+            last = last or block[-1:]
+            if last[0] not in _FILL:
+                return at
+            kept = len(block.rstrip(last))
+            if kept:
+                return begin + kept
+            at = begin
+    return at
+
+
+def filled(kind: str, file: Path, at: int) -> str:
+    """Return the note of a log that ends in nothing but one byte again and again.
+
+    Parameters
+    ----------
+    kind : str
+        What the file is, in words.
+    file : Path
+        The log.
+    at : int
+        Where that begins [bytes].
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        stream.seek(-1, 2)
+        fill = _FILL[stream.read(1)[0]]
+    return (
+        f"the {kind} was not closed: from byte {at:,} to its end at {size:,} it holds nothing but {fill}. What comes "
+        "before is kept"
+    )
 
 
 class FiniteStream:
@@ -15,11 +77,17 @@ class FiniteStream:
     ----------
     stream : BinaryIO
         The file.
+    end : int, optional
+        Where it ends for the library [bytes]; by default where it ends.
+    most_steps : int, optional
+        How often the library may look for a record one byte further: read a single byte, or go back. By default as
+        often as it wants.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, *, end: int | None = None, most_steps: int | None = None) -> None:
         self._stream: Any = stream
-        self._ended = 0
+        self._ended = self._steps = 0
+        self._end, self._most_steps = end, most_steps
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -41,10 +109,47 @@ class FiniteStream:
         ------
         EOFError
             If the end was reached too often.
+        RuntimeError
+            If too many single bytes were read.
         """
-        data: bytes = self._stream.read(size)
+        if size == 1:
+            self._step()
+        left = size
+        if self._end is not None:
+            left = max(0, self._end - self._stream.tell())
+            left = left if size < 0 else min(size, left)
+        data: bytes = self._stream.read(left)
         self._count(len(data) < size)
         return data
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a place.
+
+        Parameters
+        ----------
+        offset, whence : int
+            As of a file.
+
+        Returns
+        -------
+        int
+            The place [bytes].
+
+        Raises
+        ------
+        RuntimeError
+            If it went back too often.
+        """
+        if whence == 1 and offset < 0:
+            self._step()
+        place: int = self._stream.seek(offset, whence)
+        return place
+
+    def _step(self) -> None:
+        self._steps += 1
+        # an error that no library takes for one of its own, and skips
+        if self._most_steps is not None and self._steps > self._most_steps:
+            raise RuntimeError(f"more than {self._most_steps:,} bytes are no part of a record")
 
     def readinto(self, buffer: Any) -> int:
         """Read into memory.

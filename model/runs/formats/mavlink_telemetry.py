@@ -9,13 +9,17 @@ from pathlib import Path
 from joulemap.model.errors import RunsError
 from joulemap.model.recordings.places import on_disk
 from joulemap.model.runs.formats.contract import Log, mentioned
+from joulemap.model.runs.formats.finite import FiniteStream, fill_at, filled
 from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
 
 _MARKS = (0xFD, 0xFE)  # of MAVLink 2 and 1
 _YEARS_US = (1e15, 4e15)  # 2001 to 2096
+_LONGEST_BYTES = 8 + 280  # of a stamp and a message
 _MOST_UNREADABLE = 1_000  # more than there are messages: the rest is not looked at
+_MOST_STEPS = 1_000_000
+"""Bytes of no message in which the library may look for the next one [bytes]: it takes a second for so many."""
 _KINDS = {
     "SYS_STATUS": ("voltage_battery", "current_battery"),
     "BATTERY_STATUS": ("current_battery",),
@@ -85,7 +89,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
     with on_disk(source, ".tlog") as path, reading("MAVLink telemetry log", source.name, _place):
         try:
-            log = mavutil.mavlink_connection(str(path), dialect="ardupilotmega")
+            begins = fill_at(path)
+            mavutil.set_dialect("ardupilotmega")
+            log = mavutil.mavlogfile(str(path))  # without the index of all messages, which nothing here asks for
+            log.f = FiniteStream(log.f, end=begins + _LONGEST_BYTES, most_steps=_MOST_STEPS)
             while (message := log.recv_msg()) is not None:
                 kind = message.get_type()
                 if kind == "BAD_DATA":
@@ -110,7 +117,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         finally:
             if log is not None:
                 log.close()
-        broken, notes = _about_end(path)
+        broken, notes = _about_end(path, begins)
     if unreadable > whole_messages:
         raise RunsError(
             f"run {source.name}: the MAVLink telemetry log is corrupt from byte {broken:,} on: {unreadable:,} pieces "
@@ -134,9 +141,11 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     return log_of(collector.streams(), wanted, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
 
 
-def _about_end(path: Path) -> tuple[int, list[str]]:
-    """Where the messages end [bytes], and a note where the last one is not whole."""
+def _about_end(path: Path, fill: int) -> tuple[int, list[str]]:
+    """Where the messages end [bytes], and a note where the last one is not whole. fill : see `fill_at`."""
     data = path.read_bytes()
+    if len(data) - fill > _LONGEST_BYTES:
+        return fill, [filled("MAVLink telemetry log", path, fill)]
     at, size = 0, len(data)
     while at < size:
         left = size - at

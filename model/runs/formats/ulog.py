@@ -8,8 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from joulemap.model.errors import RunsError, TooLargeError
+from joulemap.model.recordings.places import on_disk
 from joulemap.model.runs.formats.contract import Log, Stream, mentioned
-from joulemap.model.runs.formats.finite import FiniteStream
+from joulemap.model.runs.formats.finite import FiniteStream, fill_at, filled
 from joulemap.model.runs.formats.messages import cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
@@ -17,6 +18,8 @@ from joulemap.model.source_file import SourceFile
 _MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES, _MESSAGE_HEAD = 16, struct.Struct("<Hc")
 _MESSAGE_KINDS = (b"A", b"B", b"C", b"D", b"F", b"I", b"L", b"M", b"O", b"P", b"Q", b"R", b"S")
+_MOST_STEPS = 1_000_000
+"""Bytes of no message in which the library may look for the next one [bytes]: it takes a second for so many."""
 _KINDS = (
     "battery_status",
     "vehicle_gps_position",
@@ -79,9 +82,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             run=source.name,
         )
     named = {text.split(".")[0].lstrip("+-").split("[")[0] for text in mapping.values()}
-    with reading("ULog", source.name, lambda: "in its messages"), source.open() as stream:
-        log = ULog(FiniteStream(stream), [*_KINDS, *sorted(named - set(_KINDS))])
-        broken, notes = _about_end(source)
+    broken, notes = _about_end(source)
+    with reading("ULog", source.name, lambda: f"at byte {broken:,}"), source.open() as stream:
+        limited = FiniteStream(stream, end=broken if notes else None, most_steps=_MOST_STEPS)
+        log = ULog(limited, [*_KINDS, *sorted(named - set(_KINDS))])
         if log.file_corruption:
             raise RunsError(
                 f"run {source.name}: the ULog is corrupt at byte {broken:,} of {source.size_bytes:,} or before: it was "
@@ -120,7 +124,8 @@ def _about_end(source: SourceFile) -> tuple[int, list[str]]:
             if len(head) == _MESSAGE_HEAD.size:
                 length, kind = _MESSAGE_HEAD.unpack(head)
                 if kind not in _MESSAGE_KINDS:
-                    return at, []
+                    with on_disk(source) as path:
+                        return at, [filled("ULog", path, at)] if fill_at(path) <= at else []
             if len(head) < _MESSAGE_HEAD.size or at + _MESSAGE_HEAD.size + length > size:
                 return at, [cut_off("ULog", at, size)]
             at += _MESSAGE_HEAD.size + length
