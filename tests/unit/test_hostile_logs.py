@@ -70,7 +70,7 @@ def test_of_a_log_that_was_cut_off_the_whole_records_are_kept_with_a_note(kind, 
 
 
 @pytest.mark.parametrize("fill", [b"\0", b"\xff"])
-@pytest.mark.parametrize("kind", ["tlog", "ulg"])
+@pytest.mark.parametrize("kind", ["tlog", "ulg", "bin"])
 def test_room_that_was_taken_and_never_written_ends_a_log_with_a_note(kind, fill, tmp_path):
     """As of a memory card whose robot lost its power: all that was written is read, within the time of that."""
     content = WRITERS[kind](tmp_path / f"a.{kind}", files.drive(20.0)).read_bytes()
@@ -89,7 +89,7 @@ def test_room_that_was_taken_and_never_written_ends_a_log_with_a_note(kind, fill
     assert len(torn) - len(parse_run(cut, name="run", crs=files.CRS)) in (0, 1)  # the record that was begun
 
 
-@pytest.mark.parametrize("kind", ["tlog", "ulg"])
+@pytest.mark.parametrize("kind", ["tlog", "ulg", "bin"])
 def test_a_few_zeros_at_the_end_take_no_record_away(kind, tmp_path):
     """The last record may end with zeros itself."""
     content = WRITERS[kind](tmp_path / f"a.{kind}", files.drive(20.0)).read_bytes()

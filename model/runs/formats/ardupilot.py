@@ -11,7 +11,7 @@ from typing import Any
 from joulemap.model.errors import RunsError
 from joulemap.model.recordings.places import on_disk
 from joulemap.model.runs.formats.contract import Log, mentioned
-from joulemap.model.runs.formats.finite import FiniteMap
+from joulemap.model.runs.formats.finite import FiniteMap, fill_at, filled
 from joulemap.model.runs.formats.messages import Collector, cut_off, log_of, reading
 from joulemap.model.runs.table import TableLimits
 from joulemap.model.source_file import SourceFile
@@ -27,6 +27,7 @@ _KINDS = {
 }
 _INSTANCES = ("Inst", "Instance", "I", "C")
 _MARK, _FORMAT, _FORMAT_BYTES = b"\xa3\x95", 0x80, 89
+_PAGE_BYTES = 528  # of a memory card: the library looks for no marks in so much at the end
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -80,7 +81,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
         def init_arrays_fast(self, progress_callback: Any = None) -> None:
             seen.append(FiniteMap(vars(self)["data_map"]))
-            self.data_map = seen[0]
+            self.data_map, self.data_len = seen[0], end
             self.init_arrays(progress_callback)
 
     collector = Collector(source.name, limits)
@@ -91,6 +92,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         return f"at byte {seen[0].at:,} of {source.size_bytes:,}" if seen else "at its begin"
 
     with on_disk(source) as path, reading("ArduPilot log", source.name, _place):
+        end, notes = _about_end(path)
         try:
             log = _Reader(str(path), zero_time_base=True)
             known = set(log.name_to_id)
@@ -117,7 +119,6 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
         finally:
             if log is not None:
                 log.close()
-        notes = _about_end(path)
     streams = collector.streams()
     power = ("BAT", "CURR")
     wanted_columns = {
@@ -136,20 +137,26 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     return log_of(streams, wanted_columns, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
 
 
-def _about_end(path: Path) -> list[str]:
-    """A note where the last message is not whole. What follows it without a mark fills the page of the memory card."""
+def _about_end(path: Path) -> tuple[int, list[str]]:
+    """Where the log ends for the library [bytes], and a note where the last message is not whole.
+
+    What follows it without a mark fills the page of the memory card; more than that is said.
+    """
     lengths = {_FORMAT: _FORMAT_BYTES}
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        at, size = 0, len(data)
+        at = end = 0
+        size = len(data)
         while (at := data.find(_MARK, at)) >= 0:
             # one byte further where something in between looks like a mark
             length = lengths.get(data[at + 2], 1) if at + 3 <= size else 3
             if at + length > size:
-                return [cut_off("ArduPilot log", at, size)]
+                return size, [cut_off("ArduPilot log", at, size)]
             if data[at + 2] == _FORMAT:
                 lengths[data[at + 3]] = max(data[at + 4], 3)
-            at += length
-    return []
+            at = end = at + length
+    if size - end > _PAGE_BYTES and fill_at(path) <= end:
+        return end, [filled("ArduPilot log", path, end)]
+    return size, []
 
 
 def _names(mapping: Mapping[str, str], kind: str) -> list[str]:
