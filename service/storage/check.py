@@ -21,6 +21,7 @@ from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.stats import heightmap_stats
 from joulemap.service.storage.store import Store
+from joulemap.service.storage.sums import changed
 from joulemap.service.storage.tables import (
     CALIBRATION,
     DONE,
@@ -183,7 +184,8 @@ class Check:
 
     def _files(self, table: Any, row: Any) -> Iterator[Finding]:
         place = self._place(table, row.id)
-        wrong, remedy, repair = None, None, None
+        wrong, remedy = None, None
+        repair: Callable[[], object] | None = None
         try:
             size = self._verify(table, row, place)
         except (JoulemapError, OSError, ValueError) as error:
@@ -193,8 +195,14 @@ class Check:
                 wrong = f"{place.relative_to(self._dir)} is not in the object store"
             elif row.bytes is not None and size < row.bytes:
                 wrong = f"{place.relative_to(self._dir)} has {size} bytes, {row.bytes} were kept"
+            elif unlike := [str(path.relative_to(self._dir)) for path in self._unlike(table, row.id, place)]:
+                more = f" and {len(unlike) - 3} more" if len(unlike) > 3 else ""
+                wrong = f"{', '.join(unlike[:3])}{more}: the content is not what was kept"
         if wrong is not None:
-            if table in (CostmapRow, CalibrationRow):
+            in_store = isinstance(self._store.vault, ObjectVault) and place.exists()
+            if in_store and any(self._unlike(table, row.id, place)):
+                remedy, repair = "delete the copy; the object store has it", partial(_delete, place)
+            elif table in (CostmapRow, CalibrationRow):
                 remedy, repair = "make it again", lambda: self._ask_again(table, row.id)
             yield Finding("damaged" if place.exists() else "missing", row.id, wrong, remedy, repair)
 
@@ -218,6 +226,17 @@ class Check:
             if not model.is_dir() or not any(model.iterdir()):
                 raise FileNotFoundError(f"its model is not in {self._models}")
         return bytes_of(place)
+
+    def _unlike(self, table: Any, row_id: str, place: Path) -> Iterator[Path]:
+        """Files and folders of a row that have another content than was kept."""
+        vault = self._store.vault
+        if isinstance(vault, ObjectVault):
+            parts = vault.parts(str(place.relative_to(self._dir))) or {}
+            yield from changed(place, {name: part.sha256 for name, part in parts.items()})
+            return
+        with self._store.sessions() as session:
+            kept = session.scalar(select(table.sums).where(table.id == row_id))
+        yield from changed(place, kept or {})
 
     def _strangers(self, known: set[str]) -> Iterator[Finding]:
         """Files that belong to no row, and what killed processes left."""
@@ -305,6 +324,7 @@ _ASKED_AGAIN: dict[str, Any] = {
     "summary": None,
     "problem": None,
     "bytes": None,
+    "sums": None,
 }
 
 

@@ -15,7 +15,8 @@ from sqlalchemy.exc import IntegrityError
 from joulemap.model.errors import NotFoundError
 from joulemap.planner.lattice_io import LatticeFolder
 from joulemap.service.storage.kept import Kept, now
-from joulemap.service.storage.object_vault import FETCHED
+from joulemap.service.storage.object_vault import FETCHED, ObjectVault
+from joulemap.service.storage.sums import sums_of
 from joulemap.service.storage.tables import (
     CALIBRATION,
     CANCELLED,
@@ -169,7 +170,9 @@ class KeptJobs(Kept):
     def _end(self, job_id: str, **values: Any) -> bool:
         table = JOBS[kind_of(job_id)]
         place = self._place(job_id)
-        values["bytes"] = self.vault.size(self._key(place), place) if values["status"] == DONE else 0
+        done = values["status"] == DONE
+        values["bytes"] = self.vault.size(self._key(place), place) if done else 0
+        values["sums"] = sums_of(place) if done and not isinstance(self.vault, ObjectVault) else None
         with self._sessions.begin() as session:
             at_work = table.status.in_([QUEUED, RUNNING])
             ended = update(table).where(table.id == job_id, at_work).values(finished_at=now(), **values)

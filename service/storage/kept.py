@@ -24,6 +24,7 @@ from joulemap.service.storage.data_folder import DataFolder
 from joulemap.service.storage.finite import dumps
 from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.sizes import bytes_of
+from joulemap.service.storage.sums import sums_of
 from joulemap.service.storage.tables import (
     CALIBRATION,
     Base,
@@ -240,6 +241,7 @@ class Kept:
         Raises StorageFullError if the owner would keep too much.
         """
         size = bytes_of(begun)
+        row.sums = sums_of(begun)
         with self._sessions() as session:
             self._caller.check_room(session, size)
         begun.rename(place)

@@ -27,11 +27,15 @@ class Kept:
         Size of its files; of a job that is not done, the most that it can take. None where it was not measured.
     used_at : datetime or None
         When it was last used, UTC, to some minutes; None where it was not used since it was added.
+    sums : dict or None
+        Checksums of its files, as `sums_of` returns them; None for what an older version kept, what is not done, and
+        in an object store, whose records have them. Loaded only when a query names it.
     """
 
     owner: Mapped[str | None] = mapped_column(index=True)
     bytes: Mapped[int | None] = mapped_column(BigInteger)
     used_at: Mapped[dt.datetime | None]
+    sums: Mapped[dict[str, str] | None] = mapped_column(JSON(none_as_null=True), deferred=True)
 
 
 class KeyRow(Base):

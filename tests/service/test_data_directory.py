@@ -128,6 +128,17 @@ def spoil(path: Path) -> None:
     path.write_bytes(data)
 
 
+def flip(path: Path) -> None:
+    """Change one bit, as a disk does that grows old: the size stays."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def run_of(kept: dict[str, Any]) -> Path:
+    return next((kept["folder"] / "runs" / kept["runs"]).iterdir())
+
+
 def tif(kept: dict[str, Any]) -> Path:
     return kept["folder"] / "heightmaps" / f"{kept['heightmap']}.tif"
 
@@ -154,7 +165,15 @@ DAMAGES: dict[str, tuple[str, bool, Callable[[dict[str, Any]], object]]] = {
     "report cut": ("damaged", True, lambda kept: cut(kept["folder"] / "calibrations" / CALIBRATION / "report.json")),
     "calibration lost": ("missing", True, lambda kept: shutil.rmtree(kept["folder"] / "calibrations" / CALIBRATION)),
     "model lost": ("damaged", True, lambda kept: shutil.rmtree(kept["folder"] / "models" / CALIBRATION)),
-    "run lost": ("damaged", False, lambda kept: next((kept["folder"] / "runs" / kept["runs"]).iterdir()).unlink()),
+    "run lost": ("damaged", False, lambda kept: run_of(kept).unlink()),
+    "bit of a run": ("damaged", False, lambda kept: flip(run_of(kept))),
+    "bit of a heightmap": ("damaged", False, lambda kept: flip(tif(kept))),
+    "bit of a chunk": ("damaged", True, lambda kept: flip(chunk_of(kept))),
+    "digit of a run": (
+        "damaged",
+        False,
+        lambda kept: run_of(kept).write_bytes(run_of(kept).read_bytes().replace(b"1", b"2", 1)),
+    ),
     "stats no JSON": ("unreadable", True, sql("update heightmaps set stats = '{\"rows\": '")),
     "stats without rows": ("unreadable", True, sql("update heightmaps set stats = '{}'")),
     "stats null": ("unreadable", True, sql("update heightmaps set stats = 'null'")),
@@ -213,6 +232,23 @@ REMOVED_ROWS = {
     "runs": ("runs no JSON",),
     "calibrations": ("calibration without runs",),
 }
+
+
+def test_a_changed_bit_is_said_with_its_place_and_what_an_older_version_kept_is_not_compared(
+    copied: dict[str, Any],
+) -> None:
+    flip(run_of(copied))
+    flip(chunk_of(copied))
+    _, found = joulemap("check", "--data-dir", copied["folder"])
+    said = {one["what"]: one["words"] for one in found["findings"]}
+    run = f"runs/{copied['runs']}/{run_of(copied).name}"
+    assert said[copied["runs"]] == f"{run}: the content is not what was kept"
+    assert said[copied["costmap"]].startswith(f"costmaps/{copied['costmap']}.zarr")
+    assert "traction_per_m" in said[copied["costmap"]]
+    sql("update runs set sums = null")(copied)
+    assert copied["runs"] not in {
+        one["what"] for one in joulemap("check", "--data-dir", copied["folder"])[1]["findings"]
+    }
 
 
 def test_a_damaged_cost_map_is_made_again_the_same(copied: dict[str, Any]) -> None:
@@ -523,6 +559,12 @@ def test_a_copy_is_restored_into_an_object_store(
     assert joulemap("check", "--data-dir", folder) == (0, {"findings": [], "left": 0})
     lattice = Path("costmaps") / f"{kept['costmap']}.zarr"
     assert fingerprint(folder / lattice) == fingerprint(kept["folder"] / lattice)
+    flip(folder / "runs" / kept["runs"] / run_of(kept).name)  # of a copy, which is fetched again
+    flip(chunk_of({**kept, "folder": folder}))
+    code, found = joulemap("check", "--repair", "--data-dir", folder)
+    assert (code, {one["what"] for one in found["findings"]}) == (0, {kept["runs"], kept["costmap"]})
+    assert joulemap("check", "--data-dir", folder) == (0, {"findings": [], "left": 0})
+    assert files_of(folder).items() <= files_of(kept["folder"]).items()
     shutil.rmtree(folder / "heightmaps")
     assert joulemap("backup", tmp_path / "again", "--data-dir", folder)[0] == 0
     assert (tmp_path / "again" / "heightmaps" / f"{kept['heightmap']}.tif").read_bytes() == (

@@ -1,0 +1,56 @@
+"""Checksums of what is kept, by which damage is seen that changes no size."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+
+def sums_of(place: Path) -> dict[str, str]:
+    """Return the checksums of a file, or of a folder part by part.
+
+    Parameters
+    ----------
+    place : Path
+        Of what is kept.
+
+    Returns
+    -------
+    dict of str to str
+        SHA-256 by the name of each file or folder within it; of a folder, of the names and contents of all its files.
+        A file itself has the name "".
+    """
+    parts = sorted(place.iterdir()) if place.is_dir() else [place]
+    return {"" if part == place else part.name: _sum_of(part) for part in parts}
+
+
+def changed(place: Path, kept: Mapping[str, str]) -> Iterator[Path]:
+    """Yield the parts that are not what was kept.
+
+    Parameters
+    ----------
+    place : Path
+        As in `sums_of`.
+    kept : mapping of str to str
+        As `sums_of` returned it.
+
+    Yields
+    ------
+    Path
+        A file or folder that has another content, or is not there.
+    """
+    for name, kept_sum in kept.items():
+        part = place / name if name else place
+        if not part.exists() or _sum_of(part) != kept_sum:
+            yield part
+
+
+def _sum_of(part: Path) -> str:
+    if not part.is_dir():
+        with part.open("rb") as content:
+            return hashlib.file_digest(content, "sha256").hexdigest()
+    whole = hashlib.sha256()
+    for file in sorted(path for path in part.rglob("*") if path.is_file()):
+        whole.update(f"{file.relative_to(part).as_posix()}\0{_sum_of(file)}\n".encode())
+    return whole.hexdigest()
