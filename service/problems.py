@@ -194,6 +194,17 @@ def problem_of(error: BaseException, request_id: str | None = None) -> dict[str,
     return problem(row.status, error.code, row.title, error.message, request_id, error.context)
 
 
+def no_database() -> BusyError:
+    """Return the error of a request for which the database does not answer.
+
+    Returns
+    -------
+    BusyError
+        To be raised.
+    """
+    return BusyError("the database does not answer", retry_after_s=_RETRY_S)
+
+
 def from_outside(error: BaseException) -> JoulemapError | None:
     """Return what is neither the caller's fault nor ours: a full disk, a database that does not answer.
 
@@ -215,7 +226,7 @@ def from_outside(error: BaseException) -> JoulemapError | None:
     if isinstance(error, OperationalError):
         if "disk is full" in str(error.orig):
             return StorageFullError("the disk of the database is full: nothing more can be kept")
-        return BusyError("the database does not answer", retry_after_s=_RETRY_S)
+        return no_database()
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         return StorageFullError("the disk is full: nothing more can be kept")
     if isinstance(error, OSError) and error.errno == errno.EHOSTUNREACH:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import unquote
@@ -12,13 +13,14 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.scheduler_address import scheduler_address
 
+_DATABASES = {("sqlite", "pysqlite"), ("postgresql", "psycopg")}
 Names = Annotated[tuple[str, ...], NoDecode]
 
 
 class Settings(BaseSettings):
     """Settings of a service; a field that is not given is read from ``JOULEMAP_<FIELD>``."""
 
-    model_config = SettingsConfigDict(env_prefix="JOULEMAP_", extra="ignore")
+    model_config = SettingsConfigDict(env_prefix="JOULEMAP_", extra="ignore", allow_inf_nan=False)
 
     data_dir: Path = Field(
         default=Path("data"), description="folder of everything that is kept: a path or a file:// URL"
@@ -76,7 +78,10 @@ class Settings(BaseSettings):
         "default: worker processes of the service's own",
     )
     workers: int = Field(
-        default=2, ge=0, description="worker processes of the service's own; 0: jobs are left to other services"
+        default=2,
+        ge=0,
+        le=1000,
+        description="worker processes of the service's own; 0: jobs are left to other services",
     )
     calibrations_at_once: int = Field(default=1, gt=0, description="calibrations of this service that run at a time")
     plan_threads: int | None = Field(
@@ -128,6 +133,28 @@ class Settings(BaseSettings):
     def _address(cls, value: str | None) -> str | None:
         """An empty one is none, as compose files pass on what is not set."""
         return scheduler_address(value) if value is not None and value.strip() else None
+
+    @field_validator("database_url")
+    @classmethod
+    def _known_database(cls, value: str | None) -> str | None:
+        """An empty one is none. Its parts are looked at, and nothing is asked of it."""
+        if value is None or not value.strip():
+            return None
+        from sqlalchemy.engine import make_url  # loads slowly
+        from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+
+        try:
+            url = make_url(value.strip())
+            known = (url.get_backend_name(), url.get_driver_name()) in _DATABASES
+        except (ArgumentError, NoSuchModuleError, ValueError):
+            known = False
+        if not known:
+            raise ValueError(
+                "write `postgresql+psycopg://USER:PASSWORD@HOST:5432/NAME` for a PostgreSQL, or `sqlite:////FOLDER/FILE`"
+            )
+        if url.get_backend_name() == "postgresql" and find_spec("psycopg") is None:
+            raise ValueError("a PostgreSQL needs psycopg: pip install 'joulemap[cluster]'")
+        return value.strip()
 
     @field_validator("data_dir", mode="before")
     @classmethod

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from joulemap.service.settings import Settings
     from joulemap.service.storage.store import Store
 
+_PASSWORD = re.compile(r"(://[^:@/]*:)[^@]*@")
 DataDir = Annotated[
     Path | None,
     typer.Option(
@@ -43,7 +45,8 @@ def settings_of(**given: Any) -> Settings:
 def _wrong(found: Any) -> str:
     """One of pydantic's findings in words."""
     words = str(found["msg"]).removeprefix("Value error, ")
-    return f"JOULEMAP_{found['loc'][0]!s}".upper() + f" is {found['input']!r}: {words}"
+    given = _PASSWORD.sub(r"\1***@", repr(found["input"]))
+    return f"JOULEMAP_{found['loc'][0]!s}".upper() + f" is {given}: {words}"
 
 
 def writable(settings: Settings) -> Settings:
@@ -74,6 +77,7 @@ def opened_store(settings: Settings, *, alone: bool = False) -> Iterator[Store]:
         store.open(as_service=alone, alone=alone)
         yield store
     except DatabaseError as error:
-        raise InputError(f"the database cannot be used: {' '.join(str(error.orig).split())}") from error
+        where = _PASSWORD.sub(r"\1***@", settings.resolved_database_url)
+        raise InputError(f"the database {where} cannot be used: {' '.join(str(error.orig).split())}") from error
     finally:
         store.close()

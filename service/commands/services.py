@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from joulemap.service.commands.console import JsonFile, Output, parse_point, progress_bar, write_file
-from joulemap.service.commands.data_folder import settings_of, writable
+from joulemap.service.commands.data_folder import opened_store, settings_of, writable
 from joulemap.service.commands.options import Reading, reads_heightmap, there
 
 _SWITCH_S = 0.001
@@ -45,6 +45,8 @@ def serve(
     from joulemap.service.http.logs import log_config
 
     settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
+    with opened_store(settings):  # what is wrong with the database is said here, and not by the server
+        pass
     sys.setswitchinterval(_SWITCH_S)
     app = create_app(settings)
     connections = Connections(most_connections(settings.max_connections), on_stop=app.state.service.job_events.end)

@@ -12,11 +12,11 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from joulemap.model.errors import BusyError, ForbiddenError, JoulemapError, UnauthorizedError
+from joulemap.model.errors import ForbiddenError, JoulemapError, UnauthorizedError
 from joulemap.service.http.access_origin import HEALTH_PATHS
 from joulemap.service.http.access_rate import Buckets
 from joulemap.service.http.problem_answers import response
-from joulemap.service.problems import problem_of
+from joulemap.service.problems import no_database, problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.keys import all_keys, fits, prefix_of
 from joulemap.service.storage.owners import NOBODY, Caller
@@ -49,7 +49,7 @@ class Keys:
     def __init__(self, store: Store, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         self._store, self._settings, self._clock = store, settings, clock
         self._rows: dict[str, KeyRow] = {}
-        self._read_at = -float("inf")
+        self._read_at = self._failed_at = -float("inf")
         self._thread = anyio.CapacityLimiter(1)  # of its own: a look waits for no upload and no plan
         self._lock = anyio.Lock()
 
@@ -92,13 +92,17 @@ class Keys:
     async def _read(self, known_s: float) -> None:
         if self._clock() - self._read_at < known_s:
             return
+        asked_at = self._clock()
         async with self._lock:
             if self._clock() - self._read_at < known_s:
                 return
+            if self._failed_at > asked_at:  # for another request meanwhile: each would wait as long, one after another
+                raise no_database()
             try:
                 rows = await anyio.to_thread.run_sync(all_keys, self._store.sessions, limiter=self._thread)
             except SQLAlchemyError as error:
-                raise BusyError("the database does not answer", retry_after_s=5) from error
+                self._failed_at = self._clock()
+                raise no_database() from error
             self._rows = {row.prefix: row for row in rows}
             self._read_at = self._clock()
 
@@ -115,7 +119,7 @@ class Keys:
 
 
 class KeyCheck:
-    """Puts the caller into the request's state; answers 401, 403 or 429 where it may not ask.
+    """Puts the caller into the request's state; answers 401, 403 or 429 where it may not ask, 503 without a database.
 
     Parameters
     ----------
@@ -123,11 +127,13 @@ class KeyCheck:
         Answers what is not refused.
     keys : Keys
         Those of the service.
+    away : callable, optional
+        Whether the database is known not to answer: then nothing waits for it.
     """
 
-    def __init__(self, app: ASGIApp, *, keys: Keys) -> None:
+    def __init__(self, app: ASGIApp, *, keys: Keys, away: Callable[[], bool] = lambda: False) -> None:
         self._app = app
-        self._keys = keys
+        self._keys, self._away = keys, away
         self._buckets = Buckets()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -139,6 +145,8 @@ class KeyCheck:
         path = scope["path"]
         if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDERS):
             try:
+                if self._away():
+                    raise no_database()
                 caller = await self._keys.caller(Headers(scope=scope))
                 if caller.name is not None and caller.requests_per_s is not None:
                     self._buckets.take(caller.name, caller.requests_per_s)

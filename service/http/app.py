@@ -101,7 +101,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     problem_answers.install(app)
     documents.install(app)
     # The middleware that is added last sees a request first.
-    app.add_middleware(KeyCheck, keys=Keys(service.store, settings))
+    app.add_middleware(KeyCheck, keys=Keys(service.store, settings), away=service.database_is_away)
     app.add_middleware(
         CORSMiddleware,
         allow_origins=settings.cors_origins,

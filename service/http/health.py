@@ -15,7 +15,7 @@ from joulemap.model.errors import JoulemapError
 Look = Callable[[], object]
 """Returns where all is well; raises a JoulemapError or an OSError, whose words say what is wrong, where it is not."""
 
-OK = "ok"
+OK, NOT_YET = "ok", "not looked at yet"
 EVERY_S = 2.0
 _AGAIN_S = 0.3  # after a look that found something wrong, as at the start
 PATIENCE_S = 5.0
@@ -76,7 +76,7 @@ class _Repeated:
 
     def __init__(self, look: Look, every_s: float, clock: Callable[[], float], over: threading.Event) -> None:
         self._look, self._every_s, self._clock, self._over = look, every_s, clock, over
-        self._found = "not looked at yet"
+        self._found = NOT_YET
         self._at = clock()
 
     def repeat(self) -> None:

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import BusyError, JoulemapError
 from joulemap.planner.plan import RoutePlanner
-from joulemap.service.http.health import OK, Health
+from joulemap.service.http.health import NOT_YET, OK, Health
 from joulemap.service.http.job_events import JobEvents, look_into
 from joulemap.service.http.kernels import Kernels
 from joulemap.service.http.made import Made
@@ -164,6 +164,17 @@ class Service(SentFiles, Made):
         if wrong:
             raise BusyError(f"not ready: {'; '.join(wrong)}", failed=False, checks=checks, retry_after_s=5)
         return seconds
+
+    def database_is_away(self) -> bool:
+        """Return whether the latest look at a database that other programs serve found none, without looking again.
+
+        Returns
+        -------
+        bool
+            False for SQLite, which is a file and answers or fails at once.
+        """
+        served = not self.settings.resolved_database_url.startswith("sqlite")
+        return served and self.health.results()["database"] not in (OK, NOT_YET)
 
     def _check_workers(self) -> None:
         """Raise BusyError where nobody can do jobs."""

@@ -42,7 +42,6 @@ Row = TypeVar("Row", bound=Base)
 _LOG = logging.getLogger("joulemap.service")
 
 _TABLES_LOCK = 6_201_531  # any number that nothing else in the database locks
-_PATIENCE = {"connect_timeout": 5, "tcp_user_timeout": 15_000}  # [s, ms] with a PostgreSQL; libpq's are minutes
 
 
 class Kept:
@@ -104,8 +103,7 @@ class Kept:
         self._folder.make()
         if as_service:
             self._folder.use(alone=alone)
-        patience = _PATIENCE if self._url.startswith("postgresql") else {}
-        self._engine = create_engine(self._url, pool_pre_ping=True, json_serializer=dumps, connect_args=patience)
+        self._engine = _engine_of(self._url)
         if self._engine.dialect.name == "sqlite":
             event.listen(self._engine, "connect", _set_up_sqlite)
         with self._engine.begin() as connection:
@@ -301,6 +299,17 @@ def now() -> dt.datetime:
         UTC, without a zone.
     """
     return dt.datetime.now(dt.UTC).replace(tzinfo=None)
+
+
+def _engine_of(url: str) -> Engine:
+    """The engine of a database; that of a PostgreSQL gives up a server that does not answer."""
+    if not url.startswith("postgresql"):
+        return create_engine(url, pool_pre_ping=True, json_serializer=dumps)
+    from joulemap.service.storage.postgres import PATIENCE, POOL_S, limit  # with a library that is an extra
+
+    engine = create_engine(url, pool_pre_ping=True, pool_timeout=POOL_S, json_serializer=dumps, connect_args=PATIENCE)
+    limit(engine)
+    return engine
 
 
 def _set_up_sqlite(connection: Any, _record: Any) -> None:

@@ -7,10 +7,12 @@ import os
 import re
 import signal
 import socket
+import struct
 import subprocess
 import sys
+import threading
 import time
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -288,6 +290,57 @@ def test_a_job_is_claimed_once_and_given_back_by_a_process_that_ends(tmp_path: P
         wait_until(lambda: claims.keep(["cm-02", "cm-03"]) == {"cm-02", "cm-03"})
         assert claims.keep([]) == set()
         claims.close()
+
+
+@needs_postgres
+@pytest.mark.slow
+def test_a_database_that_hangs_is_told_within_its_time_and_then_at_once(tmp_path: Path) -> None:
+    """All its processes are stopped: their connections stay open, and their system acknowledges what is sent."""
+    with ExitStack() as stack:
+        server = stack.enter_context(postgres_server(free_port()))
+        _, http = stack.enter_context(serving(tmp_path, JOULEMAP_DATABASE_URL=server.url, JOULEMAP_WORKERS="0"))
+        wait_until(lambda: http.get("/readyz").status_code == 200)
+        with server.frozen():
+            began = time.monotonic()
+            refused = http.get("/v1/costmaps", timeout=60.0)
+            assert (refused.status_code, time.monotonic() - began < 20.0) == (503, True), refused.text
+            assert (refused.json()["code"], refused.headers["retry-after"]) == ("busy", "5")
+            wait_until(lambda: "database" in http.get("/readyz").json().get("detail", ""))
+            for path in ("/v1/costmaps", "/v1/runs", "/v1/heightmaps/hm-000000000000", "/metrics"):
+                began = time.monotonic()
+                assert (http.get(path).status_code, time.monotonic() - began < 1.0) == (503, True), path
+            assert http.get("/healthz").status_code == 200
+        wait_until(lambda: http.get("/v1/costmaps").status_code == 200, timeout_s=20.0)
+        wait_until(lambda: http.get("/readyz").status_code == 200, timeout_s=20.0)
+
+
+def deaf_postgres(server: socket.socket) -> None:
+    """Let everybody in who connects, as PostgreSQL's protocol has it, and answer nothing that is asked then."""
+    held = []
+    with suppress(OSError):  # the test ends
+        while True:
+            client, _ = server.accept()
+            held.append(client)
+            while True:
+                (size,) = struct.unpack(">i", client.recv(4))
+                (code,) = struct.unpack(">i", client.recv(size - 4)[:4])
+                if code == 3 << 16:  # the version of the protocol; what comes before asks for encryption
+                    break
+                client.sendall(b"N")
+            client.sendall(b"R" + struct.pack(">ii", 8, 0) + b"Z" + struct.pack(">i", 5) + b"I")
+
+
+def test_a_question_to_a_database_that_hangs_has_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("psycopg")
+    monkeypatch.setattr("joulemap.service.storage.postgres.ANSWER_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        threading.Thread(target=deaf_postgres, args=(deaf,), daemon=True).start()
+        store = Store(tmp_path, f"postgresql+psycopg://a:b@127.0.0.1:{deaf.getsockname()[1]}/c")
+        began = time.monotonic()
+        with pytest.raises(OperationalError, match=r"nothing within 0\.5 s"):
+            store.open()
+        assert time.monotonic() - began < 5.0
+        store.close()
 
 
 def test_a_database_that_accepts_and_never_answers_is_given_up(tmp_path: Path) -> None:
