@@ -1,6 +1,6 @@
 """Any-angle improvement of a path: never dearer, never over blocked ground, priced by the one integrator.
 
-Three steps from coarse to fine. *Shortcuts* keep, out of all vertices, the chain of straight legs that costs least
+Steps from coarse to fine. *Shortcuts* keep, out of all vertices, the chain of straight legs that costs least
 (dynamic programming, so zigzags stay where they pay). *Bending* shifts long stretches by many cells, all at once by the
 combination of shifts that costs least (`deform`). *Settling* moves every vertex to the least energy nearby by Newton's
 method (`settle`); where turning costs or limits are near, vertices are bent there too, by small shares of a cell.
@@ -57,14 +57,14 @@ def refine_path(lattice: CostLattice, points: Points, *, stages: tuple[Stage, ..
     points : ndarray of float, (n, 2)
         (row, col) polyline.
     stages : tuple of callable, optional
-        The first of `STAGES`, where less is enough; all of them by default.
+        The first of `STAGES`, where less is enough; those of `path_stages` by default.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline whose legs may all be driven; `points` where nothing is gained.
     """
-    for stage in STAGES if stages is None else stages:
+    for stage in path_stages(points) if stages is None else stages:
         points = stage(lattice, points)
     return points
 
@@ -154,19 +154,64 @@ def refine_last(lattice: CostLattice, points: Points) -> Points:
     """
     if _fixed(lattice, points):
         return points
-    points = shortcuts(lattice, _settled(lattice, subdivided(shortcuts(lattice, points), 1.0), LAST_PROBES))
-    if _length(points) <= BENT_CELLS:
-        points = shortcuts(lattice, _bent(lattice, subdivided(points, 1.0), LAST_STEPS, _BOTH))
-    return points
+    return shortcuts(lattice, _settled(lattice, subdivided(shortcuts(lattice, points), 1.0), LAST_PROBES))
+
+
+def refine_bent(lattice: CostLattice, points: Points) -> Points:
+    """Return what shifts of vertices a cell apart make of a path, to the sides and along it.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy.
+    """
+    if _fixed(lattice, points):
+        return points
+    return shortcuts(lattice, _bent(lattice, subdivided(points, 1.0), LAST_STEPS, _BOTH))
+
+
+def path_stages(points: Points) -> tuple[Stage, ...]:
+    """Return the stages that are worth their time for a path.
+
+    Parameters
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    tuple of callable
+        All of `STAGES`, without the last one where the path is longer than `BENT_CELLS`.
+    """
+    return STAGES if path_length(points) <= BENT_CELLS else STAGES[:-1]
+
+
+def path_length(points: Points) -> float:
+    """Return the length of a polyline.
+
+    Parameters
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    float
+        Length [cells].
+    """
+    return float(np.hypot(*np.diff(points, axis=0).T).sum())
 
 
 def _fixed(lattice: CostLattice, points: Points) -> bool:
     """Whether there is nothing to be moved."""
     return len(points) < 3 or math.isnan(path_price(lattice, points))
-
-
-def _length(points: Points) -> float:
-    return float(np.hypot(*np.diff(points, axis=0).T).sum())
 
 
 def _settled(lattice: CostLattice, points: Points, probes: tuple[float, ...]) -> Points:
@@ -250,7 +295,7 @@ def shortcuts(lattice: CostLattice, points: Points) -> Points:
     return _shortened(*price_arrays(lattice), lattice.robot.turn_j_per_rad, points, SPAN, never_pays)
 
 
-STAGES = (shortcuts, refine_coarsely, refine_finely, refine_last)
+STAGES = (shortcuts, refine_coarsely, refine_finely, refine_last, refine_bent)
 """The stages of `refine_path`: each costs more time than the one before, and gains less."""
 
 
