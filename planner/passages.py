@@ -96,27 +96,38 @@ def mark_around(taken, way, cols, half_side):
         Half the side of a square [cells].
     """
     rows = taken.shape[0]
-    for cell in way:
-        i, j = cell // cols, cell % cols
+    k = 0
+    while k < way.size:
+        first = way[k]
+        while k + 1 < way.size and way[k + 1] == way[k] + 1 and way[k + 1] % cols > 0:
+            k += 1  # cells side by side are marked together
+        i, j, end = first // cols, first % cols, way[k] % cols + 1
         taken[
-            max(i - half_side, 0) : min(i + half_side + 1, rows), max(j - half_side, 0) : min(j + half_side + 1, cols)
+            max(i - half_side, 0) : min(i + half_side + 1, rows), max(j - half_side, 0) : min(end + half_side, cols)
         ] = True
+        k += 1
 
 
 @njit(cache=True, nogil=True)
 def _closed(energy, offsets, cells):
     """Those of some flat cells of which a move is closed that does not leave the map."""
-    rows, cols, _ = energy.shape
+    rows, cols, moves = energy.shape
+    reach = np.abs(offsets).max()
     out = np.empty(cells.size, dtype=np.int64)
     count = 0
     for cell in cells:
         i, j = cell // cols, cell % cols
-        for n in range(offsets.shape[0]):
-            r, c = i + offsets[n, 0], j + offsets[n, 1]
-            if 0 <= r < rows and 0 <= c < cols and math.isnan(energy[i, j, n]):
-                out[count] = cell
-                count += 1
-                break
+        closed = 0
+        if reach <= i < rows - reach and reach <= j < cols - reach:
+            for n in range(moves):  # without a branch, so that the compiler uses vectors
+                closed += math.isnan(energy[i, j, n])
+        else:
+            for n in range(moves):
+                inside = 0 <= i + offsets[n, 0] < rows and 0 <= j + offsets[n, 1] < cols
+                closed += inside and math.isnan(energy[i, j, n])
+        if closed > 0:
+            out[count] = cell
+            count += 1
     return out[:count]
 
 
