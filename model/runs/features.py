@@ -605,8 +605,8 @@ def planned_features(
 
 
 def _with_stationary(rows: Features, run: NDArray[np.int64], seconds: FloatArray) -> Features:
-    """With stationary intervals after the segments. They take time and have no path and no ground; further columns have
-    the mean of their run.
+    """With stationary intervals after the segments. They take time and have no path and no ground; times and further
+    columns have the mean of their run.
     """
 
     def longer(values: FloatArray) -> FloatArray:
@@ -621,6 +621,9 @@ def _with_stationary(rows: Features, run: NDArray[np.int64], seconds: FloatArray
     changed: dict[str, Any] = {name: longer(getattr(rows, name)) for name in row_arrays()}
     changed["run"] = np.concatenate([rows.run, run])
     changed["duration_s"] = np.concatenate([rows.duration_s, seconds])
+    for name in ("since_s", "driven_m", "clock_s"):
+        values = getattr(rows, name)
+        changed[name] = np.concatenate([values, means(values)[run]])
     changed["columns"] = {key: np.concatenate([v, means(v)[run]]) for key, v in rows.columns.items()}
     changed["words"] = {key: np.concatenate([v, np.full(run.size, "")]) for key, v in rows.words.items()}
     return replace(rows, **changed)

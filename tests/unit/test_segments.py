@@ -78,6 +78,9 @@ def test_a_stand_counts_beside_segments_of_its_run_only():
         drive, measured = describe_segments(some, ground, Robot(), np.full(len(some), 30.0))
         assert set(drive.run[drive.standing]) == runs_left
         assert (drive.columns["temperature"] == 12.0).all()
+        last = np.flatnonzero(drive.standing)[0]  # of the first run
+        for values in (drive.since_s, drive.clock_s, drive.driven_m):
+            assert values[last] == pytest.approx(values[~drive.standing & (drive.run == 0)].mean())
         np.testing.assert_allclose(measured[drive.standing] / drive.duration_s[drive.standing], 14.0, rtol=0.02)
 
 
