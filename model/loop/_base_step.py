@@ -84,7 +84,7 @@ def base_step(residuals: Residuals, new: NDArray[np.bool_]) -> tuple[Residuals, 
     plain, moved, fitted = residuals.driven_by(Drives()), residuals.driven_by(drives), known.driven_by(drives)
     base = BaseParameters.of(charge=fitted.charge, motors=fitted.motors)
     term, scale = _alone(fitted, base), _alone(plain, BaseParameters(SCALE)) if plain.charge else None
-    moved = replace(moved, features=with_base_parameters(moved.features, base, np.asarray(term.coefficients)))
+    moved = replace(moved, features=with_base_parameters(moved.features, base, term.coefficients))
     return moved, term, scale
 
 

@@ -118,16 +118,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Collectio
             columns = form.columns(rows)
             covered = np.flatnonzero(coverage(columns))
             _add(form, columns * new[:, None], columns, covered)
-    return Design(
-        residuals,
-        new,
-        np.concatenate(blocks, axis=1),
-        np.concatenate(low),
-        np.concatenate(high),
-        base,
-        tuple(candidates),
-        level_of=np.asarray(first.coefficients),
-    )
+    ends, level_of = (np.concatenate(low), np.concatenate(high)), np.asarray(first.coefficients)
+    return Design(residuals, new, np.concatenate(blocks, axis=1), *ends, base, tuple(candidates), level_of=level_of)
 
 
 def _coverage(

@@ -1,14 +1,7 @@
 """Which effects the runs show: forward selection by left-out runs, each candidate with a p-value of its own.
 
-At every step each candidate is tested beside what is chosen already, inside runs and between them. Of those that are
-significant, and whose gain on left-out runs exceeds its standard error, the simplest is taken whose gain is within one
-standard error of the largest: first among forms with a name, then among those without, which are asked what remains.
-An interaction is tested together with its main effects and brings them along. At the end whatever is no longer
-significant beside the others is dropped.
-
-References
-----------
-Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (forward stepwise selection) and 7.10 (one-standard-error rule).
+Steps 4 to 8 and 10 of docs/explanation/calibration.md, and Hastie, Tibshirani & Friedman 2009, sections 3.3.2 (forward
+stepwise selection) and 7.10 (one-standard-error rule).
 """
 
 from __future__ import annotations
@@ -23,8 +16,8 @@ from numpy.typing import NDArray
 
 from joulemap.model.loop._design import Candidate, Design, fit_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
-from joulemap.model.loop.forms import UNNAMED, Form
-from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters
+from joulemap.model.loop.forms import UNNAMED
+from joulemap.model.loop.forms._base_parameters import BaseParameters, energy_per_tan, with_base_parameters
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
@@ -54,6 +47,7 @@ class Selection:
     """What was chosen."""
 
     chosen: tuple[Candidate, ...]  # in the order in which they were taken
+    named: tuple[Candidate, ...]  # before those without a name were asked
     verdicts: tuple[Verdict, ...]  # of each chosen one beside the others
     design: Design
     alone: list[Verdict]  # of every candidate beside the base parameters
@@ -69,14 +63,13 @@ class Selection:
         return out
 
     def estimate(
-        self, keep: Callable[[Form], bool] = lambda form: True, without: tuple[str, ...] = ()
+        self, kept: Sequence[Candidate], without: tuple[str, ...] = ()
     ) -> tuple[Estimate, IntArray, tuple[Term, ...]]:
-        """Fit the base parameters and the chosen effects together, those that `keep` says: their coefficients, the
-        columns to which these belong, (q,), and the terms as new runs have them.
+        """Fit the base parameters and some effects together: their coefficients, the columns to which these belong,
+        (q,), and the terms as new runs have them.
 
         without : base parameters that are not fitted.
         """
-        kept = [c for c in self.chosen if keep(c.form)]
         design = replace(self.design, without=without)
         model = fit_model(design, kept, self.model.variation) if without else self.model
         index = design.index(kept)
@@ -93,6 +86,19 @@ class Selection:
             total[candidate.shared] += value[candidate.beside]  # the base model's own error
             terms.append(Term(candidate.form, tuple(total.tolist())))
         return tuple(terms)
+
+    def added_resistance(self, kept: Sequence[Candidate]) -> FloatArray:
+        """Tangent, (n,), by which the forces of some effects move the descent on which the drives coast, in the rows
+        where they are tested.
+        """
+        design, (base, *terms), added = self.design, self.estimate(kept)[-1], np.zeros(len(self.design.new))
+        rows = design.residuals.features
+        per_tan = energy_per_tan(rows, base.form, base.coefficients)
+        for candidate, term in zip(kept, terms, strict=True):
+            if term.form.resists:
+                there = design.new | design.columns[:, candidate.tested].any(axis=1)
+                added += there * rows.resistance_of(term.energy, per_tan)
+        return added
 
     def gains(self, fault: LogFault, own: NDArray[np.bool_], estimate: Estimate, index: IntArray) -> FloatArray:
         """What the same fit finds of a simulated fault of the log, over what was simulated, (1 + units,): by the
@@ -123,11 +129,8 @@ def rivals_of(selection: Selection) -> dict[str, list[str]]:
     tau2 = model.tau2(now)
     error = model.left_out(now, tau2)
     names = {c.form.name for c in selection.chosen}
-    possible = [
-        c
-        for c, verdict in zip(design.candidates, selection.alone, strict=True)
-        if verdict.p_value <= ALPHA and c.form.name not in names
-    ]
+    every = zip(design.candidates, selection.alone, strict=True)
+    possible = [c for c, verdict in every if verdict.p_value <= ALPHA and c.form.name not in names]
     out = {}
     for effect in selection.chosen:
         others = design.index([c for c in selection.chosen if c is not effect])
@@ -167,6 +170,8 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
             seen.add(now)
             if progress is not None:
                 progress(len(chosen) / (MOST_EFFECTS + 1))
+        if not unnamed:
+            named = tuple(chosen)
     final = _judge(chosen)
     while chosen:
         worst = max(range(len(chosen)), key=lambda k: (bool(final[k].why_not), final[k].p_value))
@@ -175,7 +180,7 @@ def select(design: Design, *, progress: Callable[[float], None] | None = None) -
             break
         chosen.pop(worst)
         final, verdicts = _judge(chosen), _judge(design.candidates)
-    return Selection(tuple(chosen), tuple(final), design, alone, verdicts, fit_model(design, chosen))
+    return Selection(tuple(chosen), named, tuple(final), design, alone, verdicts, fit_model(design, chosen))
 
 
 def _largest(design: Design) -> list[Candidate]:

@@ -3,13 +3,9 @@
     energy_i = mean_i + g_i u_run + s_i (a_i + e_i),   a_i = phi a_(i-1) + noise,   e_i heavy-tailed
 
 `s_i` is a standard deviation that grows with the predicted energy, `a` an autoregression along a run, `e` noise whose
-outliers get Huber's weights, and `u_run` the level of a run in shares of the predicted energy `g`. The parameters of
-the autoregression maximise the restricted likelihood with a free level of every run, so that runs that differ do not
-look like serial correlation.
-
-Tests take the serial correlation out of the rows (`whitened`). Coefficients are fitted to rows that are scaled only,
-with the serial correlation in their variance (Liang & Zeger 1986, working independence): an error of the map is
-smooth, and a fit to differences would lose the slopes of the ground with it.
+outliers get Huber's weights, and `u_run` the level of a run in shares of the predicted energy `g`. The likelihood of
+the autoregression has a free level of every run, so that runs that differ do not look like serial correlation. Tests
+take it out of the rows (`whitened`); coefficients are fitted to rows that are scaled only (Liang & Zeger 1986).
 
 References
 ----------

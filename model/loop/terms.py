@@ -10,8 +10,8 @@ import numpy as np
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.forms import Form
-from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters
-from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity
+from joulemap.model.loop.forms._base_parameters import energy_per_tan, with_base_parameters
+from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity, share_beyond
 
 
 @dataclass(frozen=True)
@@ -141,10 +141,14 @@ class Correction:
             Energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters in their
             energy of motion.
         """
-        held = rows.within(self.ranges)
-        if self.first_base is not None and isinstance(self.first_base.form, BaseParameters):
-            held = with_base_parameters(held, self.first_base.form, np.asarray(self.first_base.coefficients))
-        return _total(self.planner_terms if planned else self.terms, held)
+        held, terms = rows.within(self.ranges), self.planner_terms if planned else self.terms
+        if self.first_base is None:
+            return _total(terms, held)
+        per_tan = energy_per_tan(held, terms[0].form, terms[0].coefficients)
+        resisted = held.resisted_by(sum(held.resistance_of(t.energy, per_tan) for t in terms if t.form.resists))
+        resisted = with_base_parameters(resisted, self.first_base.form, self.first_base.coefficients)
+        moved = 0.0 if self.charge else resisted.base_motion - held.base_motion
+        return moved + _total(terms, resisted)
 
     def beyond(self, rows: Features) -> dict[str, float]:
         """Return which quantities of some rows are outside the ranges of the runs.
@@ -160,15 +164,9 @@ class Correction:
             Share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
         """
         used = {name for term in self.planner_terms for name in term.form.covariates}
-        out = {}
-        for name in sorted({"speed", "grade", *used} & set(self.ranges)):
-            low, high = self.ranges[name]
-            margin = 1e-6 * max(abs(low), abs(high))  # rounding is not beyond
-            values = quantity(rows, name)
-            share = float(np.mean((values < low - margin) | (values > high + margin)))
-            if share > 0.0:
-                out[name] = share
-        return out
+        names = sorted({"speed", "grade", *used} & set(self.ranges))
+        shares = {name: share_beyond(quantity(rows, name), *self.ranges[name]) for name in names}
+        return {name: share for name, share in shares.items() if share > 0.0}
 
 
 def _total(terms: Sequence[Term], rows: Features) -> FloatArray:

@@ -106,6 +106,8 @@ class Features:
         Of the robot.
     corrected : ndarray of float, (n,), optional
         Energy of motion that base parameters add to the base model's [J, or A s].
+    added_resistance : ndarray of float, (n,), optional
+        Tangent by which the forces of effects make the descent steeper on which the drives coast.
     """
 
     robot: Robot
@@ -140,6 +142,7 @@ class Features:
     speeds_mps: tuple[float, float] = (0.0, math.inf)
     drives: Drives = Drives()
     corrected: FloatArray | None = None
+    added_resistance: FloatArray | None = None
 
     def __len__(self) -> int:
         return int(self.x.size)
@@ -174,7 +177,8 @@ class Features:
         """
         index = np.asarray(which)
         changed: dict[str, Any] = {name: getattr(self, name)[index] for name in row_arrays()}
-        changed["corrected"] = None if self.corrected is None else self.corrected[index]
+        optional = {name: getattr(self, name) for name in ("corrected", "added_resistance")}
+        changed |= {name: None if values is None else values[index] for name, values in optional.items()}
         changed["columns"] = {key: values[index] for key, values in self.columns.items()}
         changed["words"] = {key: values[index] for key, values in self.words.items()}
         return replace(self, **changed)
@@ -292,13 +296,21 @@ class Features:
     @property
     def base_motion(self) -> FloatArray:
         """Prediction of the base model for the motion, (n,) [J, or A s], with what regeneration returns."""
-        t = self.pull_n
-        return self.work_m * (np.maximum(t, 0.0) + self.robot.regeneration * np.minimum(t, 0.0)) / self.unit_j
+        return self.work_m * self.pull_n * np.where(self.pulls, 1.0, self.robot.regeneration) / self.unit_j
 
     @property
     def pull_n(self) -> FloatArray:
         """Force of the drives by the base model, (n,) [N]; negative where they brake."""
         return self.traction_per_m + self.robot.weight_n * self.drives.coasting_shift
+
+    @property
+    def pulls(self) -> NDArray[np.bool_]:
+        """Whether the drives pull and do not brake, (n,), against all that resists."""
+        return self.pull_n + self.robot.weight_n * self._more > 0.0
+
+    @property
+    def _more(self) -> FloatArray:
+        return np.zeros(len(self)) if self.added_resistance is None else self.added_resistance
 
     @property
     def predicted(self) -> FloatArray:
@@ -316,6 +328,11 @@ class Features:
     def coasting_tan(self) -> float:
         """Tangent of the descent on which the drives neither pull nor brake."""
         return -(self.robot.rolling_resistance + self.drives.coasting_shift)
+
+    @property
+    def coasting_tans(self) -> FloatArray:
+        """The same of each row, (n, 1), against all that resists."""
+        return (self.coasting_tan - self._more)[:, None]
 
     @property
     def measured_tan(self) -> FloatArray:
@@ -347,6 +364,47 @@ class Features:
         traction = self.traction_per_m + self.robot.weight_n * more
         return replace(self, grade=self.grade + more, grades=self.grades + more[:, None], traction_per_m=traction)
 
+    def resistance_of(self, energy: Callable[[Features], FloatArray], per_tan: FloatArray) -> FloatArray:
+        """Return by which tangent a force makes the descent steeper on which the drives coast.
+
+        Parameters
+        ----------
+        energy : callable
+            What the force costs each row, (n,) [J, or A s].
+        per_tan : ndarray of float, (n,)
+            What a slope of the tangent 1 costs each row [J, or A s].
+
+        Returns
+        -------
+        ndarray of float, (n,)
+            Nothing of a stationary interval.
+
+        Notes
+        -----
+        A force F costs F s where the drives pull, and r F s where they brake, with the regeneration r. The difference
+        between both is (1 - r) F s.
+        """
+        pulling, braking = (replace(self, added_resistance=np.full(len(self), end)) for end in (np.inf, -np.inf))
+        kink = (1.0 - self.robot.regeneration) * per_tan
+        force = energy(pulling) - energy(braking)
+        return np.where(kink > 0.0, force / np.where(kink > 0.0, kink, 1.0), 0.0)
+
+    def resisted_by(self, added: FloatArray | float) -> Features:
+        """Return the rows with forces that resist beside the rolling resistance.
+
+        Parameters
+        ----------
+        added : ndarray of float, (n,), or float
+            As tangents; on level ground what resists pushes nowhere.
+
+        Returns
+        -------
+        Features
+            With another descent on which the drives coast.
+        """
+        added = np.broadcast_to(np.maximum(added, min(self.coasting_tan, 0.0)), (len(self),))
+        return replace(self, added_resistance=added)
+
     def read_late(self, energy: FloatArray, lag_s: float) -> FloatArray:
         """Return what a late meter says of each row.
 
@@ -377,7 +435,7 @@ class Features:
 
         Where they brake, a newton more costs what regeneration would have returned.
         """
-        share = self.along(lambda grades: np.where(grades > self.coasting_tan, 1.0, self.robot.regeneration))
+        share = self.along(lambda grades: np.where(grades > self.coasting_tans, 1.0, self.robot.regeneration))
         return np.where(self.standing, 0.0, share)
 
 
@@ -386,7 +444,7 @@ def row_arrays() -> list[str]:
     return [f.name for f in fields(Features) if f.name not in _NO_ARRAYS]
 
 
-_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "drives", "corrected"}
+_NO_ARRAYS = {"robot", "columns", "words", "unit_j", "runs", "speeds_mps", "drives", "corrected", "added_resistance"}
 _RANGED = {
     "cross_slope": "cross_abs",
     "roughness": "roughness_m",
@@ -460,6 +518,25 @@ def driven_ranges(rows: Features) -> dict[str, tuple[float, float]]:
             low, high = np.quantile(values, [SHARE_DRIVEN, 1.0 - SHARE_DRIVEN])
             out[name] = (float(low), float(high))
     return out
+
+
+def share_beyond(values: FloatArray, low: float, high: float) -> float:
+    """Return which share of the values of a quantity lies beyond a range; rounding does not.
+
+    Parameters
+    ----------
+    values : ndarray of float
+        Of the quantity.
+    low, high : float
+        Of the range.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
+    margin = 1e-6 * max(abs(low), abs(high))
+    return float(np.mean((values < low - margin) | (values > high + margin)))
 
 
 def concatenate_features(parts: Sequence[Features]) -> Features:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,14 @@ import pytest
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
 from joulemap.model.loop.forms._base_parameters import BaseParameters
-from joulemap.model.loop.forms.acceleration import Acceleration
-from joulemap.model.loop.forms.baseline_change import HotelLoad, Mass, RollingResistance, SensorGain
-from joulemap.model.loop.forms.braking import Braking
+from joulemap.model.loop.forms.baseline_change import (
+    Acceleration,
+    Braking,
+    HotelLoad,
+    Mass,
+    RollingResistance,
+    SensorGain,
+)
 from joulemap.model.loop.forms.climbing import Climbing
 from joulemap.model.loop.forms.copper_loss import CopperLoss
 from joulemap.model.loop.forms.cross_slope import CrossSlope
@@ -28,7 +34,7 @@ from joulemap.model.loop.forms.terrain_class import TerrainClass, TurningByClass
 from joulemap.model.loop.forms.turning import Turning
 from joulemap.model.loop.forms.warming_up import WarmingUp
 from joulemap.model.loop.forms.wind import Wind
-from joulemap.model.loop.terms import Term, turning_per_rad
+from joulemap.model.loop.terms import Correction, Term, turning_per_rad
 from joulemap.model.runs.features import Drives, driven_ranges
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from tests.reference.drives import ROBOT, even, made_up
@@ -209,6 +215,21 @@ def test_what_comes_first_are_the_declared_numbers():
     for one in (form, BaseParameters.of(charge=True)):
         assert form_from_dict(json.loads(json.dumps(one.as_dict(), allow_nan=False))) == one
         assert len(one.units("J")) == len(one.lowest(even())) == one.columns(even(2)).shape[1]
+
+
+@pytest.mark.parametrize("slope", [0.1, -0.05, -0.1, -0.2])
+@pytest.mark.parametrize("more", [0.05, -0.05])
+@pytest.mark.parametrize("regeneration", [0.0, 0.3])
+def test_drives_pull_or_brake_against_all_that_resists(slope, more, regeneration):
+    """Closed form: F s where the whole force F is positive, and the regenerated share of it where it is not."""
+    rows = even(grade=[slope], grades=[[slope] * 5], traction_per_m=[(0.08 + slope) * W])
+    rows = replace(rows, robot=replace(ROBOT, regeneration=regeneration))
+    base = BaseParameters.of(charge=False)
+    start = Term(base, (0.0,) * len(base.names))
+    correction = Correction((start, Term(RollingResistance(), (more,))), (), first_base=start)
+    force = (0.08 + slope + more) * W
+    motion = rows.base_motion + correction.added_energy(rows, planned=False)
+    np.testing.assert_allclose(motion, force if force > 0.0 else regeneration * force, atol=1e-9)
 
 
 def test_files_with_unknown_forms_or_settings_are_refused():

@@ -8,10 +8,8 @@ from typing import Any
 
 from joulemap.model.errors import ModelError
 from joulemap.model.loop.forms._base_parameters import BaseParameters
-from joulemap.model.loop.forms.acceleration import Acceleration
 from joulemap.model.loop.forms.base import Form
-from joulemap.model.loop.forms.baseline_change import HotelLoad, Mass, RollingResistance, SensorGain
-from joulemap.model.loop.forms.braking import Braking
+from joulemap.model.loop.forms.baseline_change import CHANGES
 from joulemap.model.loop.forms.climbing import Climbing
 from joulemap.model.loop.forms.copper_loss import CopperLoss
 from joulemap.model.loop.forms.cross_slope import CrossSlope
@@ -50,9 +48,6 @@ NAMED: tuple[type[Form], ...] = (
     MapShift,
 )
 """Forms with a formula."""
-
-CHANGES: tuple[type[Form], ...] = (RollingResistance, HotelLoad, Mass, SensorGain, Acceleration, Braking)
-"""Forms of the base model's own parameters. They are effects where baseline runs say what these were before."""
 
 NOT_OF_SLOPE: tuple[type[Form], ...] = (Turning, Speed, CrossSlope, Roughness, Reversing, Payload, Wind, TerrainClass)
 """Forms that say nothing of the slope, nor of the force that it asks for."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -57,8 +57,9 @@ class BaseParameters(Form):
         return cls((*(SCALE if charge else _DECLARED), *(_DRIVING_OF_MOTORS if motors else _DRIVING), MEASURED_SLOPE))
 
 
-def with_base_parameters(rows: Features, base: BaseParameters, coefficients: FloatArray) -> Features:
+def with_base_parameters(rows: Features, base: Form, coefficients: Sequence[float] | FloatArray) -> Features:
     """Rows whose energy of motion has base parameters of these values, (k,), in it, as `corrected`."""
+    assert isinstance(base, BaseParameters)
     of_motion = np.array([name not in _OF_TIME for name in base.names])
     energy = base.columns(rows)[:, of_motion] @ np.asarray(coefficients)[of_motion]
     of_charge = set(SCALE) & set(base.names)  # then nothing of the base model's own prediction is kept
@@ -75,9 +76,16 @@ class _Part(NamedTuple):
     lowest: Callable[[Features], float] = lambda rows: 0.0
 
 
+def energy_per_tan(rows: Features, base: Form, coefficients: Sequence[float]) -> FloatArray:
+    """Energy of the motion, (n,) [J, or A s], that base parameters of these values give to a slope of the tangent 1."""
+    value = dict(zip(base.coefficient_names(), coefficients, strict=True))
+    share = value["uphill"] * rows.unit_j if "uphill" in value else 1.0 + value["energy_of_motion"]
+    return rows.weight_length * share
+
+
 def _released(rows: Features) -> FloatArray:
     """What descents release beyond the rolling resistance; a metre over the top of a hill counts in part."""
-    return rows.weight_length * rows.along(lambda grades: np.maximum(rows.coasting_tan - grades, 0.0))
+    return rows.weight_length * rows.along(lambda grades: np.maximum(rows.coasting_tans - grades, 0.0))
 
 
 def _of_mass(rows: Features, squares_m2ps2: FloatArray) -> FloatArray:
@@ -91,8 +99,8 @@ PARTS: dict[str, _Part] = {
     "idle_power_w": _Part("W", lambda rows: rows.duration_s / rows.unit_j, lambda rows: -rows.robot.idle_power_w),
     "descents": _Part("", _released, lambda rows: rows.robot.regeneration - 1.0),
     "per_metre": _Part("A s/m", lambda rows: rows.work_m, lambda rows: -np.inf),
-    "uphill": _Part("1/V", lambda rows: rows.work_m * np.maximum(rows.pull_n, 0.0)),
-    "downhill": _Part("1/V", lambda rows: rows.work_m * np.minimum(rows.pull_n, 0.0)),
+    "uphill": _Part("1/V", lambda rows: rows.work_m * rows.pull_n * rows.pulls),
+    "downhill": _Part("1/V", lambda rows: rows.work_m * rows.pull_n * ~rows.pulls),
     "standing_current": _Part("A", lambda rows: rows.duration_s),
     "driving_power": _Part("W", lambda rows: np.where(rows.standing, 0.0, rows.duration_s) / rows.unit_j),
     "with_speed": _Part("A s/m", lambda rows: rows.length_m),

@@ -36,6 +36,8 @@ class Form:
         Whether the same law holds in the baseline runs, which differ in the value of the covariate only.
     on_map : bool
         False for a fault of the log, which no plan contains.
+    resists : bool
+        Whether it is a force against the motion, which may make drives pull where they would brake.
     of_map : bool
         Whether it belongs to the map on which it was found, and is not there on another.
     covariates : tuple of str
@@ -56,6 +58,7 @@ class Form:
     planned: ClassVar[bool] = True
     weather: ClassVar[bool] = False
     on_map: ClassVar[bool] = True
+    resists: ClassVar[bool] = False
     of_map: ClassVar[bool] = False
     covariates: ClassVar[tuple[str, ...]] = ()
     options: ClassVar[Mapping[str, Sequence[Any]]] = {}

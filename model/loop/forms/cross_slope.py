@@ -22,6 +22,7 @@ class CrossSlope(Form):
     power: int = 1
 
     key = "cross_slope"
+    resists = True
     label = "cross slope"
     meaning = "coefficient of rolling resistance added per tangent of the cross slope"
     reveals = "lines along the contours of a slope, both ways"

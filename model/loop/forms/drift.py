@@ -30,6 +30,7 @@ class Drift(Form):
     of_all: bool = True
 
     key = "drift"
+    resists = True
     label = "drift over time or distance"
     meaning = "energy added per hour or per kilometre"
     reveals = "the same loop at the start and at the end of a long day"
@@ -44,11 +45,8 @@ class Drift(Form):
         return (f"{'1' if self.of_all else energy + '/m'}/{self.per[1]}",)
 
     def column(self, rows: Features) -> FloatArray:
-        return (
-            (rows.hotel_and_motion if self.of_all else rows.work_m * rows.pulling)
-            * np.maximum(quantity(rows, self.over) - self.start, 0.0)
-            / self.per[0]
-        )
+        amount = rows.hotel_and_motion if self.of_all else rows.work_m * rows.pulling
+        return amount * np.maximum(quantity(rows, self.over) - self.start, 0.0) / self.per[0]
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:

@@ -22,6 +22,7 @@ class Reversing(Form):
     of_motion: bool = False
 
     key = "reversing"
+    resists = True
     label = "driving backwards"
     meaning = "energy added while driving backwards"
     reveals = "the same line forwards and backwards"

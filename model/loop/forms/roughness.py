@@ -13,6 +13,7 @@ class Roughness(Form):
     """Rolling resistance that grows with the roughness of the ground."""
 
     key = "roughness"
+    resists = True
     label = "roughness"
     meaning = "coefficient of rolling resistance added per metre of roughness"
     unit = "1/m"

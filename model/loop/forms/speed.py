@@ -22,6 +22,7 @@ class Speed(Form):
     power: int = 1
 
     key = "speed"
+    resists = True
     label = "speed"
     meaning = "energy per metre in proportion to the speed or its square"
     reveals = "the same line at several speeds"

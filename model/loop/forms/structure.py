@@ -11,17 +11,8 @@ import numpy as np
 from joulemap.model.loop.forms.base import Form, steps
 from joulemap.model.runs.features import Features, FloatArray, quantity
 
-_GEOMETRY = (
-    "cross_slope",
-    "roughness",
-    "position_index",
-    "grade",
-    "speed",
-    "turning",
-    "turn",
-    "elevation",
-    "since_start",
-)
+_GROUND = ("cross_slope", "roughness", "position_index", "grade", "elevation")
+_GEOMETRY = (*_GROUND, "speed", "turning", "turn", "since_start")
 _OF_POSITION = frozenset(
     {"heading", "yaw", "gps_course", "wind_from", "gps_error", "speed", "gps_speed", "z", "lat", "lon"}
 )
@@ -63,6 +54,7 @@ class Curve(Form):
     centred: bool = True
 
     key = "curve"
+    resists = True
     label = "structure"
     meaning = "energy added, at points of a fitted curve"
     reveals = "the same line while only this covariate changes"
@@ -145,6 +137,7 @@ class PlaceField(Form):
     width_m: float
 
     key = "local_friction"
+    resists = True
     label = "local rolling resistance"
     meaning = "coefficient of rolling resistance added at each centre of the field"
     unit = ""

@@ -28,6 +28,7 @@ class Temperature(Form):
     of: str = "motion"
 
     key = "temperature"
+    resists = True
     label = "temperature"
     meaning = "energy or power added per degree above the reference temperature"
     reveals = "the same loop on a cold and on a warm day"

@@ -60,6 +60,7 @@ class TerrainClass(_ByClass):
     of_motion: bool = False
 
     key = "terrain_class"
+    resists = True
     label = "terrain class"
     meaning = "energy added on each class of ground"
     reveals = "the same manoeuvres on each kind of ground"

@@ -31,6 +31,7 @@ class WarmingUp(Form):
     time_s: float
 
     key = "warming_up"
+    resists = True
     label = "warming up since the start of a run"
     meaning = "energy per metre that is added at the start of a run"
     unit = "{E}/m"

@@ -29,6 +29,7 @@ class Wind(Form):
     law: str = "air"
 
     key = "wind"
+    resists = True
     label = "wind"
     meaning = "drag added per unit of relative air speed"
     reveals = "one line there and back in wind"
