@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from joulemap.model.loop._mixed_model import IntArray, MixedModel
 from joulemap.model.loop._variation import Variation, fit_variation
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
-from joulemap.model.loop.forms._base_parameters import BaseParameters
+from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
-from joulemap.model.runs.features import FloatArray
+from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 
 _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
@@ -68,6 +68,21 @@ class Design:
     def index(self, chosen: Sequence[Candidate]) -> IntArray:
         """Columns of the base parameters and of some candidates, one after the other, (q,)."""
         return np.concatenate([self.fixed, *(c.both for c in chosen)])
+
+    def where(self, candidate: Candidate) -> NDArray[np.bool_]:
+        """Rows in which it is tested, (n,)."""
+        return self.new | self.columns[:, candidate.tested].any(axis=1)
+
+    def on(self, rows: Features, chosen: Sequence[Candidate]) -> Design:
+        """With the base parameters and some candidates on the same rows with another prediction."""
+        columns, start = self.columns.copy(), np.zeros(len(self.base.names)) if self.level_of is None else self.level_of
+        rows = with_base_parameters(rows, self.base, start)
+        columns[:, : len(self.base.names)] = self.base.columns(rows)
+        for candidate in chosen:
+            every = candidate.form.columns(rows)
+            columns[:, candidate.tested] = every * self.where(candidate)[:, None]
+            columns[:, candidate.beside] = every[:, candidate.shared]
+        return replace(self, residuals=replace(self.residuals, features=rows), columns=columns)
 
 
 def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Collection[str], first: Term) -> Design:

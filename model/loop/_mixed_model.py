@@ -1,13 +1,9 @@
 """A linear mixed model of scaled rows: fits, tests and left-out errors of any choice of columns.
 
-Fixed effects, a random level of every unit (a run), and errors as `Variation` describes them. All fits come from the
-cross products of every unit, so that leaving one out costs a subtraction. Every coefficient has a normal prior around
-nothing that is worth one row of data (the unit information prior of Kass & Wasserman 1995), which settles what the rows
-do not, and that of what was declared.
-
-References
-----------
-Pinheiro & Bates 2000, chapter 2.
+Fixed effects, a random level of every unit (a run), and errors as `Variation` describes them (Pinheiro & Bates 2000,
+chapter 2). All fits come from the cross products of every unit, so that leaving one out costs a subtraction. Every
+coefficient has a normal prior around nothing that is worth one row of data (the unit information prior of Kass &
+Wasserman 1995), which settles what the rows do not, and that of what was declared.
 """
 
 from __future__ import annotations

@@ -10,13 +10,11 @@ import numpy as np
 from joulemap.model.loop._base_step import base_step
 from joulemap.model.loop._design import make_design
 from joulemap.model.loop._selection import Selection, select
-from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE, with_base_parameters
+from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.terms import Correction, Effect, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
 from joulemap.model.runs.residuals import Residuals, joined
-
-_ROUNDS = 3  # effects follow what resists in all, and what resists the effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +73,10 @@ def fit(
     rows, first, scale = base_step(rows, new)
     selection = select(make_design(rows, new, refused, first), progress=progress)
     base_terms = selection.estimate([])[-1]
-    kept = selection.named or selection.chosen
-    for _ in range(_ROUNDS):
-        added, before = selection.added_resistance(kept), [c.form for c in kept]
-        if not added.any():
-            break
-        resisted = with_base_parameters(rows.features.resisted_by(added), first.form, first.coefficients)
-        selection = select(make_design(replace(rows, features=resisted), new, refused, first))
-        kept = selection.chosen
-        if before == [c.form for c in kept]:
-            break
+    settled = selection.settled(selection.named or selection.chosen)
+    if settled is not selection:
+        selection = select(make_design(settled.design.residuals, new, refused, first))
+        selection = selection.settled(selection.chosen)
     estimate, index, found = selection.estimate(selection.chosen)
     effects, terms = [], list(found)
     for k, (candidate, verdict) in enumerate(zip(selection.chosen, selection.verdicts, strict=True)):
@@ -98,7 +90,8 @@ def fit(
         effects.append(Effect(term, *mine.interval(), verdict.p_value, verdict.gain, verdict.between))
     low, high = (ends[np.isin(index, selection.design.fixed)] for ends in estimate.interval())
     planned = [c for c in selection.chosen if c.form.known_before]
-    planner_terms = selection.estimate(planned, without=(MEASURED_SLOPE,))[-1]
+    planner = selection if len(planned) == len(selection.chosen) else selection.settled(planned)
+    planner_terms = planner.estimate(planned, without=(MEASURED_SLOPE,))[-1]
     ranges = driven_ranges(measured.features)
     correction = Correction(tuple(terms), planner_terms, ranges, rows.features.drives, first, rows.charge)
     ranked = tuple(sorted(effects, key=lambda e: -e.share))

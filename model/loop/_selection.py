@@ -28,6 +28,7 @@ ALPHA = 0.01
 LEAST_GAIN = 0.05
 """Setting: share of the left-out squared error by which an effect must reduce it to be worth a line in a report. With
 thousands of rows every small error of a base model is significant (Cohen 1994)."""
+_ROUNDS = 4
 MOST_EFFECTS = 8
 """A report of more effects is a model of the noise, or of a base model that is no model of this robot."""
 
@@ -87,18 +88,19 @@ class Selection:
             terms.append(Term(candidate.form, tuple(total.tolist())))
         return tuple(terms)
 
-    def added_resistance(self, kept: Sequence[Candidate]) -> FloatArray:
-        """Tangent, (n,), by which the forces of some effects move the descent on which the drives coast, in the rows
-        where they are tested.
+    def settled(self, kept: Sequence[Candidate]) -> Selection:
+        """With what some effects resist, which moves the descent on which the drives coast, where they are tested. It
+        follows from the coefficients and these from it (Gauss-Newton).
         """
-        design, (base, *terms), added = self.design, self.estimate(kept)[-1], np.zeros(len(self.design.new))
-        rows = design.residuals.features
-        per_tan = energy_per_tan(rows, base.form, base.coefficients)
-        for candidate, term in zip(kept, terms, strict=True):
-            if term.form.resists:
-                there = design.new | design.columns[:, candidate.tested].any(axis=1)
-                added += there * rows.resistance_of(term.energy, per_tan)
-        return added
+        found, forces = self, [k for k, c in enumerate(kept) if c.form.resists]
+        rows = self.design.residuals.features
+        for _ in range(_ROUNDS if forces or rows.added_resistance is not None else 0):
+            design, (base, *terms) = found.design, found.estimate(kept)[-1]
+            per_tan = energy_per_tan(rows, base.form, base.coefficients)
+            added = sum(design.where(kept[k]) * rows.resistance_of(terms[k].energy, per_tan) for k in forces)
+            design = design.on(rows.resisted_by(added), kept)
+            found = replace(found, design=design, model=fit_model(design, kept, self.model.variation))
+        return found
 
     def gains(self, fault: LogFault, own: NDArray[np.bool_], estimate: Estimate, index: IntArray) -> FloatArray:
         """What the same fit finds of a simulated fault of the log, over what was simulated, (1 + units,): by the

@@ -2,11 +2,7 @@
 
 Least squares predicts how far a drive would narrow a coefficient: only the columns of the effect, and of what it is
 confounded with, matter, and not what will be measured. Simple routes are tried in many places and headings of the map,
-and compared by the interval that old and new segments would leave together.
-
-References
-----------
-Fedorov 1972 (D- and c-optimal design).
+and compared by the interval that old and new segments would leave together (D- and c-optimal design: Fedorov 1972).
 """
 
 from __future__ import annotations

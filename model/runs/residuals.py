@@ -54,7 +54,7 @@ class Residuals:
         """Prediction of the base model from all that it knows of, (n,) [J]; nothing for a charge."""
         if self.charge:
             return np.zeros(len(self))
-        plain = replace(self.features, drives=Drives()).predicted
+        plain = replace(self.features, drives=Drives(), added_resistance=None).predicted
         beyond = np.zeros(len(self)) if self.informed is None else np.nan_to_num(self.informed - plain)
         return self.features.predicted + beyond
 

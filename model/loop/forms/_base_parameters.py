@@ -80,7 +80,7 @@ def energy_per_tan(rows: Features, base: Form, coefficients: Sequence[float]) ->
     """Energy of the motion, (n,) [J, or A s], that base parameters of these values give to a slope of the tangent 1."""
     value = dict(zip(base.coefficient_names(), coefficients, strict=True))
     share = value["uphill"] * rows.unit_j if "uphill" in value else 1.0 + value["energy_of_motion"]
-    return rows.weight_length * share
+    return rows.weight_length * (share + value.get(MEASURED_SLOPE, 0.0))
 
 
 def _released(rows: Features) -> FloatArray:
