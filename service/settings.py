@@ -10,8 +10,8 @@ from urllib.parse import unquote
 from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from joulemap.service.cluster.address import scheduler_address
 from joulemap.service.models import DEFAULT_MODEL
-from joulemap.service.scheduler_address import scheduler_address
 
 _DATABASES = {("sqlite", "pysqlite"), ("postgresql", "psycopg")}
 Names = Annotated[tuple[str, ...], NoDecode]

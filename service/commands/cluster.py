@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from joulemap.model.errors import BusyError
+from joulemap.service.cluster.address import scheduler_address
 from joulemap.service.commands.arguments import TYPED
-from joulemap.service.scheduler_address import scheduler_address
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -54,7 +54,7 @@ AsOneTask = Annotated[str | None, typer.Option("--scheduler", metavar="URL", hel
 @asynccontextmanager
 async def _client_at(address: str) -> AsyncIterator[Client]:
     """A client of the scheduler, which is said to have no workers. Raises BusyError where none answers."""
-    from joulemap.service.jobs.cluster import connected
+    from joulemap.service.cluster.connection import connected
 
     async with AsyncExitStack() as stack:
         try:
@@ -165,7 +165,7 @@ def _clear(order: Any) -> None:
 
 
 def _no_scheduler(address: str) -> BusyError:
-    from joulemap.service.jobs.cluster import CONNECT_S
+    from joulemap.service.cluster.connection import CONNECT_S
 
     words = f"no Dask scheduler answers at {address} within {CONNECT_S:g} s: start one with `dask scheduler`"
     return BusyError(f"{words}, or name another one", scheduler=address)

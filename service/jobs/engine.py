@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy.exc import OperationalError
 
 from joulemap.model.errors import InputError
+from joulemap.service.cluster.attendance import Attendance
 from joulemap.service.jobs import calibrations, costmaps
-from joulemap.service.jobs.attendance import Attendance
 from joulemap.service.problems import problem_of
 from joulemap.service.settings import Settings
 from joulemap.service.storage.store import Store
@@ -83,7 +83,7 @@ class Jobs:
 
     async def _live(self) -> None:
         """Keep a cluster until the service stops; one that is lost is asked again."""
-        from joulemap.service.jobs.cluster import NICE, connected  # which takes half a second to load
+        from joulemap.service.cluster.connection import NICE, connected  # which takes half a second to load
         from joulemap.service.work.warm import Warm
 
         self._loop, settings = asyncio.get_running_loop(), self._settings

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from joulemap.model.terrain.writers import write_geotiff
-from joulemap.service.jobs.cluster import connected
+from joulemap.service.cluster.connection import connected
 from joulemap.service.jobs.costmaps import make
 from joulemap.service.work.tiles import MapOrder
 from tests.bench.maps import ROBOT, terrain

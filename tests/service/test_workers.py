@@ -27,13 +27,12 @@ from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cli import app as cli
+from joulemap.service.cluster import attendance, connection
+from joulemap.service.cluster.address import scheduler_address
+from joulemap.service.cluster.attendance import Attendance
+from joulemap.service.cluster.connection import connected
 from joulemap.service.http.app import create_app
-from joulemap.service.jobs import attendance
-from joulemap.service.jobs import cluster as jobs_cluster
-from joulemap.service.jobs.attendance import Attendance
-from joulemap.service.jobs.cluster import connected
 from joulemap.service.jobs.costmaps import make
-from joulemap.service.scheduler_address import scheduler_address
 from joulemap.service.settings import Settings
 from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.store import Store
@@ -177,7 +176,7 @@ def test_commands_say_what_is_wrong_with_a_scheduler(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     """A port at which something else answers, or hangs, and an address that is none."""
-    monkeypatch.setattr(jobs_cluster, "CONNECT_S", 1.0)
+    monkeypatch.setattr(connection, "CONNECT_S", 1.0)
     write_geotiff(tmp_path / "dem.tif", rolling(20))
     place, out = str(tmp_path / "dem.tif"), str(tmp_path / "out.zarr")
     words = {
