@@ -54,9 +54,9 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
         models_dir=models_dir,
         finished=tuple(store.lattice_path(found).resolve() for found in store.alike(row)),
     )
+    store.begin(costmap_id)
     if isinstance(store.vault, ObjectVault):  # what other machines have finished is no file here
         return VaultedOrder(store.vault.url, store.folder.resolve(), replace(order, finished=()))
-    store.begin(costmap_id)
     return order
 
 

@@ -85,7 +85,7 @@ class KeptJobs(Kept):
         return found
 
     def begin(self, costmap_id: str) -> None:
-        """Make the folder of notes without which nothing is written of a cost map.
+        """Make the folder of notes, or its record in an object store, without which nothing is written of a cost map.
 
         Parameters
         ----------
@@ -98,9 +98,12 @@ class KeptJobs(Kept):
             If it was deleted, or has ended.
         """
         folder = LatticeFolder(self.lattice_path(costmap_id))
-        folder.begin()
+        if isinstance(self.vault, ObjectVault):
+            self.vault.begin(self._key(folder.notes))
+        else:
+            folder.begin()
         if self.status(costmap_id) not in (QUEUED, RUNNING):  # since then: who deletes it looks for the folder later
-            shutil.rmtree(folder.notes, ignore_errors=True)
+            self._forget(folder.notes)
             raise NotFoundError(f"nobody waits for cost map {costmap_id} any more", costmap_id=costmap_id)
 
     def report(self, job_id: str, progress: float) -> None:

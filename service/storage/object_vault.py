@@ -14,19 +14,15 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from joulemap.model.errors import InputError
+from joulemap.service.storage.object_access import SHOWN, first_line, for_all, obstore_library, told
 
-_LOST = errno.EHOSTUNREACH  # of an object store that does not answer: answered with 503, and jobs wait
 _RECORDS = "records"
-_AT_ONCE = 8  # transfers
 _RETRIES, _RETRY_S = 3, 10.0  # of one request
-_SHOWN = "the object store"
 FETCHED = ".fetched.partial"
 """End of the name of a copy in the data folder that is on its way."""
 
@@ -77,9 +73,19 @@ class ObjectVault:
         try:
             self._store: Any = open_url(url, **({"mkdir": True} if url.startswith("file:") else how))
         except (BaseError, ValueError) as error:
-            raise InputError(f"{url} is no object store that can be used: {_short(error)}", url=url) from error
+            raise InputError(f"{url} is no object store that can be used: {first_line(error)}", url=url) from error
 
-    def put(self, key: str, place: Path, *, there: Mapping[str, Part] | None = None) -> None:
+    def begin(self, key: str) -> None:
+        """Say that something is on its way. `remove` removes this first, and looks for what was sent after it.
+
+        Parameters
+        ----------
+        key : str
+            Its name here.
+        """
+        self._record(key, {})
+
+    def put(self, key: str, place: Path, *, there: Mapping[str, Part] | None = None, begun: str | None = None) -> None:
         """Keep a file or a folder, whole or not at all.
 
         Parameters
@@ -90,10 +96,40 @@ class ObjectVault:
             Where it is in the data folder.
         there : mapping, optional
             By the end of their names: files that were sent before, by `send`.
+        begun : str, optional
+            What was begun for it. Nothing is kept where that is removed.
+
+        Raises
+        ------
+        FileNotFoundError
+            If what was begun is removed.
         """
+        if begun is not None:
+            self.check_begun(begun)
         sent = there or {}
         files = {_below(file, place): _part(file) for file in _files(place)}
         self.send(key, place, [name for name, part in files.items() if sent.get(name) != part])
+        if begun is not None:  # once more: sending takes its time
+            self.check_begun(begun)
+        self._record(key, files)
+
+    def check_begun(self, key: str) -> None:
+        """Refuse to go on with what nobody waits for any more.
+
+        Parameters
+        ----------
+        key : str
+            As it was begun.
+
+        Raises
+        ------
+        FileNotFoundError
+            If it is removed.
+        """
+        if self.parts(key) is None:
+            raise FileNotFoundError(errno.ENOENT, f"nobody waits for {key} any more: it was deleted, or is done")
+
+    def _record(self, key: str, files: Mapping[str, Part]) -> None:
         record = {"files": {name: list(part) for name, part in sorted(files.items())}}
         self.write(f"{_RECORDS}/{key}.json", json.dumps(record).encode())
 
@@ -116,10 +152,10 @@ class ObjectVault:
         """
 
         def _send(name: str) -> None:
-            with _told(), (place / name).open("rb") as file:
-                _obstore().put(self._store, _object(key, name), file)
+            with told(), (place / name).open("rb") as file:
+                obstore_library().put(self._store, _object(key, name), file)
 
-        _all(_send, names)
+        for_all(_send, names)
         return {name: _part(place / name) for name in names}
 
     def get(self, key: str, place: Path, parts: Mapping[str, Part]) -> None:
@@ -146,17 +182,17 @@ class ObjectVault:
             begun = target.with_name(f"{target.name}.{secrets.token_hex(4)}.partial")
             digest = hashlib.sha256()
             try:
-                with _told(), begun.open("wb") as file:
-                    for chunk in _obstore().get(self._store, _object(key, name)).stream():
+                with told(), begun.open("wb") as file:
+                    for chunk in obstore_library().get(self._store, _object(key, name)).stream():
                         digest.update(chunk)
                         file.write(chunk)
                 if Part(begun.stat().st_size, digest.hexdigest()) != parts[name]:
-                    raise OSError(errno.EIO, f"{_SHOWN} has not what was kept as {_object(key, name)}")
+                    raise OSError(errno.EIO, f"{SHOWN} has not what was kept as {_object(key, name)}")
                 begun.replace(target)
             finally:
                 begun.unlink(missing_ok=True)
 
-        _all(_get, list(parts))
+        for_all(_get, list(parts))
 
     def fetch(self, key: str, place: Path) -> None:
         """Have a copy in the data folder, whole or not at all.
@@ -180,7 +216,7 @@ class ObjectVault:
                 return
             parts = self.parts(key)
             if parts is None:
-                raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no {key}", str(place))
+                raise FileNotFoundError(errno.ENOENT, f"{SHOWN} has no {key}", str(place))
             begun = place.with_name(f"{place.name}.{secrets.token_hex(4)}{FETCHED}")
             try:
                 self.get(key, begun, parts)
@@ -189,7 +225,7 @@ class ObjectVault:
                 return
             except FileNotFoundError as error:  # it is deleted at this moment, here or there; or a file of it is lost
                 if last:
-                    raise OSError(errno.EIO, f"{_SHOWN} has lost a part of {key}: {error}") from error
+                    raise OSError(errno.EIO, f"{SHOWN} has lost a part of {key}: {error}") from error
             finally:
                 shutil.rmtree(begun, ignore_errors=True)
                 if begun.is_file():
@@ -233,16 +269,48 @@ class ObjectVault:
     def remove(self, key: str) -> None:
         """Keep something no longer: its record goes first, so that nobody takes a part for the whole.
 
+        It goes once more at the end: who kept the same thing at this moment may have written it meanwhile.
+
         Parameters
         ----------
         key : str
             Its name here.
         """
-        with _told(), suppress(FileNotFoundError):
-            _obstore().delete(self._store, f"{_RECORDS}/{key}.json")
-        names = list(self.names(key)) or [key]  # of a folder, or a single file
-        with _told(), suppress(FileNotFoundError):
-            _obstore().delete(self._store, names)
+        self._remove_record(key)
+        names = list(self.names(key))  # of a folder
+        with told(), suppress(FileNotFoundError):
+            if not names:
+                obstore_library().head(self._store, key)  # a single file; in a folder of files, no empty folder
+                names = [key]
+            obstore_library().delete(self._store, names)
+        self._remove_record(key)
+
+    def _remove_record(self, key: str) -> None:
+        with told(), suppress(FileNotFoundError):
+            obstore_library().delete(self._store, f"{_RECORDS}/{key}.json")
+
+    def has(self, key: str) -> bool:
+        """Return whether something is kept.
+
+        Parameters
+        ----------
+        key : str
+            Its name here.
+
+        Returns
+        -------
+        bool
+            False for a record whose files were removed before it was written.
+        """
+        parts = self.parts(key)
+        if not parts:
+            return False
+        try:
+            with told():
+                obstore_library().head(self._store, _object(key, min(parts)))
+        except FileNotFoundError:
+            return False
+        return True
 
     def write(self, name: str, content: bytes) -> None:
         """Write a small object.
@@ -254,8 +322,8 @@ class ObjectVault:
         content : bytes
             All of it.
         """
-        with _told():
-            _obstore().put(self._store, name, content)
+        with told():
+            obstore_library().put(self._store, name, content)
 
     def read(self, name: str) -> bytes | None:
         """Read a small object.
@@ -271,8 +339,8 @@ class ObjectVault:
             None where there is none.
         """
         try:
-            with _told():
-                return bytes(_obstore().get(self._store, name).bytes())
+            with told():
+                return bytes(obstore_library().get(self._store, name).bytes())
         except FileNotFoundError:
             return None
 
@@ -291,19 +359,13 @@ class ObjectVault:
         str
             Names.
         """
-        with _told():
-            for found in _obstore().list(self._store, prefix):
+        with told():
+            for found in obstore_library().list(self._store, prefix):
                 yield from (each["path"] for each in found if before is None or each["last_modified"] < before)
 
     def check(self) -> None:
         """Raise OSError where the object store does not answer."""
         self.read(f"{_RECORDS}/none.json")
-
-
-def _obstore() -> Any:
-    import obstore
-
-    return obstore
 
 
 def _object(key: str, name: str) -> str:
@@ -323,17 +385,6 @@ def _part(file: Path) -> Part:
         return Part(file.stat().st_size, hashlib.file_digest(content, "sha256").hexdigest())
 
 
-def _all(do: Any, names: list[str]) -> None:
-    """Do something for every name, some at a time; raises what the first failure raises."""
-    if len(names) <= 1:
-        for name in names:
-            do(name)
-        return
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        for done in [pool.submit(partial(do, name)) for name in names]:
-            done.result()
-
-
 @contextmanager
 def _if_not(place: Path) -> Iterator[None]:
     """Let an OSError pass where something is at a place."""
@@ -342,21 +393,3 @@ def _if_not(place: Path) -> Iterator[None]:
     except OSError:
         if not place.exists():
             raise
-
-
-@contextmanager
-def _told() -> Iterator[None]:
-    """The errors of an object store as those of a file system."""
-    from obstore.exceptions import BaseError, NotFoundError
-
-    try:
-        yield
-    except (NotFoundError, FileNotFoundError) as error:
-        raise FileNotFoundError(errno.ENOENT, f"{_SHOWN} has no such object: {_short(error)}") from error
-    except BaseError as error:
-        raise OSError(_LOST, f"{_SHOWN} does not answer as it should: {_short(error)}") from error
-
-
-def _short(error: BaseException) -> str:
-    """The first line; below it obstore repeats itself for its developers."""
-    return (str(error).splitlines() or [type(error).__name__])[0][:300]

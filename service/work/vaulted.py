@@ -1,14 +1,16 @@
 """Work on workers that share an object store and no file system: what a task needs is fetched, what it makes is kept.
 
 Each machine has a folder of copies, in which the work is done as on one machine. A tile of a cost map is in the object
-store when its record is, which is written after its chunks.
+store when its record is, which is written after its chunks. Who orders a cost map begins its notes, and who deletes it
+removes that first: a worker that finds it gone after it sent something removes what it sent.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -101,16 +103,23 @@ def build(order: VaultedOrder, number: int) -> None:
         What is to be made.
     number : int
         Of the tile.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the cost map was deleted, or is done.
     """
     if order.vault.read(_note(order, number)) is not None:
         return
+    order.vault.check_begun(_notes(order))
     here = order.here()
     tiles.lay_out(here)
     tiles.build(here, number)
     folder = _folder(here)
-    sent = order.vault.send(order.key, folder, _chunks(here, folder, number))
     figures = json.loads((here.notes / f"{number}.json").read_text(encoding="utf-8"))
-    order.vault.write(_note(order, number), json.dumps({"files": sent, "figures": figures}).encode())
+    with _unless_deleted(order):
+        sent = order.vault.send(order.key, folder, _chunks(here, folder, number))
+        order.vault.write(_note(order, number), json.dumps({"files": sent, "figures": figures}).encode())
 
 
 def finish(order: VaultedOrder) -> dict[str, Any]:
@@ -135,11 +144,24 @@ def finish(order: VaultedOrder) -> dict[str, Any]:
         for number in range(count):
             parts |= _take(order, here, number)
         summary = tiles.finish(here)
-        order.vault.put(order.key, here.place, there=parts)
         found = json.dumps(summary).encode()
-        order.vault.write(noted, found)
+        with _unless_deleted(order):
+            order.vault.put(order.key, here.place, there=parts, begun=_notes(order))
+            order.vault.write(noted, found)
     made: dict[str, Any] = json.loads(found)
     return made
+
+
+@contextmanager
+def _unless_deleted(order: VaultedOrder) -> Iterator[None]:
+    """Remove what is sent of a cost map that is deleted at the same time. One that is done keeps all but its notes."""
+    try:
+        yield
+    finally:
+        if order.vault.parts(_notes(order)) is None:
+            if not order.vault.has(order.key):
+                order.vault.remove(order.key)
+            order.vault.remove(_notes(order))
 
 
 def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,9 @@ from joulemap.planner import lattice_io
 from joulemap.planner import tiles as tiling
 from joulemap.planner.lattice_io import LatticeFolder
 from joulemap.service.jobs.costmaps import order_of
+from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.store import Store
-from joulemap.service.work import tiles
+from joulemap.service.work import tiles, vaulted
 from tests.service.conftest import hill
 from tests.service.workers import asked, made_here
 
@@ -33,8 +34,8 @@ STEPS = [
 
 
 @contextmanager
-def opened(folder: Path) -> Iterator[Store]:
-    store = Store(folder, f"sqlite:///{folder / 'test.db'}")
+def opened(folder: Path, objects: str | None = None) -> Iterator[Store]:
+    store = Store(folder, f"sqlite:///{folder / 'test.db'}", objects=objects)
     store.open()
     try:
         yield store
@@ -42,7 +43,9 @@ def opened(folder: Path) -> Iterator[Store]:
         store.close()
 
 
-def before_and_after(monkeypatch: pytest.MonkeyPatch, seen: Callable[[], None]) -> None:
+def before_and_after(
+    monkeypatch: pytest.MonkeyPatch, seen: Callable[[], None], steps: Sequence[tuple[Any, str]] = STEPS
+) -> None:
     """Call `seen` before and after each step of making a cost map, but not within itself."""
     busy = False
 
@@ -63,7 +66,7 @@ def before_and_after(monkeypatch: pytest.MonkeyPatch, seen: Callable[[], None]) 
             seen()
             busy = False
 
-    for owner, name in STEPS:
+    for owner, name in steps:
         monkeypatch.setattr(owner, name, watched(getattr(owner, name)))
 
 
@@ -93,6 +96,71 @@ def test_nothing_is_left_whenever_it_is_deleted(tmp_path: Path, monkeypatch: pyt
             left = [path.name for path in (tmp_path / "costmaps").iterdir()]
             assert left == ([] if deleted else [f"{wanted}.zarr"]), f"at moment {nth}"
     assert nth > 20
+
+
+VAULT_STEPS = [
+    (ObjectVault, name) for name in ("begin", "send", "write", "read", "remove", "names", "has", "parts")
+] + [
+    (vaulted, "_chunks"),
+    (Store, "status"),
+]
+
+
+def made_there(store: Store, costmap_id: str, models_dir: Path) -> None:
+    """Make a cost map as workers do that share nothing but an object store."""
+    order: Any = order_of(store, costmap_id, models_dir)
+    for number in vaulted.lay_out(order)[1]:
+        vaulted.build(order, number)
+    store.finish(costmap_id, vaulted.finish(order))
+    store.tidy(costmap_id)
+
+
+def test_nothing_is_left_in_an_object_store_whenever_it_is_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("obstore")
+    monkeypatch.setattr(tiling, "TILE_CELLS", 32)
+    moments = itertools.count()
+    with opened(tmp_path, objects=f"file://{tmp_path}/objects") as store:
+        heightmap = store.add_heightmap(hill(), name="hill", stats={}).id
+        wanted, deleted = "", True
+
+        def seen() -> None:
+            nonlocal moment, deleted
+            if moment == 0:
+                store.delete_costmap(wanted)
+                deleted = True
+            moment -= 1
+
+        before_and_after(monkeypatch, seen, VAULT_STEPS)
+        while deleted:
+            wanted, deleted, moment = asked(store, heightmap), False, -1
+            nth = moment = next(moments)
+            try:
+                made_there(store, wanted, tmp_path)
+            except (OSError, NotFoundError, RuntimeError):
+                if not deleted:
+                    raise
+            moment = -1
+            left = [name for name in store.vault.names("") if "costmaps/" in name]  # type: ignore[union-attr]
+            if deleted:
+                assert left == [], f"at moment {nth}"
+    assert nth > 20
+    assert f"records/costmaps/{wanted}.zarr.json" in left
+    assert not [name for name in left if ".tiles" in name]
+
+
+def test_who_sends_on_after_a_cost_map_is_done_changes_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("obstore")
+    with opened(tmp_path, objects=f"file://{tmp_path}/objects") as store:
+        wanted = asked(store, store.add_heightmap(hill(), name="hill", stats={}).id)
+        order: Any = order_of(store, wanted, tmp_path)
+        made_there(store, wanted, tmp_path)
+        before = {path: path.read_bytes() for path in (tmp_path / "objects").rglob("*") if path.is_file()}
+        for late in (lambda: vaulted.build(order, 0), lambda: vaulted.finish(order)):
+            with pytest.raises((OSError, RuntimeError), match=r"nobody waits for|is not there"):
+                late()
+        assert {path: path.read_bytes() for path in (tmp_path / "objects").rglob("*") if path.is_file()} == before
 
 
 def test_who_works_on_after_a_cost_map_is_done_changes_nothing(tmp_path: Path) -> None:
