@@ -267,8 +267,10 @@ class Kept:
 
     def _row(self, table: type[Row], there: str, **key: str) -> Row:
         ((name, row_id),) = key.items()
-        with self._sessions() as session:
-            row = session.get(table, row_id)
+        row = None
+        if "\0" not in row_id:  # a text that PostgreSQL has no place for, not even in a question
+            with self._sessions() as session:
+                row = session.get(table, row_id)
         if row is None or not self.may_see(row):
             raise NotFoundError(f"there {there} {row_id[:80]!r}", **{name: row_id[:80]})
         return row

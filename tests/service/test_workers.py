@@ -20,10 +20,10 @@ import pytest
 from distributed import Client
 from fastapi.testclient import TestClient
 from pydantic import ValidationError
-from sqlalchemy import create_engine
+from sqlalchemy import create_engine, event
 from sqlalchemy.exc import OperationalError
 
-from joulemap.model.errors import JoulemapError
+from joulemap.model.errors import JoulemapError, NotFoundError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cli import app as cli
@@ -311,6 +311,23 @@ def test_a_database_that_hangs_is_told_within_its_time_and_then_at_once(tmp_path
             assert http.get("/healthz").status_code == 200
         wait_until(lambda: http.get("/v1/costmaps").status_code == 200, timeout_s=20.0)
         wait_until(lambda: http.get("/readyz").status_code == 200, timeout_s=20.0)
+
+
+@pytest.mark.parametrize("database", ["sqlite", pytest.param("postgresql", marks=[needs_postgres, pytest.mark.slow])])
+def test_an_id_with_a_null_character_is_not_there_and_no_database_is_asked(tmp_path: Path, database: str) -> None:
+    """PostgreSQL refuses such a text in whatever is asked; that was an internal error."""
+    with postgres_server(free_port()) if database == "postgresql" else nullcontext() as server:
+        store = Store(tmp_path, server.url if server else f"sqlite:///{tmp_path / 'a.db'}")
+        store.open()
+        asked_for: list[str] = []
+        event.listen(
+            store.engine, "before_cursor_execute", lambda _c, _k, _s, values, *_: asked_for.append(str(values))
+        )
+        for ask_for in (store.costmap, store.heightmap, store.runs, store.calibration, store.delete_costmap):
+            with pytest.raises(NotFoundError):
+                ask_for("cm-\0")
+        assert asked_for == []
+        store.close()
 
 
 def deaf_postgres(server: socket.socket) -> None:
