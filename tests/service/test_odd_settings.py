@@ -1,24 +1,14 @@
-"""Settings that cannot be used are refused in words that name them; and what a lost database does to requests."""
+"""Settings that cannot be used are refused in words that name them, before anything is started."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
-import anyio
 import pytest
-from fastapi.testclient import TestClient
 from pydantic import ValidationError
-from sqlalchemy.exc import OperationalError
-from starlette.datastructures import Headers
 
-from joulemap.model.errors import BusyError
 from joulemap.service.cli import app
-from joulemap.service.http.access_keys import KeyCheck, Keys
 from joulemap.service.settings import Settings
-from tests.service.conftest import settings_for
 
 
 @pytest.mark.parametrize(
@@ -67,49 +57,3 @@ def test_serve_says_what_is_wrong_with_the_database(
     said = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert words in said
     assert "secret" not in said
-
-
-def test_requests_that_wait_for_the_keys_of_a_lost_database_fail_together(tmp_path: Path) -> None:
-    """Each would wait for the limit of time otherwise, one after another."""
-    asked = []
-
-    def _lost() -> Any:
-        asked.append(time.monotonic())
-        time.sleep(0.3)
-        raise OperationalError("select", {}, Exception("nothing within 10 s"))
-
-    store: Any = SimpleNamespace(sessions=_lost)
-    keys = Keys(store, settings_for(tmp_path, workers=0))
-    failed = []
-
-    async def _ask() -> None:
-        with pytest.raises(BusyError, match="the database does not answer"):
-            await keys.caller(Headers({}))
-        failed.append(time.monotonic())
-
-    async def _all() -> None:
-        async with anyio.create_task_group() as group:
-            for _ in range(10):
-                group.start_soon(_ask)
-        await _ask()
-
-    began = time.monotonic()
-    anyio.run(_all)
-    assert (len(failed), len(asked)) == (11, 2), "one look for ten, and another one for who came later"
-    assert failed[-1] - began < 2.0
-
-
-def test_nothing_waits_for_a_database_that_is_known_to_be_away(tmp_path: Path) -> None:
-    away = [True]
-
-    async def _app(scope: Any, receive: Any, send: Any) -> None:
-        await send({"type": "http.response.start", "status": 204, "headers": []})
-        await send({"type": "http.response.body", "body": b""})
-
-    store: Any = SimpleNamespace(sessions=lambda: pytest.fail("it was asked"))
-    checked: Any = KeyCheck(_app, keys=Keys(store, settings_for(tmp_path, workers=0)), away=lambda: away[0])
-    client = TestClient(checked)
-    refused = client.get("/v1/costmaps")
-    assert (refused.status_code, refused.headers["retry-after"]) == (503, "5")
-    assert refused.json()["detail"] == "the database does not answer"
-    assert client.get("/readyz").status_code == 204
