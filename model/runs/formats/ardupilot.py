@@ -27,6 +27,7 @@ _KINDS = {
 }
 _INSTANCES = ("Inst", "Instance", "I", "C")
 _MARK, _FORMAT, _FORMAT_BYTES = b"\xa3\x95", 0x80, 89
+_MOST_STRANGE = 100_000  # marks of no message, behind which no end is looked for
 _PAGE_BYTES = 528  # of a memory card: the library looks for no marks in so much at the end
 
 
@@ -144,11 +145,14 @@ def _about_end(path: Path) -> tuple[int, list[str]]:
     """
     lengths = {_FORMAT: _FORMAT_BYTES}
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        at = end = 0
+        at = end = strange = 0
         size = len(data)
         while (at := data.find(_MARK, at)) >= 0:
             # one byte further where something in between looks like a mark
             length = lengths.get(data[at + 2], 1) if at + 3 <= size else 3
+            strange += length == 1
+            if strange > _MOST_STRANGE:
+                return size, []
             if at + length > size:
                 return size, [cut_off("ArduPilot log", at, size)]
             if data[at + 2] == _FORMAT:
