@@ -54,10 +54,12 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # Installed anew when the dependencies change. The kernels are compiled here so that nobody waits for them later; those
-# of an earlier version are removed first, because their cache remembers module names.
+# of an earlier version are removed first, because their cache remembers module names. Byte code is made here too: where
+# PYTHONDONTWRITEBYTECODE is set, every command would compile a hundred modules at its start.
 $(INSTALLED): pyproject.toml | $(BIN)/python
 	@echo "joulemap and its libraries are installed, which takes a few minutes once"
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet --editable '.[dev]'
 	find model planner service -name '*.nb[ci]' -delete
+	$(BIN)/python -m compileall -q joulemap model planner service
 	$(BIN)/joulemap warmup
 	touch $@
