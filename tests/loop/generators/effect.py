@@ -94,6 +94,8 @@ class HiddenEffect:
         Whether it is constant, or nearly, within a run: what it takes to find it is runs, not metres.
     either_sign : bool
         Whether the common sign of the coefficients is a convention.
+    switch : bool
+        Whether it depends on a column of 0 and 1, over which a curve has two coefficients.
     """
 
     size: float
@@ -106,6 +108,7 @@ class HiddenEffect:
     transfers: ClassVar[bool] = True
     between: ClassVar[bool] = False
     either_sign: ClassVar[bool] = False
+    switch: ClassVar[bool] = False
 
     def force_n(self, scene: Scene) -> FloatArray | float:
         """Force that resists the motion [N], (n,)."""

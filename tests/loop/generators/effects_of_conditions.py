@@ -149,6 +149,7 @@ class Heater(HiddenEffect):
     right = (r"aux_2",)
     unit = "W"
     either_sign = True  # on against off, or off against on
+    switch = True
 
     def coefficients(self, robot: TrueRobot) -> tuple[float]:
         """Power [W]."""

@@ -114,15 +114,15 @@ class WindingHeat(HiddenEffect):
 
     kind = "winding_heat"
     right = (r"copper", r"square", r"resistance of the battery", r"battery", r"force", r"grade", r"climb", r"pitch")
-    unit = "W/N2"
+    unit = "W at the robot's weight"
 
     def coefficients(self, robot: TrueRobot) -> tuple[float]:
-        """Power per force squared [W/N^2]."""
-        return (0.25 * self.size * robot.speed_mps / robot.rolling_n,)
+        """Power at a force as large as the weight [W]."""
+        return (0.25 * self.size * robot.speed_mps / robot.rolling_n * (robot.mass_kg * G_MPS2) ** 2,)
 
     def load_w(self, scene: Scene, force_n: FloatArray) -> FloatArray:
-        """c F^2."""
-        return self.coefficients(scene.robot)[0] * force_n**2
+        """c (F / m g)^2."""
+        return self.coefficients(scene.robot)[0] * (force_n / (scene.robot.mass_kg * G_MPS2)) ** 2
 
 
 class PowerCeiling(HiddenEffect):
