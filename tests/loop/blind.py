@@ -99,7 +99,8 @@ def fits_of(case: Case, answers: Sequence[Answer]) -> list[Row]:
                 same[-len(true) :]
                 for answer in answers
                 if effect.is_named_by(answer.words)
-                and len(same := [c for c in answer.coefficients if c.unit in units]) in (len(true), 2 * effect.switch)
+                and len(same := [c for c in answer.coefficients if c.unit in units])
+                in (len(true), len(true) + effect.switch)
             ),
             None,
         )
