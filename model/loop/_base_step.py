@@ -30,8 +30,7 @@ def drives_of(residuals: Residuals) -> Drives:
 
     It has the largest posterior density: the likelihood of the base parameters beside effects that say nothing of the
     slope and beside levels of the runs, with Huber's density; and a normal prior around the declared rolling
-    resistance, as wide as that is large, which decides where no run coasts. A point that is not found bends the
-    prediction, and the bend looks like an effect of the square of the force. Levels are shares of the prediction with
+    resistance, as wide as that is large, which decides where no run coasts. Levels are shares of the prediction with
     the point that is tried: shares of another would know that one too.
     """
     declared, width = residuals.features.drives, max(residuals.features.robot.rolling_resistance, _ROUNDING)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from joulemap.model.loop._mixed_model import IntArray, MixedModel
 from joulemap.model.loop._variation import Variation, fit_variation
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
-from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters
+from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Features, FloatArray
@@ -75,8 +75,7 @@ class Design:
 
     def on(self, rows: Features, chosen: Sequence[Candidate]) -> Design:
         """With the base parameters and some candidates on the same rows with another prediction."""
-        columns, start = self.columns.copy(), np.zeros(len(self.base.names)) if self.level_of is None else self.level_of
-        rows = with_base_parameters(rows, self.base, start)
+        columns = self.columns.copy()
         columns[:, : len(self.base.names)] = self.base.columns(rows)
         for candidate in chosen:
             every = candidate.form.columns(rows)

@@ -93,7 +93,8 @@ def fit(
     planner = selection if len(planned) == len(selection.chosen) else selection.settled(planned)
     planner_terms = planner.estimate(planned, without=(MEASURED_SLOPE,))[-1]
     ranges = driven_ranges(measured.features)
-    correction = Correction(tuple(terms), planner_terms, ranges, rows.features.drives, first, rows.charge)
+    drives = selection.design.residuals.features.drives
+    correction = Correction(tuple(terms), planner_terms, ranges, drives, first, rows.charge)
     ranked = tuple(sorted(effects, key=lambda e: -e.share))
     run_share = float(np.sqrt(estimate.tau2 * selection.model.sigma2(index)))
     return Fitted(selection, low, high, ranked, correction, base_terms, scale, run_share)

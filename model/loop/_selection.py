@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from joulemap.model.loop._design import Candidate, Design, fit_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
 from joulemap.model.loop.forms import UNNAMED
-from joulemap.model.loop.forms._base_parameters import BaseParameters, energy_per_tan, with_base_parameters
+from joulemap.model.loop.forms._base_parameters import BaseParameters, with_base_parameters, with_forces
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
@@ -26,8 +26,8 @@ from joulemap.model.runs.features import Features, FloatArray
 ALPHA = 0.01
 """Largest p-value of an effect, allowing for every test: one false find in a hundred calibrations."""
 LEAST_GAIN = 0.05
-"""Setting: share of the left-out squared error by which an effect must reduce it to be worth a line in a report. With
-thousands of rows every small error of a base model is significant (Cohen 1994)."""
+"""Setting: share of the left-out squared error that is worth a line in a report. With thousands of rows every small
+error of a base model is significant (Cohen 1994)."""
 _ROUNDS = 4
 MOST_EFFECTS = 8
 """A report of more effects is a model of the noise, or of a base model that is no model of this robot."""
@@ -89,16 +89,17 @@ class Selection:
         return tuple(terms)
 
     def settled(self, kept: Sequence[Candidate]) -> Selection:
-        """With what some effects resist, which moves the descent on which the drives coast, where they are tested. It
-        follows from the coefficients and these from it (Gauss-Newton).
-        """
+        """With some effects in what resists, which follows from coefficients and these from it (Gauss-Newton)."""
         found, forces = self, [k for k, c in enumerate(kept) if c.form.resists]
-        rows = self.design.residuals.features
-        for _ in range(_ROUNDS if forces or rows.added_resistance is not None else 0):
+        rows, new, first = self.design.residuals.features, self.design.new, np.asarray(self.design.level_of)
+        known = self.design.residuals.moving & (new.all() | ~new)  # what the coasting was fitted to
+        for _ in range(_ROUNDS if forces else 0):
             design, (base, *terms) = found.design, found.estimate(kept)[-1]
-            per_tan = energy_per_tan(rows, base.form, base.coefficients)
-            added = sum(design.where(kept[k]) * rows.resistance_of(terms[k].energy, per_tan) for k in forces)
-            design = design.on(rows.resisted_by(added), kept)
+            where = [design.where(kept[k]) for k in forces]
+            costs = [lambda r, w=w, t=terms[k]: w * t.energy(r) for k, w in zip(forces, where, strict=True)]
+            _, added = with_forces(rows, first, base.form, base.by_name, costs)
+            rows = replace(rows, drives=replace(rows.drives, resisted_tan=float(added[known].mean())))
+            design = design.on(with_forces(rows, first, base.form, base.by_name, costs)[0], kept)
             found = replace(found, design=design, model=fit_model(design, kept, self.model.variation))
         return found
 
@@ -147,9 +148,7 @@ def _within_one_error(gains: FloatArray) -> bool:
 
 
 def select(design: Design, *, progress: Callable[[float], None] | None = None) -> Selection:
-    """Choose effects; none where none is significant. `progress` is called with the share of the work that is done,
-    0..1.
-    """
+    """Choose effects; none where none is significant. `progress` is called with the share that is done, 0..1."""
     chosen: list[Candidate] = []
     between: dict[str, bool] = {}
     seen: set[frozenset[int]] = set()
@@ -258,13 +257,8 @@ def _physical(design: Design, model: MixedModel, candidate: Candidate, beside: I
 
 def _simplest(design: Design, verdicts: Sequence[Verdict], chosen: Sequence[Candidate], *, unnamed: bool) -> int | None:
     """The simplest candidate whose gain is within one standard error of the largest."""
-    able = [
-        k
-        for k, (verdict, candidate) in enumerate(zip(verdicts, design.candidates, strict=True))
-        if not verdict.why_not
-        and not any(candidate is c for c in chosen)
-        and (unnamed or not isinstance(candidate.form, UNNAMED))
-    ]
+    asked = [k for k, c in enumerate(design.candidates) if unnamed or not isinstance(c.form, UNNAMED)]
+    able = [k for k in asked if not verdicts[k].why_not and not any(design.candidates[k] is c for c in chosen)]
     if not able:
         return None
     top = verdicts[max(able, key=lambda k: verdicts[k].gain)]

@@ -10,7 +10,7 @@ import numpy as np
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.forms import Form
-from joulemap.model.loop.forms._base_parameters import energy_per_tan, with_base_parameters
+from joulemap.model.loop.forms._base_parameters import with_forces
 from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity, share_beyond
 
 
@@ -43,6 +43,11 @@ class Term:
             Energy [J], or charge [A s].
         """
         return self.form.columns(rows) @ np.asarray(self.coefficients)
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Every coefficient by its name."""
+        return dict(zip(self.form.coefficient_names(), self.coefficients, strict=True))
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as a JSON-able mapping."""
@@ -144,9 +149,8 @@ class Correction:
         held, terms = rows.within(self.ranges), self.planner_terms if planned else self.terms
         if self.first_base is None:
             return _total(terms, held)
-        per_tan = energy_per_tan(held, terms[0].form, terms[0].coefficients)
-        resisted = held.resisted_by(sum(held.resistance_of(t.energy, per_tan) for t in terms if t.form.resists))
-        resisted = with_base_parameters(resisted, self.first_base.form, self.first_base.coefficients)
+        forces, first = [t.energy for t in terms if t.form.resists], self.first_base
+        resisted, _ = with_forces(held, first.coefficients, first.form, terms[0].by_name, forces)
         moved = 0.0 if self.charge else resisted.base_motion - held.base_motion
         return moved + _total(terms, resisted)
 
@@ -190,9 +194,8 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
 
     Notes
     -----
-    The slope of the energy of turning over the angle that each row turned, in least squares: turns within a metre
-    count, and the wandering of straight driving hardly does. Turns beyond the driven range, such as one on the spot
-    whose peak of power a log may not show, are left out. For one term without a limit it is its coefficient.
+    The slope of the energy of turning over the angle that each row turned, in least squares. Turns beyond the driven
+    range, such as one on the spot whose peak of power a log may not show, are left out.
     """
     moving = rows.take(~rows.standing)
     rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))

@@ -44,10 +44,14 @@ class Drives:
     motor_speed_mps : float, optional
         For a charge that the motors take: the speed at which a force costs its work over the nominal voltage. Without
         it the energy, or the charge, is that of the battery.
+    resisted_tan : float, optional
+        Mean of what the forces of effects resist, as a tangent, in the runs to which the coasting was fitted: it is in
+        the shift already. Without it such forces do not move the descent on which the drives coast.
     """
 
     coasting_shift: float = 0.0
     motor_speed_mps: float | None = None
+    resisted_tan: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,8 +406,10 @@ class Features:
         Features
             With another descent on which the drives coast.
         """
-        added = np.broadcast_to(np.maximum(added, min(self.coasting_tan, 0.0)), (len(self),))
-        return replace(self, added_resistance=added)
+        if self.drives.resisted_tan is None:
+            return self
+        more = np.maximum(np.asarray(added) - self.drives.resisted_tan, min(self.coasting_tan, 0.0))
+        return replace(self, added_resistance=np.broadcast_to(more, (len(self),)))
 
     def read_late(self, energy: FloatArray, lag_s: float) -> FloatArray:
         """Return what a late meter says of each row.

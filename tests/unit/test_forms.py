@@ -223,7 +223,7 @@ def test_what_comes_first_are_the_declared_numbers():
 def test_drives_pull_or_brake_against_all_that_resists(slope, more, regeneration):
     """Closed form: F s where the whole force F is positive, and the regenerated share of it where it is not."""
     rows = even(grade=[slope], grades=[[slope] * 5], traction_per_m=[(0.08 + slope) * W])
-    rows = replace(rows, robot=replace(ROBOT, regeneration=regeneration))
+    rows = replace(rows, robot=replace(ROBOT, regeneration=regeneration), drives=Drives(resisted_tan=0.0))
     base = BaseParameters.of(charge=False)
     start = Term(base, (0.0,) * len(base.names))
     correction = Correction((start, Term(RollingResistance(), (more,))), (), first_base=start)

@@ -56,7 +56,6 @@ UNNAMED: tuple[type[Form], ...] = (Curve,)
 """Structure without a formula."""
 
 _EVERY: tuple[type[Form], ...] = (*NAMED, *CHANGES, *UNNAMED, BaseParameters)
-
 FORMS: dict[str, type[Form]] = {form.key: form for form in _EVERY}
 """Every form by its key."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -12,12 +12,13 @@ from joulemap.model.energy.declared import declared_spread
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 
+Values = Sequence[float] | FloatArray
+Energy = Callable[[Features], FloatArray]
+
 
 @dataclass(frozen=True)
 class BaseParameters(Form):
-    """Corrections of what an owner declares, or a prediction from nothing where only charge was logged; `names` are
-    parameters of `PARTS`.
-    """
+    """Corrections of what was declared, or a prediction from nothing of a charge; `names` are those of `PARTS`."""
 
     names: tuple[str, ...]
 
@@ -57,7 +58,7 @@ class BaseParameters(Form):
         return cls((*(SCALE if charge else _DECLARED), *(_DRIVING_OF_MOTORS if motors else _DRIVING), MEASURED_SLOPE))
 
 
-def with_base_parameters(rows: Features, base: Form, coefficients: Sequence[float] | FloatArray) -> Features:
+def with_base_parameters(rows: Features, base: Form, coefficients: Values) -> Features:
     """Rows whose energy of motion has base parameters of these values, (k,), in it, as `corrected`."""
     assert isinstance(base, BaseParameters)
     of_motion = np.array([name not in _OF_TIME for name in base.names])
@@ -66,21 +67,26 @@ def with_base_parameters(rows: Features, base: Form, coefficients: Sequence[floa
     return replace(rows, corrected=energy - rows.base_motion if of_charge else energy)
 
 
-class _Part(NamedTuple):
-    """A parameter: the unit of its coefficient, the energy of rows per unit of it, (n,) [J, or A s], and its lower
-    physical limit.
+def with_forces(
+    rows: Features, first: Values, base: Form, value: Mapping[str, float], forces: Sequence[Energy]
+) -> tuple[Features, FloatArray]:
+    """Rows whose drives pull or brake against all forces, with base parameters as `with_base_parameters`; and what the
+    forces of effects resist, as a tangent, (n,).
+
+    first : base parameters before any effect. value : those beside the effects. forces : what each costs rows.
     """
+    of_slope = value["uphill"] * rows.unit_j if "uphill" in value else 1.0 + value["energy_of_motion"]
+    per_tan = rows.weight_length * (of_slope + value.get(MEASURED_SLOPE, 0.0))
+    added = np.zeros(len(rows)) + sum(rows.resistance_of(force, per_tan) for force in forces)
+    return with_base_parameters(rows.resisted_by(added) if forces else rows, base, first), added
+
+
+class _Part(NamedTuple):
+    """A parameter: its unit, the energy of rows per unit of it, (n,) [J, or A s], and its lower physical limit."""
 
     unit: str
     column: Callable[[Features], FloatArray]
     lowest: Callable[[Features], float] = lambda rows: 0.0
-
-
-def energy_per_tan(rows: Features, base: Form, coefficients: Sequence[float]) -> FloatArray:
-    """Energy of the motion, (n,) [J, or A s], that base parameters of these values give to a slope of the tangent 1."""
-    value = dict(zip(base.coefficient_names(), coefficients, strict=True))
-    share = value["uphill"] * rows.unit_j if "uphill" in value else 1.0 + value["energy_of_motion"]
-    return rows.weight_length * (share + value.get(MEASURED_SLOPE, 0.0))
 
 
 def _released(rows: Features) -> FloatArray:

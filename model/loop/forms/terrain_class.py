@@ -81,9 +81,7 @@ class TerrainClass(_ByClass):
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
-        for column, classes in _classes(rows):
-            for of_motion in (False, True):
-                yield cls(column, tuple(classes), of_motion)
+        yield from (cls(column, tuple(words), share) for column, words in _classes(rows) for share in (False, True))
 
 
 @dataclass(frozen=True)
