@@ -19,8 +19,8 @@ class Drift(Form):
     ----------
     over : str
         `since_start`, `driven` or `clock`.
-    start : float
-        Value of the covariate at which it is nil: the first stamp of the day.
+    start, end : float
+        Values of the covariate in the runs between which it grows: it is nil at the first stamp of the day.
     of_all : bool
         A share of the predicted energy instead of energy per metre.
     """
@@ -28,6 +28,7 @@ class Drift(Form):
     over: str
     start: float = 0.0
     of_all: bool = True
+    end: float | None = None
 
     key = "drift"
     resists = True
@@ -46,10 +47,10 @@ class Drift(Form):
 
     def column(self, rows: Features) -> FloatArray:
         amount = rows.hotel_and_motion if self.of_all else rows.work_m * rows.pulling
-        return amount * np.maximum(quantity(rows, self.over) - self.start, 0.0) / self.per[0]
+        return amount * (np.clip(quantity(rows, self.over), self.start, self.end) - self.start) / self.per[0]
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
         for over in ("since_start", "driven", "clock"):
             start = float(rows.clock_s.min()) if over == "clock" else 0.0
-            yield from (cls(over, start, of_all) for of_all in (True, False))
+            yield from (cls(over, start, of_all, float(quantity(rows, over).max())) for of_all in (True, False))
