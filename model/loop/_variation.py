@@ -92,15 +92,11 @@ class Variation:
         return first
 
     def scaled(self, columns: FloatArray) -> FloatArray:
-        """Columns (n, k) [J, or A s] in standard deviations of their rows, outliers with less weight: ready for least
-        squares.
-        """
+        """Columns (n, k) [J, or A s] for least squares: in standard deviations of their rows, with weights."""
         return np.ascontiguousarray(columns * (np.sqrt(self.weight) / self.scale)[:, None])
 
     def whitened(self, columns: FloatArray) -> FloatArray:
-        """Columns (n, k) [J, or A s] as independent rows, in standard deviations of the noise, for generalised least
-        squares.
-        """
+        """Columns (n, k) [J, or A s] for generalised least squares: independent rows, by the noise."""
         return self._filtered(columns / self.scale[:, None])[0]
 
     @property

@@ -38,9 +38,7 @@ class BaseParameters(Form):
         return np.stack([np.nan_to_num(PARTS[name].column(rows)) for name in self.names], axis=1)
 
     def lowest(self, rows: Features) -> FloatArray:
-        """Lower physical limit of each coefficient, (k,), by the declared values of the robot: no rolling resistance,
-        mass, power or loss is negative, and descents return no more than they release.
-        """
+        """Lower limit of each coefficient, (k,): nothing is negative, and descents return no more than they release."""
         return np.array([PARTS[name].lowest(rows) for name in self.names])
 
     def spread(self, rows: Features) -> FloatArray:
@@ -50,11 +48,7 @@ class BaseParameters(Form):
 
     @classmethod
     def of(cls, *, charge: bool, motors: bool = False) -> BaseParameters:
-        """All parameters of measured runs.
-
-        charge : whether scale and zero of the energy are unknown, so that nothing of the base model's prediction is
-        kept. motors : whether the charge is that of the motors.
-        """
+        """All parameters of runs. charge : whether scale and zero are unknown. motors : whether it is the motors'."""
         return cls((*(SCALE if charge else _DECLARED), *(_DRIVING_OF_MOTORS if motors else _DRIVING), MEASURED_SLOPE))
 
 
