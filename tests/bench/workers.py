@@ -58,6 +58,7 @@ def seconds_of(folder: Path, count: int, name: str) -> float:
 
 async def _seconds(folder: Path, address: str, count: int, name: str) -> float:
     order = MapOrder(folder / f"{name}.zarr", folder / "dem.tif", {}, ROBOT.as_dict(), "default", 1.0, 16)
+    order.notes.mkdir(parents=True)
     async with connected(address, workers=0) as client:
         await client.wait_for_workers(count)
         await client.run(_warm)
