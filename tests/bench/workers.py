@@ -11,6 +11,8 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+from distributed import Client
+
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.cluster.connection import connected
 from joulemap.service.jobs.costmaps import make
@@ -30,6 +32,7 @@ def bench_workers(cells: int = CELLS) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         write_geotiff(place / "dem.tif", terrain(cells, 1.0))
+        write_geotiff(place / "small.tif", terrain(cells // 16, 1.0))
         for number in range(ROUNDS):
             for count in WORKERS:
                 times[count].append(seconds_of(place, count, f"{count}-{number}"))
@@ -57,14 +60,19 @@ def seconds_of(folder: Path, count: int, name: str) -> float:
 
 
 async def _seconds(folder: Path, address: str, count: int, name: str) -> float:
-    order = MapOrder(folder / f"{name}.zarr", folder / "dem.tif", {}, ROBOT.as_dict(), "default", 1.0, 16)
-    order.notes.mkdir(parents=True)
     async with connected(address, workers=0) as client:
         await client.wait_for_workers(count)
         await client.run(_warm)
+        await _make(client, folder / "small.tif", f"{name}-small")  # the scheduler loads what orders are made of
         began = time.perf_counter()
-        await make(client, order, key=name, report=_unheard)
+        await _make(client, folder / "dem.tif", name)
         return time.perf_counter() - began
+
+
+async def _make(client: Client, heightmap: Path, name: str) -> None:
+    order = MapOrder(heightmap.with_name(f"{name}.zarr"), heightmap, {}, ROBOT.as_dict(), "default", 1.0, 16)
+    order.notes.mkdir(parents=True)
+    await make(client, order, key=name, report=_unheard)
 
 
 async def _unheard(_share: float) -> None:
