@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba.core import types
+from numba.core import config, types
 from numba.extending import intrinsic
 
 _READ, _KEEP, _DATA = 0, 3, 1
@@ -27,6 +27,6 @@ def _prefetch(context, array, index):
     return types.void(array, index), _code
 
 
-prefetch: Any = intrinsic(_prefetch)
+prefetch: Any = (lambda array, index: None) if config.DISABLE_JIT else intrinsic(_prefetch)  # type: ignore[attr-defined]
 """Called by compiled code with an array (n,) and an index in it: asks for that entry, and for what lies beside it in
-memory, and changes nothing."""
+memory, and changes nothing. Where NUMBA_DISABLE_JIT is set nothing is compiled, and it does nothing."""

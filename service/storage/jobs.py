@@ -175,7 +175,10 @@ class KeptJobs(Kept):
         place = self._place(job_id)
         done = values["status"] == DONE
         values["bytes"] = self.vault.size(self._key(place), place) if done else 0
-        values["sums"] = sums_of(place) if done and not isinstance(self.vault, ObjectVault) else None
+        values["sums"] = None
+        if done and not isinstance(self.vault, ObjectVault):
+            with contextlib.suppress(FileNotFoundError):  # it was deleted meanwhile, and its row with it
+                values["sums"] = sums_of(place)
         with self._sessions.begin() as session:
             at_work = table.status.in_([QUEUED, RUNNING])
             ended = update(table).where(table.id == job_id, at_work).values(finished_at=now(), **values)
