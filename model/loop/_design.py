@@ -166,8 +166,7 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
     residuals, index = design.residuals, design.index(chosen)
     x = design.columns[:, index]
     said, z = residuals.said, residuals.measured - residuals.said
-    size, spread = max(float(np.median(np.abs(residuals.measured))), 1e-12), np.full(design.columns.shape[1], np.inf)
-    spread[: len(design.base.names)] = design.base.spread(residuals.features)
+    size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
     variation = start or Variation(residuals.run, residuals.moving, np.maximum(said, size), np.ones(len(z)))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
     if design.level_of is None:  # the base parameters by themselves; of a charge nothing is predicted yet
@@ -175,9 +174,9 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
     else:
         level = known + design.columns[:, design.fixed] @ design.level_of[design.fixed]
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
-        model = MixedModel(variation, x, z, level, spread[index], residuals.unit, whole_runs=residuals.whole_runs)
+        model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
         energy = x @ model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
         if design.level_of is None:
             level = known + energy
         variation = fit_variation(variation, said + energy, z - energy, x)
-    return MixedModel(variation, design.columns, z, level, spread, residuals.unit, whole_runs=residuals.whole_runs)
+    return MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)

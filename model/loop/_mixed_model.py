@@ -3,7 +3,7 @@
 Fixed effects, a random level of every unit (a run), and errors as `Variation` describes them (Pinheiro & Bates 2000,
 chapter 2). All fits come from the cross products of every unit, so that leaving one out costs a subtraction. Every
 coefficient has a normal prior around nothing that is worth one row of data (the unit information prior of Kass &
-Wasserman 1995), which settles what the rows do not, and that of what was declared.
+Wasserman 1995), which settles what the rows do not.
 """
 
 from __future__ import annotations
@@ -82,7 +82,6 @@ class MixedModel:
         residual: FloatArray,  # (n,), measured minus predicted
         level: FloatArray,  # (n,), predicted energy, with its sign: the level of a unit is a share of it. It is a
         # combination of columns that are in every model: no choice of levels explains what a column could.
-        spread: FloatArray,  # (k,), of each coefficient before any run, as a standard deviation; infinite where unknown
         unit: IntArray,  # (n,), what is left out together and has a level of its own; its rows follow each other
         *,
         whole_runs: bool,  # units are whole runs, so that differences between them can be tested
@@ -92,7 +91,6 @@ class MixedModel:
         self.size = np.sqrt(np.einsum("ij,ij->j", every, every)[:-2] / len(every))
         self.size[self.size == 0.0] = 1.0
         every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
-        self._prior = 1.0 / (spread * self.size) ** 2
         self.variation, self.rows, self.unit, self.whole_runs = variation, every, unit, whole_runs
         borders = np.flatnonzero(np.diff(unit, prepend=-1, append=-1))
         parts = [slice(a, b) for a, b in pairwise(borders)]
@@ -139,7 +137,7 @@ class MixedModel:
 
         def _loss(ratio: float) -> float:
             gram = units.at(ratio).sum(axis=0)
-            normal = self._with_prior(gram[:-1, :-1], chosen)
+            normal = self._with_prior(gram[:-1, :-1])
             rest = gram[-1, -1] - gram[:-1, -1] @ np.linalg.solve(normal, gram[:-1, -1])
             levels = float(np.log1p(ratio * self._gamma).sum()) + ratio * rest / freedom / RUN_SPREAD**2
             return levels + float(np.linalg.slogdet(normal)[1]) + freedom * float(np.log(max(rest, 1e-300)))
@@ -158,17 +156,17 @@ class MixedModel:
     def sigma2(self, chosen: IntArray) -> float:
         """Variance of the noise beside some columns, with n - q - units in the denominator."""
         gram = self._inside(np.append(chosen, -1))
-        c = np.append(-np.linalg.solve(self._with_prior(gram[:-1, :-1], chosen), gram[:-1, -1]), 1.0)
+        c = np.append(-np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]), 1.0)
         rest = float(c @ gram @ c)
         return max(rest / max(len(self.rows) - len(chosen) - self.units, 1), 1e-300)
 
-    def _with_prior(self, gram: FloatArray, index: IntArray) -> FloatArray:
-        """Cross products of columns, (..., q, q), with those of the prior: of every column what was known of it, and
-        what one row of these data says. The level of the runs is known as far as there are runs, and so is its prior.
+    def _with_prior(self, gram: FloatArray) -> FloatArray:
+        """Cross products of columns, (..., q, q), with those of the prior: of every column what one row of these data
+        says. The level of the runs is known as far as there are runs, and so is its prior.
         """
         diagonal = np.einsum("...ii->...i", gram) / len(self.rows)
         diagonal = np.where(diagonal > _ROUNDING, diagonal, 1.0)
-        return gram + (diagonal + self._prior[index])[..., None] * np.eye(gram.shape[-1])
+        return gram + diagonal[..., None] * np.eye(gram.shape[-1])
 
     def _by_unit(self, chosen: IntArray) -> _ByUnit:
         index = np.append(chosen, -1)
@@ -188,7 +186,7 @@ class MixedModel:
     def _normal(self, chosen: IntArray, tau2: float) -> tuple[FloatArray, FloatArray]:
         """Normal equations of generalised least squares, (q, q) and (q,)."""
         gram = self._by_unit(chosen).at(tau2).sum(axis=0)
-        return self._with_prior(gram[:-1, :-1], chosen), gram[:-1, -1]
+        return self._with_prior(gram[:-1, :-1]), gram[:-1, -1]
 
     def _within_limits(
         self, normal: FloatArray, target: FloatArray, chosen: IntArray, low: FloatArray, high: FloatArray
@@ -206,17 +204,15 @@ class MixedModel:
         """
         units = self._by_unit(chosen)
         part = units.at(tau2)
-        c = np.concatenate([-self._by_others(part, chosen), np.ones((self.units, 1, 1))], axis=1)
+        c = np.concatenate([-self._by_others(part), np.ones((self.units, 1, 1))], axis=1)
         judged = units.gram if whole else part
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
 
-    def _by_others(self, part: FloatArray, chosen: IntArray) -> FloatArray:
+    def _by_others(self, part: FloatArray) -> FloatArray:
         """Coefficients without each unit, (units, q, 1), by the cross products of every unit."""
         total, q = part.sum(axis=0), part.shape[1] - 1
         others = total - part
-        others[:, :q, :q] += (
-            self._with_prior(total[:q, :q], chosen) - total[:q, :q]
-        )  # that of all rows, whatever is left out
+        others[:, :q, :q] += self._with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
         return np.asarray(np.linalg.solve(others[:, :q, :q], others[:, :q, q:]))
 
     def test_within(self, tested: IntArray, beside: IntArray) -> float:
@@ -228,7 +224,7 @@ class MixedModel:
         """
         rows, squares = self._white
         rest, other = rows[:, np.append(tested, -1)], rows[:, beside]
-        rest -= other @ np.linalg.solve(self._with_prior(other.T @ other, beside), other.T @ rest)
+        rest -= other @ np.linalg.solve(self._with_prior(other.T @ other), other.T @ rest)
         a, z = rest[:, :-1], rest[:, -1]
         turned = _directions(a.T @ a, squares[tested])  # (k, r)
         if turned.shape[1] == 0:
@@ -266,7 +262,7 @@ class MixedModel:
         between = _LARGE * sigma2
         for _ in range(_ROUNDS):
             gram = units.at(between / sigma2).sum(axis=0)
-            normal = self._with_prior(gram[:-1, :-1], every)
+            normal = self._with_prior(gram[:-1, :-1])
             beta = np.linalg.solve(normal, gram[:-1, -1])[: len(fixed)]
             away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
             between = _between(away, noise, x)
@@ -291,10 +287,7 @@ class MixedModel:
         part, inverse = self._by_unit(chosen).at(tau2), np.linalg.inv(normal)
         own = np.einsum("ik,uij,jk->uk", inverse, part[:, :-1, :-1], inverse, optimize=True)
         freedom = own.sum(axis=0) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300) - 1.0
-        found, left_out = (
-            self._within_limits(normal, target, chosen, low, high),
-            self._by_others(part, chosen)[:, :, 0] / size,
-        )
+        found, left_out = self._within_limits(normal, target, chosen, low, high), self._by_others(part)[:, :, 0] / size
         return Estimate(found, left_out, freedom, tau2)
 
     def coefficients_of(self, energy: FloatArray, chosen: IntArray, tau2: float) -> FloatArray:

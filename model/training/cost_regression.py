@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.special import huber
 
-from joulemap.model.energy.declared import declared_spread
 from joulemap.model.energy.drive_costs import DriveCosts, easing, moving_speed_mps
 from joulemap.model.robot import Robot
 from joulemap.model.runs.segments import Segments
@@ -277,17 +276,17 @@ def _priors(rows: CostRows, names: list[str]) -> tuple[FloatArray, FloatArray, F
     first = rows.robots[0]
     arm = _ARM_M * first.weight_n / first.mass_kg
     mu = float(np.mean(rows.of_robot("rolling_resistance")))
-    known = declared_spread(first)
+    usual_w = float(np.mean(rows.of_robot("weight_n") * rows.of_robot("speed_mps"))) * mu + first.idle_power_w
     declared = -min(robot.turn_j_per_rad / robot.mass_kg for robot in rows.robots)
     idle = -min(robot.idle_power_w for robot in rows.robots)
     table = {
-        "level": (-mu, np.inf, 0.0, known["rolling_resistance"]),
-        "climb": (-1.0, 1.0, 0.0, known["energy_of_motion"]),
+        "level": (-mu, np.inf, 0.0, max(mu, 0.05)),
+        "climb": (-1.0, 1.0, 0.0, 0.3),
         "shape": (-1.0, 1.0, 0.0, 0.5),
         "turn": (declared, np.inf, 0.0, arm),
         "eased_turn": (0.0, np.inf, 0.0, arm),
-        "slower": (idle, np.inf, 0.0, known["driving_power"]),
-        "speed_up": (0.0, _MOST_SPEED_UP, 1.0, known["speeding_up"]),
+        "slower": (idle, np.inf, 0.0, max(usual_w, 1.0)),
+        "speed_up": (0.0, _MOST_SPEED_UP, 1.0, 1.0),
     }
     return tuple(np.array(column, dtype=np.float64) for column in zip(*(table[name] for name in names), strict=True))  # type: ignore[return-value]
 

@@ -25,7 +25,6 @@ DECIDES = (
     "refused_columns",
     "structure",
     "warming_up",
-    "declared",
 )
 """Modules whose constants decide what is named."""
 NO_THRESHOLDS = {"variation._GRID"}

@@ -12,28 +12,16 @@ NONE = np.zeros(0, dtype=np.int64)
 FIRST, SECOND = np.array([0]), np.array([1])
 
 
-def _model(columns, residual, run, level=None, spread=np.inf) -> MixedModel:
+def _model(columns, residual, run, level=None) -> MixedModel:
     moving = np.ones(run.size, dtype=bool)
     variation = Variation(run, moving, np.ones(run.size), np.ones(run.size))
     level = np.ones(run.size) if level is None else level
-    return MixedModel(variation, columns, residual, level, np.full(columns.shape[1], spread), run, whole_runs=True)
+    return MixedModel(variation, columns, residual, level, run, whole_runs=True)
 
 
 def _data(rng, runs=6, rows=80):
     run = np.repeat(np.arange(runs), rows)
     return run, rng.normal(size=(run.size, 2)), rng.normal(size=run.size)
-
-
-def test_what_is_declared_holds_where_the_rows_say_little():
-    """Of n = 10 rows with noise of variance 1 that say 5, beside a prior of 0 with the standard deviation s, it is
-    5 n / (n + 1 + 1 / s^2). The 1 is the prior worth one row.
-    """
-    run, x = np.repeat(np.arange(2), 5), np.ones((10, 1))
-    for spread in (0.1, 1.0, np.inf):
-        found = _model(x, 5.0 * x[:, 0], run, np.full(10, 1e-9), spread).coefficients(
-            FIRST, np.array([-9.0]), np.array([9.0])
-        )
-        assert found == pytest.approx(50.0 / (11.0 + spread**-2.0), rel=1e-6)
 
 
 def test_levels_of_runs_do_not_touch_a_test_inside_runs():

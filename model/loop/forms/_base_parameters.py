@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from joulemap.model.energy.declared import declared_spread
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 
@@ -40,11 +39,6 @@ class BaseParameters(Form):
     def lowest(self, rows: Features) -> FloatArray:
         """Lower limit of each coefficient, (k,): nothing is negative, and descents return no more than they release."""
         return np.array([PARTS[name].lowest(rows) for name in self.names])
-
-    def spread(self, rows: Features) -> FloatArray:
-        """Standard deviation of each coefficient before any run, (k,); infinite for scale and zero of a charge."""
-        known = {} if set(SCALE) & set(self.names) else declared_spread(rows.robot)
-        return np.array([known.get(name, np.inf) for name in self.names])
 
     @classmethod
     def of(cls, *, charge: bool, motors: bool = False) -> BaseParameters:
