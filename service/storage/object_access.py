@@ -48,7 +48,7 @@ def for_all(do: Callable[[str], object], names: list[str]) -> None:
 
 
 @contextmanager
-def told() -> Iterator[None]:
+def as_file_errors() -> Iterator[None]:
     """Raise the errors of an object store as those of a file system.
 
     Yields

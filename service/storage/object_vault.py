@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from joulemap.model.errors import InputError
-from joulemap.service.storage.object_access import SHOWN, first_line, for_all, obstore_library, told
+from joulemap.service.storage.object_access import SHOWN, as_file_errors, first_line, for_all, obstore_library
 
 _RECORDS = "records"
 _RETRIES, _RETRY_S = 3, 10.0  # of one request
@@ -152,7 +152,7 @@ class ObjectVault:
         """
 
         def _send(name: str) -> None:
-            with told(), (place / name).open("rb") as file:
+            with as_file_errors(), (place / name).open("rb") as file:
                 obstore_library().put(self._store, _object(key, name), file)
 
         for_all(_send, names)
@@ -182,7 +182,7 @@ class ObjectVault:
             begun = target.with_name(f"{target.name}.{secrets.token_hex(4)}.partial")
             digest = hashlib.sha256()
             try:
-                with told(), begun.open("wb") as file:
+                with as_file_errors(), begun.open("wb") as file:
                     for chunk in obstore_library().get(self._store, _object(key, name)).stream():
                         digest.update(chunk)
                         file.write(chunk)
@@ -278,7 +278,7 @@ class ObjectVault:
         """
         self._remove_record(key)
         names = list(self.names(key))  # of a folder
-        with told(), suppress(FileNotFoundError):
+        with as_file_errors(), suppress(FileNotFoundError):
             if not names:
                 obstore_library().head(self._store, key)  # a single file; in a folder of files, no empty folder
                 names = [key]
@@ -286,7 +286,7 @@ class ObjectVault:
         self._remove_record(key)
 
     def _remove_record(self, key: str) -> None:
-        with told(), suppress(FileNotFoundError):
+        with as_file_errors(), suppress(FileNotFoundError):
             obstore_library().delete(self._store, f"{_RECORDS}/{key}.json")
 
     def has(self, key: str) -> bool:
@@ -306,7 +306,7 @@ class ObjectVault:
         if not parts:
             return False
         try:
-            with told():
+            with as_file_errors():
                 obstore_library().head(self._store, _object(key, min(parts)))
         except FileNotFoundError:
             return False
@@ -322,7 +322,7 @@ class ObjectVault:
         content : bytes
             All of it.
         """
-        with told():
+        with as_file_errors():
             obstore_library().put(self._store, name, content)
 
     def read(self, name: str) -> bytes | None:
@@ -339,7 +339,7 @@ class ObjectVault:
             None where there is none.
         """
         try:
-            with told():
+            with as_file_errors():
                 return bytes(obstore_library().get(self._store, name).bytes())
         except FileNotFoundError:
             return None
@@ -359,7 +359,7 @@ class ObjectVault:
         str
             Names.
         """
-        with told():
+        with as_file_errors():
             for found in obstore_library().list(self._store, prefix):
                 yield from (each["path"] for each in found if before is None or each["last_modified"] < before)
 
