@@ -123,6 +123,8 @@ class Jobs:
             while not self._stopping:
                 if client.status != "running":
                     raise ConnectionError("the connection is lost")
+                if watching.done():
+                    watching.result()  # it ends with an error only, which is said as that of any other step
                 try:
                     wanted = await asyncio.to_thread(self._store.wanted)
                     ours = await asyncio.to_thread(claims.keep, wanted)

@@ -107,6 +107,15 @@ def test_the_address_of_a_scheduler_is_checked(typed: str, meant: str) -> None:
         Settings(scheduler=typed)
 
 
+def test_an_error_of_the_watch_is_said_and_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def _fail(_attendance: Attendance) -> None:
+        raise ValueError("nobody expects this")
+
+    monkeypatch.setattr(Attendance, "trouble", _fail)
+    with cluster(0) as (address, _), TestClient(create_app(settings_for(tmp_path, scheduler=address))) as client:
+        wait_until(lambda: "the workers do not start: see the log" in client.get("/readyz").text)
+
+
 def test_an_empty_address_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("JOULEMAP_SCHEDULER", "")
     assert Settings().scheduler is None
