@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -29,6 +29,7 @@ class Candidate:
     tested: IntArray  # columns whose coefficients are the effect
     beside: IntArray  # columns in the baseline runs too, whose coefficients are the base model's own error
     shared: IntArray  # to which of the tested ones each of them belongs
+    new_only: bool  # whether the tested columns are nil in the baseline runs
 
     @property
     def both(self) -> IntArray:
@@ -71,31 +72,32 @@ class Design:
 
     def where(self, candidate: Candidate) -> NDArray[np.bool_]:
         """Rows in which it is tested, (n,)."""
-        return self.new | self.columns[:, candidate.tested].any(axis=1)
+        return self.new | (not candidate.new_only)
 
-    def on(self, rows: Features, chosen: Sequence[Candidate]) -> Design:
-        """With the base parameters and some candidates on the same rows with another prediction."""
+    def on(self, rows: Features) -> Design:
+        """The same on rows with another prediction."""
         columns = self.columns.copy()
         columns[:, : len(self.base.names)] = self.base.columns(rows)
-        for candidate in chosen:
+        for candidate in self.candidates:
             every = candidate.form.columns(rows)
             columns[:, candidate.tested] = every * self.where(candidate)[:, None]
             columns[:, candidate.beside] = every[:, candidate.shared]
         return replace(self, residuals=replace(self.residuals, features=rows), columns=columns)
 
 
-def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Collection[str], first: Term) -> Design:
+def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> Design:
     """The columns of all forms on the rows of all runs, without forms whose columns are nil there.
 
-    new : False in the baseline runs, (n,). refused : logged columns that no effect may depend on. first : the base
-    parameters before any effect.
+    new : False in the baseline runs, (n,). first : the base parameters before any effect.
 
     With baseline runs a law of the robot or of the ground is tested by its columns in the new runs, beside the same
     columns in all runs, as far as these cover them: what the baseline runs show as well is the base model's own error.
     A law of the weather may hold in both, and is tested so too.
     """
     rows = residuals.features
-    shown = replace(rows, columns={k: v for k, v in rows.columns.items() if k not in refused or k in _DIRECTED})
+    shown = replace(
+        rows, columns={k: v for k, v in rows.columns.items() if k not in residuals.refused or k in _DIRECTED}
+    )
     base = BaseParameters.of(charge=residuals.charge, motors=residuals.motors)
     compared = not new.all()
     kinds: tuple[type[Form], ...] = (*NAMED, *(CHANGES if compared else ()), *UNNAMED)
@@ -104,12 +106,12 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Collectio
     blocks, candidates, count = [parameters], [], len(base.names)
     low, high = [base.lowest(rows)], [np.full(count, np.inf)]
 
-    def _add(form: Form, columns: FloatArray, every: FloatArray, shared: IntArray) -> None:
+    def _add(form: Form, columns: FloatArray, shared: IntArray, *, new_only: bool) -> None:
         nonlocal count
-        blocks.extend([columns, every[:, shared]])
+        blocks.extend([columns * new[:, None] if new_only else columns, columns[:, shared]])
         tested = count + np.arange(columns.shape[1])
         beside = count + columns.shape[1] + np.arange(len(shared))
-        candidates.append(Candidate(form, tested, beside, shared))
+        candidates.append(Candidate(form, tested, beside, shared, new_only))
         count += columns.shape[1] + len(shared)
         for limits, limit, free in ((low, form.low, -np.inf), (high, form.high, np.inf)):
             limits.append(np.repeat([limit, free], [len(tested), len(beside)]))
@@ -124,14 +126,13 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], refused: Collectio
             continue
         nothing = np.zeros(0, dtype=np.int64)
         if not compared or form.weather:
-            _add(form, columns, columns, nothing)
+            _add(form, columns, nothing, new_only=False)
         if compared and isinstance(form, CHANGES):
-            _add(form, columns * new[:, None], columns, nothing)
+            _add(form, columns, nothing, new_only=True)
         elif coverage is not None:
             form = form.against_baseline()
             columns = form.columns(rows)
-            covered = np.flatnonzero(coverage(columns))
-            _add(form, columns * new[:, None], columns, covered)
+            _add(form, columns, np.flatnonzero(coverage(columns)), new_only=True)
     ends, level_of = (np.concatenate(low), np.concatenate(high)), np.asarray(first.coefficients)
     return Design(residuals, new, np.concatenate(blocks, axis=1), *ends, base, tuple(candidates), level_of=level_of)
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.model.loop._base_step import base_step
 from joulemap.model.loop._design import make_design
@@ -14,7 +15,7 @@ from joulemap.model.loop.forms._base_parameters import MEASURED_SLOPE
 from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.loop.terms import Correction, Effect, Term
 from joulemap.model.runs.features import Drives, FloatArray, driven_ranges
-from joulemap.model.runs.residuals import Residuals, joined
+from joulemap.model.runs.residuals import Residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,25 +58,21 @@ class Fitted:
 
 
 def fit(
-    measured: Residuals,
-    base: Residuals | None,
-    refused: Collection[str],
+    rows: Residuals,
+    new: NDArray[np.bool_],
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Fitted:
     """Run the whole procedure once. `progress` is called with the share of the work that is done, 0..1.
 
-    measured, base : of the new runs and, where there are any, of the baseline runs. refused : logged columns that no
-    effect may depend on.
+    rows : of the baseline runs, where there are any, and of the new runs. new : False in the baseline runs, (n,).
     """
-    rows = measured if base is None else joined([base, measured])
-    new = np.arange(len(rows)) >= len(rows) - len(measured)
     rows, first, scale = base_step(rows, new)
-    selection = select(make_design(rows, new, refused, first), progress=progress)
+    selection = select(make_design(rows, new, first), progress=progress)
     base_terms = selection.estimate([])[-1]
     settled = selection.settled(selection.named or selection.chosen)
     if settled is not selection:
-        selection = select(make_design(settled.design.residuals, new, refused, first))
+        selection = select(settled.design)
         selection = selection.settled(selection.chosen)
     estimate, index, found = selection.estimate(selection.chosen)
     effects, terms = [], list(found)
@@ -92,7 +89,7 @@ def fit(
     planned = [c for c in selection.chosen if c.form.known_before]
     planner = selection if len(planned) == len(selection.chosen) else selection.settled(planned)
     planner_terms = planner.estimate(planned, without=(MEASURED_SLOPE,))[-1]
-    ranges = driven_ranges(measured.features)
+    ranges = driven_ranges(rows.features.take(np.flatnonzero(new)))
     drives = selection.design.residuals.features.drives
     correction = Correction(tuple(terms), planner_terms, ranges, drives, first, rows.charge)
     ranked = tuple(sorted(effects, key=lambda e: -e.share))

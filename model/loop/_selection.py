@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +63,24 @@ class Selection:
             out.setdefault(self.design.candidates[k].form.name, k)
         return out
 
+    @cached_property
+    def rivals(self) -> dict[str, list[str]]:
+        """Candidates that these runs cannot distinguish from the effects that were chosen, by effect: in its place
+        their left-out error is within one standard error. Only effects that have any.
+        """
+        now = self.design.index(self.chosen)
+        tau2 = self.model.tau2(now)
+        error = self.model.left_out(now, tau2)
+        names = {c.form.name for c in self.chosen}
+        every = zip(self.design.candidates, self.alone, strict=True)
+        possible = [c for c, verdict in every if verdict.p_value <= ALPHA and c.form.name not in names]
+        out = {}
+        for effect in self.chosen:
+            others = self.design.index([c for c in self.chosen if c is not effect])
+            more = ((c, self.model.left_out(np.append(others, c.both), tau2) - error) for c in possible)
+            out[effect.form.name] = list(dict.fromkeys(c.form.name for c, gains in more if _within_one_error(gains)))
+        return {name: rivals for name, rivals in out.items() if rivals}
+
     def estimate(
         self, kept: Sequence[Candidate], without: tuple[str, ...] = ()
     ) -> tuple[Estimate, IntArray, tuple[Term, ...]]:
@@ -99,7 +117,7 @@ class Selection:
             costs = [lambda r, w=w, t=terms[k]: w * t.energy(r) for k, w in zip(forces, where, strict=True)]
             _, added = with_forces(rows, first, base.form, base.by_name, costs)
             rows = replace(rows, drives=replace(rows.drives, resisted_tan=float(added[known].mean())))
-            design = design.on(with_forces(rows, first, base.form, base.by_name, costs)[0], kept)
+            design = design.on(with_forces(rows, first, base.form, base.by_name, costs)[0])
             found = replace(found, design=design, model=fit_model(design, kept, self.model.variation))
         return found
 
@@ -121,25 +139,6 @@ class Selection:
         rows = with_base_parameters(rows, self.design.base, np.asarray(self.design.level_of))
         said = 0.0 if self.design.residuals.charge else rows.predicted
         return np.asarray(sum((t.energy(rows) for t in terms), start=said))
-
-
-def rivals_of(selection: Selection) -> dict[str, list[str]]:
-    """Candidates that these runs cannot distinguish from the effects that were chosen, by effect: in its place their
-    left-out error is within one standard error. Only effects that have any.
-    """
-    design, model = selection.design, selection.model
-    now = design.index(selection.chosen)
-    tau2 = model.tau2(now)
-    error = model.left_out(now, tau2)
-    names = {c.form.name for c in selection.chosen}
-    every = zip(design.candidates, selection.alone, strict=True)
-    possible = [c for c, verdict in every if verdict.p_value <= ALPHA and c.form.name not in names]
-    out = {}
-    for effect in selection.chosen:
-        others = design.index([c for c in selection.chosen if c is not effect])
-        more = ((c, model.left_out(np.append(others, c.both), tau2) - error) for c in possible)
-        out[effect.form.name] = list(dict.fromkeys(c.form.name for c, gains in more if _within_one_error(gains)))
-    return {name: rivals for name, rivals in out.items() if rivals}
 
 
 def _within_one_error(gains: FloatArray) -> bool:

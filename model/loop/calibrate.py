@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.loop._procedure import Fitted, fit
-from joulemap.model.loop._selection import rivals_of
 from joulemap.model.loop.terms import Effect
 from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.refused_columns import refused_columns
-from joulemap.model.runs.residuals import Residuals
+from joulemap.model.runs.residuals import Residuals, joined
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,6 @@ class Calibration:
         Logged columns that no effect may depend on, and why.
     folds : int
         How often the whole procedure was repeated.
-    rivals : dict of str to list of str
-        See `rivals_of`.
     """
 
     fitted: Fitted
@@ -49,7 +47,11 @@ class Calibration:
     held_out: dict[str, FloatArray] = field(repr=False)
     refused: dict[str, str]
     folds: int
-    rivals: dict[str, list[str]]
+
+    @property
+    def rivals(self) -> dict[str, list[str]]:
+        """Candidates that these runs cannot distinguish from the effects that were found, by effect."""
+        return self.fitted.selection.rivals
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -109,8 +111,11 @@ def calibrate(
     """
     if base is not None and base.charge != measured.charge:
         base = None  # amperes and joules cannot be compared
-    refused = refused_columns(measured, electric or {})
-    fold = measured.folds(groups)
+    refused, own_fold = refused_columns(measured, electric or {}), measured.folds(groups)
+    measured = replace(measured, refused=frozenset(refused))
+    rows = measured if base is None else joined([base, measured])
+    new = np.arange(len(rows)) >= len(rows) - len(measured)
+    fold = np.append(np.full(len(rows) - len(measured), -1), own_fold)
     count = int(fold.max()) + 1 if cross_validate else 0
     done = 0
 
@@ -119,14 +124,13 @@ def calibrate(
             progress((done + share) / (count + 1))
 
     with threadpool_limits(1, user_api="blas"):  # the matrices are small: threads would wait for each other
-        fitted = fit(measured, base, refused, progress=_step)
+        fitted = fit(rows, new, progress=_step)
         held = fitted.states(measured)
         for k in range(count):
             done = k + 1
             _step(0.0)
-            out = fold == k
-            other, left_out = fit(measured.take(~out), base, refused), measured.take(out)
-            for key, energy in other.states(left_out).items():
-                held[key][out] = energy
+            kept, left_out = rows.take(fold != k), rows.take(fold == k)
+            for key, energy in fit(kept, new[fold != k]).states(left_out).items():
+                held[key][own_fold == k] = energy
     errors = {key: errors_of(measured, energy) for key, energy in held.items()}
-    return Calibration(fitted, measured, base, errors, held, refused, count, rivals_of(fitted.selection))
+    return Calibration(fitted, measured, base, errors, held, refused, count)

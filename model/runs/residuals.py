@@ -38,6 +38,8 @@ class Residuals:
         Whether the energy is charge, whose scale and zero are unknown.
     informed : ndarray of float, (n,), optional
         Prediction with the turns and loads that the model was trained on.
+    refused : frozenset of str
+        Logged columns that no effect may depend on.
     """
 
     features: Features
@@ -45,6 +47,7 @@ class Residuals:
     runs: tuple[str, ...]
     charge: bool = False
     informed: FloatArray | None = None
+    refused: frozenset[str] = frozenset()
 
     def __len__(self) -> int:
         return len(self.features)
@@ -141,7 +144,7 @@ class Residuals:
         """
         index = np.asarray(which)
         informed = None if self.informed is None else self.informed[index]
-        return Residuals(self.features.take(index), self.measured[index], self.runs, self.charge, informed)
+        return replace(self, features=self.features.take(index), measured=self.measured[index], informed=informed)
 
 
 def residuals_of(
@@ -223,4 +226,5 @@ def joined(parts: Sequence[Residuals]) -> Residuals:
         tuple(name for part in parts for name in part.runs),
         parts[0].charge,
         np.concatenate([part.said for part in parts]),
+        frozenset().union(*(part.refused for part in parts)),
     )
