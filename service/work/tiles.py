@@ -29,7 +29,7 @@ from joulemap.planner.lattice_io import LatticeFolder, load_lattice
 from joulemap.service.cost_lattices import prepare_build
 from joulemap.service.work.stored_base import with_stored_base
 
-_LAYOUT, _SUMMARY = "layout.json", "summary.json"
+_LAYOUT, _PROVENANCE, _SUMMARY = "layout.json", "provenance.json", "summary.json"
 _KEPT = threading.local()  # of the latest order, for each thread: an open file is read by one thread at a time
 
 
@@ -155,13 +155,13 @@ def lay_out(order: MapOrder) -> tuple[int, list[int]]:
         std = knows_spread(tiles.source, tiles.robot)
         with _unless_deleted(order):
             order.folder.lay_out(tiles.tiling, tiles.robot, with_std=std, again=False)
-            _write(order.notes / _LAYOUT, provenance_of(tiles.ground, tiles.robot, tiles.source, tiles.tiling))
+            _write(order.notes / _LAYOUT, {})
     count = len(tiles.tiling)
     return count, [number for number in range(count) if not _note(order, number).exists()]
 
 
 def build(order: MapOrder, number: int) -> None:
-    """Build one tile, unless it is there.
+    """Build one tile, unless it is there. The first one's worker notes how the map is made, while others build theirs.
 
     Parameters
     ----------
@@ -177,6 +177,8 @@ def build(order: MapOrder, number: int) -> None:
     part = build_tile(tiles.ground, tiles.robot, tiles.source, tiles.tiling, *place)
     with _unless_deleted(order):
         order.folder.write(part, *place)
+        if number == 0:
+            _provenance(tiles)
         _write(_note(order, number), figures_of(part))
 
 
@@ -216,7 +218,7 @@ def _unless_deleted(order: MapOrder) -> Iterator[None]:
 
 def _summary(tiles: Tiles) -> dict[str, Any]:
     order, frame = tiles.order, tiles.tiling.frame
-    provenance = json.loads((order.notes / _LAYOUT).read_text(encoding="utf-8"))
+    provenance = _provenance(tiles)
     notes = [_note(order, number).read_text(encoding="utf-8") for number in range(len(tiles.tiling))]
     figures = joined_figures([json.loads(note) for note in notes])
     if figures["energy_per_m"] is not None and figures["energy_per_m"]["min"] < 0.0:
@@ -239,6 +241,15 @@ def _summary(tiles: Tiles) -> dict[str, Any]:
         "provenance": provenance,
         **figures,
     }
+
+
+def _provenance(tiles: Tiles) -> dict[str, Any]:
+    """How the map is made; the whole heightmap is read for it, where that is not noted yet."""
+    noted = tiles.order.notes / _PROVENANCE
+    if not noted.exists():
+        _write(noted, provenance_of(tiles.ground, tiles.robot, tiles.source, tiles.tiling))
+    found: dict[str, Any] = json.loads(noted.read_text(encoding="utf-8"))
+    return found
 
 
 def _note(order: MapOrder, number: int) -> Path:

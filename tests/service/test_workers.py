@@ -19,12 +19,16 @@ from sqlalchemy import create_engine
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.robot import Robot
+from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner import tiles as tiling
+from joulemap.planner.lattice_build import provenance_of
 from joulemap.service.cluster.connection import connected
 from joulemap.service.http.app import create_app
 from joulemap.service.jobs.costmaps import make
 from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.store import Store
+from joulemap.service.work import tiles
 from joulemap.service.work.tiles import MapOrder
 from tests.service.clusters import ROOT, cluster, free_port, shared_scheduler
 from tests.service.conftest import settings_for
@@ -60,6 +64,41 @@ def test_plain_dask_workers_do_the_jobs_of_a_service(tmp_path: Path) -> None:
         place = of_rolling(client)
         wait_until(lambda: status(client, place) == "done")
         assert fingerprint(tmp_path / "costmaps" / f"{place.rsplit('/', 1)[-1]}.zarr") == expected
+
+
+def test_workers_do_not_wait_for_the_one_that_reads_the_whole_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tiling, "TILE_CELLS", 48)
+    described: list[Any] = []
+
+    def _described(*arguments: Any) -> dict[str, Any]:
+        described.append(provenance_of(*arguments))
+        return described[-1]
+
+    monkeypatch.setattr(tiles, "provenance_of", _described)
+    write_geotiff(ground := tmp_path / "ground.tif", rolling(95))
+    order = MapOrder(tmp_path / "map.zarr", ground, {}, Robot().as_dict(), "physics", 1.0, 8)
+    order.notes.mkdir()
+    count, missing = tiles.lay_out(order)
+    for number in missing[1:]:
+        tiles.build(order, number)
+    assert count > 1
+    assert described == []
+    tiles.build(order, 0)
+    assert tiles.finish(order)["provenance"] == described[0]
+    assert len(described) == 1
+
+
+def test_a_map_whose_making_is_not_noted_is_finished(tmp_path: Path) -> None:
+    """As where an earlier version, or a machine with another folder of copies, built the first tile."""
+    write_geotiff(ground := tmp_path / "ground.tif", rolling(95))
+    order = MapOrder(tmp_path / "map.zarr", ground, {}, Robot().as_dict(), "physics", 1.0, 8)
+    order.notes.mkdir()
+    for number in tiles.lay_out(order)[1]:
+        tiles.build(order, number)
+    (order.notes / "provenance.json").unlink()
+    assert tiles.finish(order)["provenance"]["heightmap"]["hash"] == read_heightmap(ground).data_hash
 
 
 def test_a_scheduler_that_comes_late_is_waited_for(tmp_path: Path) -> None:
