@@ -24,6 +24,13 @@ from tests.service.clusters import free_port
 CELLS = 2304
 WORKERS = (1, 2)
 ROUNDS = 3
+SETTINGS = {
+    "OMP_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+}
+"""Of scheduler and workers, as docs/how-to/my-cluster.md starts them."""
 
 
 def bench_workers(cells: int = CELLS) -> list[Row]:
@@ -48,12 +55,12 @@ def bench_workers(cells: int = CELLS) -> list[Row]:
 def seconds_of(folder: Path, count: int, name: str) -> float:
     """Seconds for a cost map by so many workers, which have made a small one before."""
     address = f"tcp://127.0.0.1:{(port := free_port())}"
-    dask, one_thread = [sys.executable, "-m", "dask"], {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    dask = [sys.executable, "-m", "dask"]
     scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
     worker = ["worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
     with ExitStack() as stack:
         for command in (scheduler, *[worker] * count):
-            process = subprocess.Popen([*dask, *command], env={**os.environ, **one_thread}, stderr=subprocess.DEVNULL)
+            process = subprocess.Popen([*dask, *command], env={**os.environ, **SETTINGS}, stderr=subprocess.DEVNULL)
             stack.enter_context(process)
             stack.callback(process.kill)
         return asyncio.run(_seconds(folder, address, count, name))
