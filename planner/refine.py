@@ -35,8 +35,9 @@ LAST_PROBES = (0.25, 0.0625)
 """Probes of vertices a cell apart [cells]."""
 FINE_STEPS = (0.5, 0.25, 0.125, 0.0625, 0.03125)
 """Shifts of single vertices where they are bent [cells]."""
-LAST_STEPS = (0.25, 0.0625)
-"""Shifts of vertices a cell apart, to the sides and along the path [cells]."""
+LAST_SPACING, LAST_STEPS = 0.5, (0.25, 0.0625)
+"""Distance of the vertices that are shifted last, and their shifts to the sides and along the path [cells]. Half a cell
+lets a path bend within a cell."""
 CORNER_STEPS = (8.0, 4.0, 2.0, 1.0, *FINE_STEPS)
 """Shifts of the corners of a path of long legs, to the sides and along it [cells]: so a zigzag changes its angle."""
 BENT_CELLS = 500.0
@@ -85,7 +86,7 @@ def refine_coarsely(lattice: CostLattice, points: Points) -> Points:
         (row, col) polyline with the same ends and at most the same energy.
     """
     best = _distinct(np.ascontiguousarray(points, dtype=np.float64))
-    if len(best) < 3 or math.isnan(path_price(lattice, best)):
+    if _fixed(lattice, best):
         return best
     best = subdivided(shortcuts(lattice, best), 4.0)
     for step, length in COARSE_STEPS:
@@ -158,7 +159,7 @@ def refine_last(lattice: CostLattice, points: Points) -> Points:
 
 
 def refine_bent(lattice: CostLattice, points: Points) -> Points:
-    """Return what shifts of vertices a cell apart make of a path, to the sides and along it.
+    """Return what shifts of vertices half a cell apart make of a path, to the sides and along it.
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ def refine_bent(lattice: CostLattice, points: Points) -> Points:
     """
     if _fixed(lattice, points):
         return points
-    return shortcuts(lattice, _bent(lattice, subdivided(points, 1.0), LAST_STEPS, _BOTH))
+    return shortcuts(lattice, _bent(lattice, subdivided(points, LAST_SPACING), LAST_STEPS, _BOTH))
 
 
 def path_stages(points: Points) -> tuple[Stage, ...]:
@@ -210,8 +211,8 @@ def path_length(points: Points) -> float:
 
 
 def _fixed(lattice: CostLattice, points: Points) -> bool:
-    """Whether there is nothing to be moved."""
-    return len(points) < 3 or math.isnan(path_price(lattice, points))
+    """Whether there is nothing to be moved. A straight leg is no reason: it may pay to leave it."""
+    return path_length(points) == 0.0 or math.isnan(path_price(lattice, points))
 
 
 def _settled(lattice: CostLattice, points: Points, probes: tuple[float, ...]) -> Points:
