@@ -1,7 +1,6 @@
 """What a reader of a calibration's report sees: sentences, names in the field's terms, and honest colour scales."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -433,10 +432,15 @@ def test_a_drive_is_suggested_for_an_effect_by_its_name_or_its_label(nothing, su
         drive_for(nothing.found)
 
 
+def _with_rivals(found, rivals):
+    selection = replace(found.fitted.selection)
+    vars(selection)["rivals"] = rivals  # a cached property
+    return replace(found, fitted=replace(found.fitted, selection=selection))
+
+
 def test_without_a_name_the_drive_is_for_what_cannot_be_distinguished_or_is_least_certain(turning, suggested):
     fitted = replace(turning.found.fitted, effects=turning.found.fitted.effects[:1])  # of turning
-    rivals = SimpleNamespace(rivals={"turning": ["speed", "learned:heading"]})
-    alike = replace(turning.found, fitted=replace(fitted, selection=rivals))
+    alike = _with_rivals(replace(turning.found, fitted=fitted), {"turning": ["speed", "learned:heading"]})
     drive = drive_for(alike)
     assert (drive["label"], drive["confounded_labels"]) == ("turning", ["speed", "structure in heading"])
     assert suggested.pop() == ("turning", ["speed", "structure in heading"])
@@ -446,10 +450,9 @@ def test_without_a_name_the_drive_is_for_what_cannot_be_distinguished_or_is_leas
     )
     other = drive_for(alike, "speed")
     assert (other["label"], other["confounded_with"]) == ("speed", ["turning"])
-    fitted = replace(fitted, selection=SimpleNamespace(rivals={}))
-    clear = drive_for(replace(alike, fitted=fitted))
+    clear = drive_for(_with_rivals(alike, {}))
     assert (clear["label"], clear["confounded_labels"]) == ("turning", [])
     assert "to measure turning more precisely" in drive_words(clear)
     late = replace(fitted.effects[0], term=Term(MeterLag(), (1.0,)))
     with pytest.raises(InputError, match="no effect was found that a route can show"):
-        drive_for(replace(alike, fitted=replace(fitted, effects=(late,))))
+        drive_for(_with_rivals(replace(alike, fitted=replace(fitted, effects=(late,))), {}))
