@@ -159,7 +159,7 @@ def refine_last(lattice: CostLattice, points: Points) -> Points:
 
 
 def refine_bent(lattice: CostLattice, points: Points) -> Points:
-    """Return what shifts of vertices half a cell apart make of a path, to the sides and along it.
+    """Return a path after its vertices, half a cell apart, were moved to the sides and along it.
 
     Parameters
     ----------
