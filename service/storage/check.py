@@ -21,7 +21,7 @@ from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.stats import heightmap_stats
 from joulemap.service.storage.store import Store
-from joulemap.service.storage.sums import changed
+from joulemap.service.storage.sums import MODEL_SUMS, changed
 from joulemap.service.storage.tables import (
     CALIBRATION,
     DONE,
@@ -225,6 +225,10 @@ class Check:
             self._store.model_here(row.id, self._models)
             if not model.is_dir() or not any(model.iterdir()):
                 raise FileNotFoundError(f"its model is not in {self._models}")
+            sums = place / MODEL_SUMS  # not there in what an older version kept
+            kept = json.loads(sums.read_text(encoding="utf-8")) if sums.exists() else {}
+            if unlike := [path.name for path in changed(model, kept)]:
+                raise ValueError(f"{', '.join(unlike)} of its model: the content is not what was kept")
         return bytes_of(place)
 
     def _unlike(self, table: Any, row_id: str, place: Path) -> Iterator[Path]:

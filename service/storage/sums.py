@@ -6,6 +6,9 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+MODEL_SUMS = "model.sums.json"
+"""File beside the report of a calibration, with the checksums of its model, which lies in the folder of models."""
+
 
 def sums_of(place: Path) -> dict[str, str]:
     """Return the checksums of a file, or of a folder part by part.

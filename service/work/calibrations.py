@@ -23,6 +23,7 @@ from joulemap.service.loop.report_page import report_page
 from joulemap.service.loop.segments_document import segments_document
 from joulemap.service.models import CALIBRATED_FOLDER
 from joulemap.service.problems import problem_of
+from joulemap.service.storage.sums import MODEL_SUMS, sums_of
 from joulemap.service.work.processes import end_with_parent, run
 
 REPORT, PAGE, SEGMENTS = "report.json", "report.html", "segments.json"
@@ -88,6 +89,7 @@ def calibrate(order: Mapping[str, Any], topic: str) -> dict[str, Any]:
             if ended != 0:
                 raise RuntimeError(f"the calibration's process ended with {ended}; see the worker's output")
             (out / _ORDER).unlink()
+            (out / MODEL_SUMS).write_text(json.dumps(sums_of(out / CALIBRATED_FOLDER)), encoding="utf-8")
             shutil.rmtree(calibrated, ignore_errors=True)  # what an earlier try left
             begun = calibrated.with_name(f"{out.name}")
             shutil.move(out / CALIBRATED_FOLDER, begun)  # perhaps to another file system

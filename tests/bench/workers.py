@@ -19,18 +19,12 @@ from joulemap.service.jobs.costmaps import make
 from joulemap.service.work.tiles import MapOrder
 from tests.bench.maps import ROBOT, terrain
 from tests.bench.timing import Row
-from tests.service.clusters import free_port
+from tests.service.clusters import compose_environment, free_port
 
 CELLS = 2304
 WORKERS = (1, 2)
 ROUNDS = 3
-SETTINGS = {
-    "OMP_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
-    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
-}
-"""Of scheduler and workers, as docs/how-to/my-cluster.md starts them."""
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
 def bench_workers(cells: int = CELLS) -> list[Row]:
@@ -60,7 +54,8 @@ def seconds_of(folder: Path, count: int, name: str) -> float:
     worker = ["worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
     with ExitStack() as stack:
         for command in (scheduler, *[worker] * count):
-            process = subprocess.Popen([*dask, *command], env={**os.environ, **SETTINGS}, stderr=subprocess.DEVNULL)
+            settings = os.environ | compose_environment(command[0]) | ONE_THREAD
+            process = subprocess.Popen([*dask, *command], env=settings, stderr=subprocess.DEVNULL)
             stack.enter_context(process)
             stack.callback(process.kill)
         return asyncio.run(_seconds(folder, address, count, name))

@@ -13,6 +13,8 @@ from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 
+import yaml
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -53,6 +55,12 @@ def shared_scheduler() -> str:
     stack = ExitStack()
     atexit.register(stack.close)
     return stack.enter_context(cluster(1))[0]
+
+
+def compose_environment(service: str) -> dict[str, str]:
+    """The variables that `docker/compose.cluster.yaml` sets for one of its services."""
+    compose = yaml.safe_load((ROOT / "docker" / "compose.cluster.yaml").read_text())
+    return dict(compose["services"][service]["environment"])
 
 
 def free_port() -> int:

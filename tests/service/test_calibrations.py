@@ -25,6 +25,7 @@ from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.service.http.app import create_app
 from joulemap.service.models import load_model
+from joulemap.service.storage.sums import MODEL_SUMS, sums_of
 from tests.reference.drives import wheel_logs
 from tests.service.clusters import free_port
 from tests.service.conftest import settings_for
@@ -187,6 +188,12 @@ def test_the_hidden_effect_is_found_and_planned_with(
         "invalid_input",
         "the model that it was made from",
     )
+
+
+def test_the_report_keeps_the_checksums_of_its_model(service: TestClient, calibration: dict[str, Any]) -> None:
+    inner = service.app.state.service  # type: ignore[attr-defined]
+    kept = json.loads((inner.store.calibration_folder(calibration["id"]) / MODEL_SUMS).read_text())
+    assert kept == sums_of(inner.settings.resolved_models_dir / calibration["id"]) != {}
 
 
 def test_a_radian_costs_in_plans_what_it_took(calibration: dict[str, Any]) -> None:

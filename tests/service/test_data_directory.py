@@ -28,6 +28,7 @@ from joulemap.service.storage import backup as backing_up
 from joulemap.service.storage.backup import back_up, restore
 from joulemap.service.storage.keys import add_key, all_keys
 from joulemap.service.storage.store import Store
+from joulemap.service.storage.sums import MODEL_SUMS, sums_of
 from joulemap.service.storage.tables import (
     DONE,
     QUEUED,
@@ -88,6 +89,9 @@ def kept(tmp_path_factory: pytest.TempPathFactory, hill_tif: bytes) -> dict[str,
     for place in (folder / "calibrations" / CALIBRATION, folder / "models" / CALIBRATION, folder / "models" / "mine"):
         place.mkdir(parents=True)
         (place / "report.json").write_text("{}")
+    model = folder / "models" / CALIBRATION
+    (model / "network.bin").write_bytes(bytes(range(256)))
+    (folder / "calibrations" / CALIBRATION / MODEL_SUMS).write_text(json.dumps(sums_of(model)))
     (folder / "calibrations" / CALIBRATION / "report.html").write_text("<html>" + "x" * 100_000)
     return {"folder": folder, "heightmap": heightmap, "costmap": answer.json()["id"], "runs": runs}
 
@@ -165,6 +169,12 @@ DAMAGES: dict[str, tuple[str, bool, Callable[[dict[str, Any]], object]]] = {
     "report cut": ("damaged", True, lambda kept: cut(kept["folder"] / "calibrations" / CALIBRATION / "report.json")),
     "calibration lost": ("missing", True, lambda kept: shutil.rmtree(kept["folder"] / "calibrations" / CALIBRATION)),
     "model lost": ("damaged", True, lambda kept: shutil.rmtree(kept["folder"] / "models" / CALIBRATION)),
+    "bit of a model": ("damaged", True, lambda kept: flip(kept["folder"] / "models" / CALIBRATION / "network.bin")),
+    "sums of a model cut": (
+        "damaged",
+        True,
+        lambda kept: cut(kept["folder"] / "calibrations" / CALIBRATION / MODEL_SUMS),
+    ),
     "run lost": ("damaged", False, lambda kept: run_of(kept).unlink()),
     "bit of a run": ("damaged", False, lambda kept: flip(run_of(kept))),
     "bit of a heightmap": ("damaged", False, lambda kept: flip(tif(kept))),

@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 
 from joulemap.service.settings import Settings
+from tests.service.clusters import compose_environment
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCKERFILE = REPOSITORY / "docker" / "Dockerfile"
@@ -120,6 +121,14 @@ def test_the_cluster_sets_what_there_is() -> None:
     assert all(program in compose for program in ('"dask", "scheduler"', '"dask", "worker"'))
     assert "EXTRAS" in compose
     assert "cluster = [" in (REPOSITORY / "pyproject.toml").read_text()
+
+
+@pytest.mark.parametrize("program", ["scheduler", "worker"])
+def test_dask_has_the_same_settings_in_the_compose_file_and_in_the_how_to(program: str) -> None:
+    page = (REPOSITORY / "docs" / "how-to" / "my-cluster.md").read_text()
+    lines = [line for line in page.splitlines() if line.startswith("export DASK_") or f"dask {program} " in line]
+    said = dict(re.findall(r"([A-Z_]+)=(\S+)", " ".join(lines)))
+    assert said.items() >= compose_environment(program).items()
 
 
 def test_compose_starts_this_image(image: Image) -> None:
