@@ -14,7 +14,8 @@ from joulemap.model.energy.predictor import Predictor
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
-from joulemap.model.runs.features import Drives, Features, FloatArray, describe_segments, planned_features
+from joulemap.model.runs.describe import describe_segments, planned_features
+from joulemap.model.runs.features import Drives, Features, FloatArray
 from joulemap.model.runs.segments import Segments
 from joulemap.model.runs.words import quantity_name, quantity_value
 from joulemap.model.terrain.heightmap import Heightmap

@@ -12,7 +12,7 @@ from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import RunsError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.consistency import check_runs
-from joulemap.model.runs.features import describe_segments
+from joulemap.model.runs.describe import describe_segments
 from joulemap.model.runs.record import read_record, save_record
 from joulemap.model.runs.residuals import LEAST_SEGMENTS, Residuals, residuals_of
 from joulemap.model.runs.segments import Segments

@@ -17,7 +17,8 @@ from joulemap.model.errors import InfeasibleError
 from joulemap.model.frames import heading_of, wrap_angle
 from joulemap.model.loop.forms import Form
 from joulemap.model.robot import Robot
-from joulemap.model.runs.features import Features, FloatArray, planned_features
+from joulemap.model.runs.describe import planned_features
+from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap

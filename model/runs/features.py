@@ -1,4 +1,7 @@
-"""Features of driven rows: path, ground, time, weather and whatever was logged, but not their measured energy."""
+"""Features of driven rows: path, ground, time, weather and whatever was logged, but not their measured energy.
+
+`describe.py` makes them of segments, measured or planned.
+"""
 
 from __future__ import annotations
 
@@ -12,23 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from joulemap.model.errors import ModelError
-from joulemap.model.frames import heading_vector
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import ANGLE_COLUMNS
-from joulemap.model.runs.segments import Segments
-from joulemap.model.runs.track import TURN_LIMITS_RADPS
-from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
-_REACH_M = 0.5  # half the side of the square metre around a segment
-_SIDE = 5  # samples along its sides, and places of a segment
-_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (_SIDE - 1)  # weight of each place: the trapezoidal rule
-_PLACES = np.linspace(-2.0 * _REACH_M, 2.0 * _REACH_M, 2 * _SIDE - 1)
+PLACES = 5
+"""Places of a segment whose slopes are known, from one end to the other."""
+_ENDS_HALF = np.array([0.5, 1.0, 1.0, 1.0, 0.5]) / (PLACES - 1)  # weight of each place: the trapezoidal rule
 LEAST_M = 0.1
 """Between wheels."""
-_AROUND_M = 2.5  # radius of the surroundings of a place: several times the robot, and less than a hill
-_BEARINGS = 8
 SHARE_DRIVEN = 0.01
 """Share of the driven rows beyond either border of a range: one odd reading in a hundred widens no range."""
 
@@ -566,228 +562,3 @@ def concatenate_features(parts: Sequence[Features]) -> Features:
     joined["columns"] = {k: np.concatenate([quantity(p, f"column:{k}") for p in parts]) for k in numbers}
     joined["words"] = {k: np.concatenate([p.words.get(k, np.full(len(p), "")) for p in parts]) for k in texts}
     return replace(parts[0], **joined, runs=tuple(name for p in parts for name in p.runs))
-
-
-def describe_segments(
-    segments: Segments, heightmap: Heightmap, robot: Robot, traction_per_m: ArrayLike, *, with_stationary: bool = True
-) -> tuple[Features, FloatArray]:
-    """Return the features of segments, and after them those of the stationary intervals.
-
-    Parameters
-    ----------
-    segments : Segments
-        Measured.
-    heightmap : Heightmap
-        On which they were driven.
-    robot : Robot
-        That drove.
-    traction_per_m : array_like, (n,)
-        Of the base model [J/m].
-    with_stationary : bool
-        Add the stationary intervals.
-
-    Returns
-    -------
-    tuple of (Features, ndarray of float)
-        The features; and the measured energy of each row [J, or A s].
-    """
-    n = len(segments)
-    first = np.array([segments.t0[segments.run == k].min(initial=math.inf) for k in range(len(segments.runs))])
-    driven = np.zeros(n)
-    for k in range(len(segments.runs)):
-        mine = np.flatnonzero(segments.run == k)
-        driven[mine] = np.cumsum(segments.driven_m[mine])
-    rows = Features(
-        robot=robot,
-        run=segments.run,
-        x=segments.x,
-        y=segments.y,
-        heading_rad=segments.heading_rad,
-        length_m=segments.driven_m,
-        duration_s=segments.duration_s,
-        traction_per_m=np.asarray(traction_per_m, dtype=np.float64),
-        turned_rad=segments.heading_change_rad,
-        turned_abs_rad=segments.turned_abs_rad,
-        gentle_turn_rad=segments.gentle_turn_rad,
-        gained_m2ps2=segments.gained_m2ps2,
-        kinetic_m2ps2=segments.kinetic_m2ps2,
-        **_ground(heightmap, robot, segments.x, segments.y, segments.heading_rad),
-        since_s=segments.t0 - (first[segments.run] if n else 0.0),
-        driven_m=driven,
-        clock_s=segments.t0,
-        columns=dict(segments.extras),
-        words={key: np.char.lower(np.char.strip(values)) for key, values in segments.texts.items()},
-        unit_j=robot.nominal_voltage_v if segments.charge else 1.0,
-        drives=Drives(motor_speed_mps=robot.speed_mps if segments.of_motors else None),
-        runs=tuple(f"{name}@{stamp:.1f}" for name, stamp in zip(segments.runs, first, strict=True)),
-    )
-    stationary = [(run, s, e) for run, s, e in segments.stationary if np.any(segments.run == run)]
-    if not with_stationary or not stationary:
-        return rows, segments.energy_j
-    run, seconds, energy = (np.array(values) for values in zip(*stationary, strict=True))
-    return _with_stationary(rows, run.astype(np.int64), seconds), np.concatenate([segments.energy_j, energy])
-
-
-def planned_features(
-    heightmap: Heightmap,
-    robot: Robot,
-    x: FloatArray,
-    y: FloatArray,
-    heading_rad: FloatArray,
-    traction_per_m: ArrayLike,
-    conditions: Mapping[str, float],
-    *,
-    with_ground: bool = True,
-) -> Features:
-    """Return the features of straight 1 m segments at cruising speed that were not driven yet.
-
-    Parameters
-    ----------
-    heightmap : Heightmap
-        The ground.
-    robot : Robot
-        That will drive.
-    x, y : ndarray of float, (n,)
-        Middles [m].
-    heading_rad : ndarray of float, (n,)
-        Headings [rad].
-    traction_per_m : array_like, (n,)
-        Of the base model [J/m].
-    conditions : mapping
-        Logged columns as expected.
-    with_ground : bool
-        Read slopes, roughness and heights, which takes most of the time; otherwise they are NaN.
-
-    Returns
-    -------
-    Features
-        Of one run.
-    """
-    n = x.size
-    zero = np.zeros(n)
-    return Features(
-        robot=robot,
-        run=np.zeros(n, dtype=np.int64),
-        x=x,
-        y=y,
-        heading_rad=heading_rad,
-        length_m=np.ones(n),
-        duration_s=np.full(n, 1.0 / robot.speed_mps),
-        traction_per_m=np.asarray(traction_per_m, dtype=np.float64),
-        turned_rad=zero,
-        turned_abs_rad=zero,
-        gentle_turn_rad=np.zeros((n, len(TURN_LIMITS_RADPS))),
-        gained_m2ps2=zero,
-        kinetic_m2ps2=zero,
-        **(_ground(heightmap, robot, x, y, heading_rad, moved=False) if with_ground else _unread_ground(n)),
-        since_s=zero,
-        driven_m=zero,
-        clock_s=zero,
-        columns={key: np.full(n, value) for key, value in conditions.items()},
-    )
-
-
-def _with_stationary(rows: Features, run: NDArray[np.int64], seconds: FloatArray) -> Features:
-    """With stationary intervals after the segments. They take time and have no path and no ground; times and further
-    columns have the mean of their run.
-    """
-
-    def longer(values: FloatArray) -> FloatArray:
-        return np.concatenate([values, np.zeros((run.size, *values.shape[1:]), dtype=values.dtype)])
-
-    def means(values: FloatArray) -> FloatArray:
-        known = np.isfinite(values)
-        count = np.bincount(rows.run[known], minlength=rows.run.max(initial=0) + 1)
-        total = np.bincount(rows.run[known], weights=values[known], minlength=count.size)
-        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-    changed: dict[str, Any] = {name: longer(getattr(rows, name)) for name in row_arrays()}
-    changed["run"] = np.concatenate([rows.run, run])
-    changed["duration_s"] = np.concatenate([rows.duration_s, seconds])
-    for name in ("since_s", "driven_m", "clock_s"):
-        values = getattr(rows, name)
-        changed[name] = np.concatenate([values, means(values)[run]])
-    changed["columns"] = {key: np.concatenate([v, means(v)[run]]) for key, v in rows.columns.items()}
-    changed["words"] = {key: np.concatenate([v, np.full(run.size, "")]) for key, v in rows.words.items()}
-    return replace(rows, **changed)
-
-
-_GROUND = (
-    "grade",
-    "grade_east",
-    "grade_north",
-    "cross_abs",
-    "cross_sq",
-    "roughness_m",
-    "elevation_m",
-    "position_index_m",
-)
-
-
-def _unread_ground(n: int) -> dict[str, FloatArray]:
-    return dict.fromkeys(_GROUND, np.full(n, np.nan)) | {"grades": np.full((n, _SIDE), np.nan)}
-
-
-def _ground(
-    heightmap: Heightmap, robot: Robot, x: FloatArray, y: FloatArray, heading_rad: FloatArray, *, moved: bool = True
-) -> dict[str, Any]:
-    """Slopes, roughness and height of the square metre around each middle, along its heading; NaN where unknown.
-
-    moved : also say how the grade changes when the map is moved.
-    """
-    dx, dy = heading_vector(heading_rad)
-
-    def heights_at(along: FloatArray, right: FloatArray, east: float = 0.0, north: float = 0.0) -> FloatArray:
-        return heightmap.sample(
-            x[:, None] - east + np.outer(dx, along) + np.outer(dy, right),
-            y[:, None] - north + np.outer(dy, along) - np.outer(dx, right),
-        )
-
-    side = np.linspace(-_REACH_M, _REACH_M, _SIDE)
-    a, r = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
-    heights = heights_at(a, r)  # (n, 25)
-    plane = np.stack([np.ones_like(a), a, r], axis=1)
-    coefficients = heights @ np.linalg.pinv(plane).T  # (n, 3)
-    rest = heights - coefficients @ plane.T
-    length, width = max(robot.length_m, LEAST_M), max(robot.width_m, LEAST_M)
-    axles = np.concatenate([side - 0.5 * length, side + 0.5 * length])
-    half = np.full(axles.size, 0.5 * width)
-    left, right = heights_at(axles, -half), heights_at(axles, half)  # (n, 10): rear axle, front axle
-    tilt = (left - right) / width  # > 0 down to the right
-    roll = 0.5 * (tilt[:, :_SIDE] + tilt[:, _SIDE:])
-    climb = 0.5 * (left + right)
-    grade = ((climb[:, _SIDE:] - climb[:, :_SIDE]) / length).mean(axis=1)
-    grade = np.where(np.isfinite(grade), grade, coefficients[:, 1])
-    track = np.mean([heights_at(_PLACES, np.full(_PLACES.size, w)) for w in (-0.5 * width, 0.5 * width)], axis=0)
-    grades = (track[:, _SIDE - 1 :] - track[:, : 1 - _SIDE]) / (2.0 * _REACH_M)
-    roll = np.where(np.isfinite(roll), roll, -coefficients[:, 2:])  # the wheels reach further than the square metre
-
-    def change(east: float, north: float) -> FloatArray:
-        ends = [heights_at(np.array([-_REACH_M, _REACH_M]), np.zeros(2), s * east, s * north) for s in (1.0, -1.0)]
-        rise = [(e[:, 1] - e[:, 0]) / (2.0 * _REACH_M) for e in ends]
-        return (rise[0] - rise[1]) / 2.0
-
-    return {
-        "grade": grade,
-        "grades": np.where(np.isfinite(grades), grades, grade[:, None]),
-        "grade_east": change(1.0, 0.0) if moved else np.zeros(x.size),
-        "grade_north": change(0.0, 1.0) if moved else np.zeros(x.size),
-        "cross_abs": np.abs(roll).mean(axis=1),
-        "cross_sq": (roll**2).mean(axis=1),
-        "roughness_m": np.sqrt(np.mean(rest**2, axis=1)),
-        "elevation_m": coefficients[:, 0],
-        "position_index_m": coefficients[:, 0] - _around(heightmap, x, y),
-    }
-
-
-def _around(heightmap: Heightmap, x: FloatArray, y: FloatArray) -> FloatArray:
-    """(n,) mean height of the known ground on a circle of 2.5 m and on one of half its radius around each middle
-    (topographic position: Weiss 2001); NaN where none is known.
-    """
-    dx, dy = heading_vector(np.linspace(0.0, 2.0 * math.pi, _BEARINGS, endpoint=False))
-    total, count = np.zeros(x.size), np.zeros(x.size)
-    for radius in (0.5 * _AROUND_M, _AROUND_M):
-        heights = heightmap.sample(x[:, None] + radius * dx, y[:, None] + radius * dy)
-        total += np.nansum(heights, axis=1)
-        count += np.isfinite(heights).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

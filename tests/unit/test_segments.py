@@ -10,7 +10,7 @@ from joulemap.model.errors import InputError, RunsError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.features import describe_segments
+from joulemap.model.runs.describe import describe_segments
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import concatenate_segments, coverage_words, driven_only
 from joulemap.model.terrain.heightmap import Heightmap
