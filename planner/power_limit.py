@@ -9,9 +9,10 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from joulemap.model.errors import InputError, NoRouteError
+from joulemap.planner.answers import Plan
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import Plan, RoutePlanner
+from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.search import grid_search
 
 _MAKING = threading.Lock()

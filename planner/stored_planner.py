@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from joulemap.model.errors import InputError
+from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.avoid import checked_polygons
 from joulemap.planner.bound import quick_bound
 from joulemap.planner.coarse import CoarseLevel, coarse_level
@@ -21,7 +22,6 @@ from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.places import end_point
-from joulemap.planner.plan import Plan, RoundTrip
 from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.stored_lattice import StoredLattice

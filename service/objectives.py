@@ -9,11 +9,12 @@ from typing import Any
 from joulemap.model.battery import Battery
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.errors import InputError
+from joulemap.planner.answers import Plan
 from joulemap.planner.budget import chance
 from joulemap.planner.course import course_of
 from joulemap.planner.edges import world_points
 from joulemap.planner.odds import EnergyOdds
-from joulemap.planner.plan import ANY_ANGLE_NEIGHBOURS, Plan, RoutePlanner
+from joulemap.planner.plan import ANY_ANGLE_NEIGHBOURS, RoutePlanner
 from joulemap.planner.power_limit import within_power
 from joulemap.planner.risk import Aim, LeastQuantile, MostLikely, Outcome, Priced, least
 from joulemap.planner.route import Route

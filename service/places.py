@@ -13,7 +13,7 @@ from joulemap.model.frames import GridFrame
 from joulemap.service.coordinates import degrees, from_wgs84, on_map, world_point
 
 if TYPE_CHECKING:  # they take their time to load
-    from joulemap.planner.plan import Plan, RoundTrip
+    from joulemap.planner.answers import Plan, RoundTrip
     from joulemap.planner.route import Route
 
 Answer = TypeVar("Answer", "Plan", "RoundTrip", "Route")

@@ -14,7 +14,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.route import Profile, Route
 
 if TYPE_CHECKING:  # it takes its time to load
-    from joulemap.planner.plan import Plan, RoundTrip
+    from joulemap.planner.answers import Plan, RoundTrip
 
 OPTIMAL, SHORTEST, ALTERNATIVE, TOUR_LEG, DRIVE = "energy_optimal", "shortest", "alternative", "tour_leg", "drive"
 WAY_OUT, WAY_BACK = "way_out", "way_back"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
+from joulemap.planner.answers import Plan
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import Plan
 from joulemap.planner.route import Profile, Route
 from joulemap.service.exports.geojson import geojson_document
 from joulemap.service.exports.track import Track, track_of_plan

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from joulemap.planner.answers import RoundTrip
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.plan import RoundTrip
 from joulemap.planner.route import Route
 from joulemap.service.exports.geojson import geojson_document
 from joulemap.service.exports.track import Track, track_of_tour

@@ -11,10 +11,10 @@ import numpy as np
 
 from joulemap.model.battery import Battery
 from joulemap.model.robot import Robot
+from joulemap.planner.answers import Plan
 from joulemap.planner.battery_trace import BatteryTrace
 from joulemap.planner.budget import Verdict
 from joulemap.planner.course import Course
-from joulemap.planner.plan import Plan
 from joulemap.planner.route import Route
 from joulemap.service.feasibility import Assessment
 from joulemap.service.problems import jsonable

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from joulemap.model.ranges import SEARCH_S
+from joulemap.planner.answers import RoundTrip
 from joulemap.planner.budget import Verdict
-from joulemap.planner.plan import RoundTrip
 from joulemap.planner.tours import MAX_STOPS
 from joulemap.service.route_uncertainty import quantiles_of_route
 from joulemap.service.schemas.answers import profile_pieces, route_values, verdict_out
