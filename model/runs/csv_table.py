@@ -10,6 +10,7 @@ import csv
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -27,12 +28,12 @@ from joulemap.model.runs.table import (
 from joulemap.model.source_file import SourceFile
 
 _SEPARATORS = (",", ";", "\t")
-_COMMENT = re.compile(rb"[#%][^\r\n]*[\r\n]*")
+_BEFORE_HEADER = re.compile(rb"(?:[#%][^\r\n]*+|[\r\n]++)*+")  # comments and empty lines, millions too
 _OTHER_ENCODING = "cp1252"  # what spreadsheets write in Western Europe and America
 _LONGEST_HEADER = 1_000_000  # bytes of the line with the names
 _BLOCK_BYTES = 1 << 22
 _BLOCK_CELLS = 500_000  # of a table with quotes
-_EMPTY_LINES = re.compile(rb"[\r\n]*")
+_END = "\0end"  # a last line, which becomes part of a cell where a quote is never closed
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 
@@ -148,7 +149,7 @@ def _other_text(content: bytes) -> bytes | None:
 def _read(
     content: bytes, start: int, name: str, repairs: dict[str, int], limits: TableLimits
 ) -> tuple[dict[str, FloatArray], dict[str, TextArray], int]:
-    start = _header_begins(content, start)
+    start = _BEFORE_HEADER.match(content, start).end()  # type: ignore[union-attr]
     end = _line_end(content, start)
     first = content[start:end]
     separator = max(_SEPARATORS, key=lambda mark: first.count(mark.encode()))
@@ -167,6 +168,11 @@ def _read(
     header = _header(content, start, end, quoted, separator)
     if not header:
         raise RunsError(f"run {name}: the file is empty", run=name)
+    if any("\0" in column for column in header):
+        raise RunsError(
+            f"run {name}: its first line has NUL characters, so it is no text in UTF-8: save it in that encoding",
+            run=name,
+        )
     named = [column for column in header if column]
     if len(named) < len(header) - 1:
         raise RunsError(f"run {name}: {len(header) - len(named)} of its {len(header)} columns have no name", run=name)
@@ -224,16 +230,6 @@ def _is_a_number(word: str) -> bool:
     return True
 
 
-def _header_begins(content: bytes, start: int) -> int:
-    """Where the header line is: behind empty lines and comments."""
-    while True:
-        start = _EMPTY_LINES.match(content, start).end()  # type: ignore[union-attr]
-        comment = _COMMENT.match(content, start)
-        if comment is None or comment.end() >= len(content):
-            return start
-        start = comment.end()
-
-
 def _texts(
     blocks: Iterator[Block], words: dict[str, int], width: int, rows: int, name: str, limits: TableLimits
 ) -> dict[str, TextArray]:
@@ -289,22 +285,47 @@ def _plain_blocks(content: bytes, start: int, columns: int, name: str, separator
 
 
 def _quoted_blocks(content: bytes, start: int, columns: int, name: str, separator: str) -> Iterator[Block]:
-    rows = (row for row in csv.reader(_text(content, start), delimiter=separator) if row)
+    rows = (row for row in csv.reader(chain(_text(content, start), [_END]), delimiter=separator) if row)
     next(rows, None)  # the header
     widths: list[int] = []
     cells: list[str] = []
     before = 0
-    for row in rows:
-        widths.append(len(row))
-        if len(row) > columns:
-            raise _wrong_width(widths, columns, before, name)
-        cells += row
-        if len(cells) >= _BLOCK_CELLS:
-            yield widths, cells
-            before += len(widths)
-            widths, cells = [], []
+    try:
+        for row in rows:
+            if row == [_END]:
+                break
+            if row[-1].endswith(_END):
+                row = _broken_off(row, before + len(widths) + 2, name)
+            widths.append(len(row))
+            if len(row) > columns:
+                raise _wrong_width(widths, columns, before, name)
+            cells += row
+            if len(cells) >= _BLOCK_CELLS:
+                yield widths, cells
+                before += len(widths)
+                widths, cells = [], []
+    except csv.Error as error:
+        row_number = before + len(widths) + 2
+        raise RunsError(
+            f"run {name}, row {row_number}: {error}: is a quote opened there and never closed?",
+            run=name,
+            row=row_number,
+        ) from error
     if widths:
         yield widths, cells
+
+
+def _broken_off(row: list[str], number: int, name: str) -> list[str]:
+    """A last row whose quote is not closed, without that cell. Raises RunsError if further lines are in the quote."""
+    lines = row[-1].removesuffix(_END).rstrip("\r\n").splitlines()
+    if len(lines) > 1:
+        raise RunsError(
+            f"run {name}, row {number}: a quote is opened there and never closed: the {len(lines) - 1:,} lines after "
+            "it cannot be read",
+            run=name,
+            row=number,
+        )
+    return row[:-1]
 
 
 def _whole_rows(blocks: Iterator[Block], columns: int, name: str, repairs: dict[str, int]) -> Iterator[Block]:

@@ -1,9 +1,12 @@
 """Tables of other loggers: separators, decimal commas, times as text, other names and units, and mappings."""
 
+import time
+
 import numpy as np
 import pytest
 
 from joulemap.model.errors import RunsError
+from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.instants import across_midnight, seconds_of
 from joulemap.model.runs.mapping import read_mapping, source_of
 from joulemap.model.runs.odometry import Odometry, read_odometry
@@ -220,10 +223,37 @@ def test_ready_mappings(tmp_path):
     ],
 )
 def test_units_that_cannot_be_are_said(columns, message):
-    from joulemap.model.runs.cutting import cut_segments
-
     run = parse_run(table(PLAIN | columns), name="r")
     found = " ".join(implausible(run, cut_segments(run)))
     assert __import__("re").search(message, found), found
     good = parse_run(table(PLAIN), name="r")
     assert implausible(good, cut_segments(good)) == []
+
+
+def test_a_quote_that_is_never_closed_loses_no_rows_in_silence():
+    lines = table(PLAIN | {"terrain": ["grass"] * ROWS}).splitlines()
+    for row in (f'"{lines[20]}', lines[20].replace("grass", '"grass')):
+        with pytest.raises(RunsError, match=r"row 21: a quote is opened there and never closed: the 60 lines"):
+            parse_run("\n".join([*lines[:20], row, *lines[21:]]) + "\n", name="r")
+    long = "\n".join([*lines[:20], f'"{lines[20]}', *([lines[21]] * 5000)])
+    with pytest.raises(RunsError, match=r"row 21: .* is a quote opened there and never closed"):
+        parse_run(long, name="r")
+    cut = parse_run("\n".join([*lines[:-1], lines[-1].replace("grass", '"gra')]), name="r")
+    assert (len(cut), cut.repairs) == (ROWS - 1, {"truncated_rows": 1})
+    closed = parse_run("\n".join([*lines[:-1], lines[-1].replace("grass", '"wet\ngrass"')]), name="r")
+    assert (len(closed), closed.texts["terrain"][-1], closed.repairs) == (ROWS, "wet\ngrass", {})
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-32"])
+def test_a_text_of_another_encoding_is_named_as_such(encoding):
+    with pytest.raises(RunsError, match="NUL characters, so it is no text in UTF-8"):
+        parse_run(table(PLAIN).encode(encoding), name="r")
+
+
+def test_millions_of_comments_take_no_longer_than_their_bytes():
+    begun = time.process_time()
+    run = parse_run(b"#\n" * 10_000_000 + table(PLAIN).encode(), name="r")
+    assert len(run) == ROWS
+    assert time.process_time() - begun < 2.0  # one match for each comment took 4 s
+    with pytest.raises(RunsError, match="the file is empty"):
+        parse_run("# nothing but a comment", name="r")

@@ -261,7 +261,7 @@ def test_single_fixes_that_do_not_exist_are_not_used():
         (b"t,x,y,current,x\n" + b"1,2,3,4,5\n" * 9, "column 'x' appears twice"),
         (b"t," + b"x" * 301 + b"\n" + b"1,2\n" * 9, "a name of 301 characters, the limit is 300"),
         (bytes(range(256)) * 4, "neither a text in CSV"),
-        (b"\x00" * 40, "too few"),
+        (b"\x00" * 40, "NUL characters"),
         (text(log(x=["1e308", "-1e308"] * 30)).encode(), r"column 'x', row 2: 1e\+308 is larger than 1e\+30"),
         (text(log(current=["9"] * 59 + ["1e200"])).encode(), r"column 'current', row 61: 1e\+200 is larger"),
         (text(log(t=[f"{-k}" for k in range(60)])).encode(), "the clock was set back"),
