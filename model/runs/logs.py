@@ -29,7 +29,7 @@ from joulemap.model.runs.table import (
     numbers_of,
     usable,
 )
-from joulemap.model.runs.units import conversion, own_unit, quantity_of
+from joulemap.model.runs.units import conversion, own_unit, quantity_of, unit_in_name
 from joulemap.model.source_file import SourceFile
 
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
@@ -224,7 +224,10 @@ def _chosen(log: Log, mapping: Mapping[str, str], home: Collection[str], name: s
     stream = log.streams[0]
     taken = {*chosen, *(("lat", "lon") if {"x", "y"} <= {*home, *chosen} else ())}
     candidates = [*stream.numbers, *(column for column in stream.texts if _is_time(stream.texts[column]))]
-    parts = [column for column in home if column.startswith("current_")]
+    for target, source in _currents_with_units(home).items():
+        if not _replaced(target, mapping):
+            chosen.setdefault(target, source)
+    parts = [column for column in (*home, *chosen) if column.startswith("current_")]
     if parts or {"left_current", "right_current"} & {*home}:
         taken |= {"current"}
     used = {column for source in chosen.values() for column in source.columns}
@@ -234,6 +237,17 @@ def _chosen(log: Log, mapping: Mapping[str, str], home: Collection[str], name: s
     if "t" in home and "t" not in chosen:
         chosen["t"] = Source(((1, "t"),))
     return chosen, profile[0] if profile is not None else ""
+
+
+def _currents_with_units(home: Collection[str]) -> dict[str, Source]:
+    """The sources of columns such as `current_mA` and `current_left_mA`: what their names end with is no motor."""
+    named = {column: unit_in_name("current", column) for column in home if column.startswith("current_")}
+    found = {}
+    for column, (stem, unit) in named.items():
+        of_motor_a = unit == own_unit("current") and stem == "current" and len(named) > 1  # beside `current_b`
+        if unit is not None and stem not in home and not of_motor_a:
+            found[stem] = Source(((1, column),), unit)
+    return found
 
 
 def _replaced(target: str, chosen: Collection[str]) -> bool:

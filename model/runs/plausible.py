@@ -11,6 +11,9 @@ from joulemap.model.runs.segments import Segments
 MOST_J_PER_M = 20_000.0
 """Ten tonnes on soft ground: 1e4 kg * 9.8 m/s2 * 0.2 is 20 kN."""
 
+LEAST_J_PER_M = 0.1
+"""A toy of 1 kg on rails: 1 kg * 9.8 m/s2 * 0.01."""
+
 LEAST_LOAD_OHM = 0.05
 """A smaller load is as small as the inner resistance of a battery pack and its cables: no pack drives it for long."""
 
@@ -50,6 +53,8 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
             found.append(f"its voltage is {volts:.3g} V: in which unit is `voltage`?")
     if run.power_w is None:
         found += _current(run)
+    elif not run.power_w.any():
+        found.append("its power is 0 W in all rows: was it recorded?")
     moving = segments is not None and len(segments) > 0
     if segments is not None and moving:
         speed = float(np.median(segments.driven_m / np.maximum(segments.duration_s, 1e-9)))
@@ -60,6 +65,8 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
             if took > MOST_J_PER_M:
                 column = "is `power` in mW" if run.power_w is not None else "is `current` in mA, or `voltage` in mV"
                 found.append(f"a metre took {took:,.0f} J: {column}?")
+            elif 0 < took < LEAST_J_PER_M and run.power_w is not None:
+                found.append(f"a metre took {took:.3g} J: is `power` in kW?")
     elif _in_degrees(run):
         found.append(
             f"its positions span {np.ptp(run.x[np.isfinite(run.x)]):.2g} m by {np.ptp(run.y[np.isfinite(run.y)]):.2g} "
@@ -71,7 +78,7 @@ def implausible(run: Run, segments: Segments | None = None) -> list[str]:
 def _current(run: Run) -> list[str]:
     flowing = np.abs(run.current_a[np.isfinite(run.current_a) & (run.current_a != 0)])
     if not flowing.size:
-        return []
+        return ["its current is 0 A in all rows: was it recorded?"]
     amps = float(np.median(flowing))
     if run.voltage_v is None:
         return [f"its current is {amps:,.0f} A: is `current` in mA?"] if amps > MOST_A else []

@@ -257,3 +257,33 @@ def test_millions_of_comments_take_no_longer_than_their_bytes():
     assert time.process_time() - begun < 2.0  # one match for each comment took 4 s
     with pytest.raises(RunsError, match="the file is empty"):
         parse_run("# nothing but a comment", name="r")
+
+
+@pytest.mark.parametrize(
+    ("columns", "amps"),
+    [
+        ({"current_mA": 1000 * CURRENT}, CURRENT),
+        ({"current [mA]": 1000 * CURRENT}, CURRENT),
+        ({"current_A": CURRENT, "voltage": PLAIN["voltage"]}, CURRENT),
+        ({"current_left_mA": 600 * CURRENT, "current_right_mA": 400 * CURRENT}, CURRENT),
+        ({"current_mA": 1000 * CURRENT, "current_motor": 0.5 * CURRENT}, CURRENT),
+        ({"current_a": CURRENT, "current_b": 2 * CURRENT}, 3 * CURRENT),
+    ],
+    ids=["mA", "mA in brackets", "A", "two motors in mA", "pack and motor", "motors a and b"],
+)
+def test_a_current_whose_name_ends_with_its_unit_is_in_that_unit(columns, amps):
+    log = {key: values for key, values in PLAIN.items() if key != "current"} | columns
+    np.testing.assert_allclose(parse_run(table(log), name="r").current_a, amps, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"current": np.zeros(ROWS)}, "its current is 0 A in all rows: was it recorded?"),
+        ({"power": np.zeros(ROWS)}, "its power is 0 W in all rows: was it recorded?"),
+        ({"power": np.full(ROWS, 0.04)}, "a metre took 0.08 J: is `power` in kW?"),
+    ],
+)
+def test_a_drive_that_took_nothing_is_implausible(columns, words):
+    run = parse_run(table({key: PLAIN[key] for key in "txy"} | columns), name="r")
+    assert words in implausible(run, cut_segments(run, charge=not run.has_energy))
