@@ -18,6 +18,7 @@ REQUEST_ID: ContextVar[str | None] = ContextVar("request_id", default=None)
 ACCESS = logging.getLogger("joulemap.access")
 _MOST_WAITING = 10_000  # lines; from then on, who logs waits until some are written
 _LAST_S = 2.0  # for the last lines when the service ends
+_ESCAPED = {k: f"\\x{k:02x}" for k in (*range(0x20), *range(0x7F, 0xA0), 0x2028, 0x2029)}
 _TEXT = "%(asctime)s %(levelname)-8s %(name)s [%(request_id)s] %(message)s"
 
 
@@ -39,6 +40,25 @@ class WithRequestId(logging.Filter):
         """
         record.request_id = REQUEST_ID.get() or "-"
         return True
+
+
+class TextLines(logging.Formatter):
+    """A record as a line of text. A request decides no line but its own: control characters are escaped."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """Return the line without exceptions, which are the program's own.
+
+        Parameters
+        ----------
+        record : LogRecord
+            The record.
+
+        Returns
+        -------
+        str
+            Without line breaks or other control characters.
+        """
+        return super().formatMessage(record).translate(_ESCAPED)
 
 
 class JsonLines(logging.Formatter):
@@ -84,7 +104,7 @@ class WrittenByAThread(QueueHandler):
         super().__init__(self._lines)
         self.addFilter(WithRequestId())
         self._writer = logging.StreamHandler()
-        self._writer.setFormatter(JsonLines() if kind == "json" else logging.Formatter(_TEXT))
+        self._writer.setFormatter(JsonLines() if kind == "json" else TextLines(_TEXT))
         self._thread = threading.Thread(target=self._write, name="log", daemon=True)
         self._thread.start()
 

@@ -24,7 +24,7 @@ from joulemap.model.errors import BusyError
 from joulemap.service.http import health as health_module
 from joulemap.service.http.health import OK, Health, disk_check
 from joulemap.service.http.job_events import JobEvents, JobState
-from joulemap.service.http.logs import JsonLines, WithRequestId, WrittenByAThread, log_config
+from joulemap.service.http.logs import JsonLines, TextLines, WithRequestId, WrittenByAThread, log_config
 from joulemap.service.http.metrics import Metrics
 from joulemap.service.http.observed import Observed
 from joulemap.service.storage.sizes import bytes_of
@@ -92,6 +92,15 @@ def test_the_request_id_is_the_caller_s_where_it_is_a_good_one(client):
     assert client.get("/v1/nowhere", headers={"X-Request-ID": "robot-7"}).json()["request_id"] == "robot-7"
     made = client.get("/healthz", headers={"X-Request-ID": "no\x7f spaces"}).headers["X-Request-ID"]
     assert re.fullmatch("[0-9a-f]{16}", made)
+
+
+def test_no_request_writes_a_line_that_is_not_its_own(client, caplog):
+    with caplog.at_level(logging.INFO, logger="joulemap.access"):
+        client.get("/v1/heightmaps/a%0D%0A2026-11-24 ERROR forged%00%1B%5B31m%E2%80%A8")
+    record = next(r for r in caplog.records if r.name == "joulemap.access")
+    line = TextLines("%(levelname)s %(message)s").format(record)
+    assert line.startswith("INFO GET /v1/heightmaps/a\\x0d\\x0a2026-11-24 ERROR forged\\x00\\x1b[31m\\x2028 404")
+    assert line.isprintable()
 
 
 def test_every_request_is_a_line_of_json_with_its_id(client, costmap_id, caplog):
