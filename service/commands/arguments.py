@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import typer
@@ -24,6 +25,9 @@ _UNITS = ("_m", "_s", "_wh")
 
 TYPED = "joulemap.typed"
 """What of a context holds the words that were typed after the command's name."""
+
+RUNNING: ContextVar[Sequence[Any]] = ContextVar("running", default=())
+"""Options and arguments of the command that runs, by whose names its warnings call them."""
 
 
 class Command(TyperCommand):
@@ -59,6 +63,22 @@ class Command(TyperCommand):
                 only_points=len(options) < len(self.params),
             ),
         )
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command.
+
+        Parameters
+        ----------
+        ctx : typer.Context
+            Of this command.
+
+        Returns
+        -------
+        object
+            Whatever it returns.
+        """
+        RUNNING.set(self.params)
+        return super().invoke(ctx)
 
 
 def _renamed(word: str, known: Mapping[str, str]) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.markup import escape
 
 from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, json_text, parse_point, progress_bar, write_file
@@ -299,11 +298,12 @@ def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[Ne
     from joulemap.service.loop.summary import summary_lines
 
     title, *lines = summary_lines(document)
-    output.say(f"[bold]{escape(title)}[/]")
+    output.say(f"[bold]{title}[/]")
     for line in lines:
-        output.say(escape(line))
+        output.say(line)
     for step in steps:
-        output.say(f"{escape(step.purpose)}:\n  [bold]{escape(step.command)}[/]")
+        output.say(f"{step.purpose}:")
+        output.say(f"  [bold]{step.command}[/]")
     rows = {
         "track used": coverage_words(document["runs"]["coverage"]),
         "a route": _route_words(document["route"]),
@@ -383,7 +383,7 @@ def suggest_drive(
     read = asked.read()
     with progress_bar("Calibrating") as report:
         found = suggest_next_drive(model, read, effect=effect, length_m=length, progress=report).as_dict()
-    output.say(escape(drive_words(found)))
+    output.say(drive_words(found))
     corners = found["points"][:: max(1, len(found["points"]) // _CORNERS)]
     output.table(
         {

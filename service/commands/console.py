@@ -15,14 +15,16 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
 from typer.core import TyperGroup
 
 from joulemap.model.errors import JoulemapError
-from joulemap.service.commands.arguments import with_option_names
+from joulemap.service.commands.arguments import RUNNING, with_option_names
 
 STOPPED = 130
 """Exit code of a command that was stopped by Ctrl-C, as in every shell."""
 
+_STYLED = re.compile(r"^([ \n]*)(?:\[([a-z ]+)\](.*?)\[/\])?(.*(?:\n|\Z))", re.MULTILINE)
 _WITH_LETTERS = re.compile(r"([+-]?\d+\.?\d*)\s*°?\s*([NSns])\s*,\s*([+-]?\d+\.?\d*)\s*°?\s*([EWew])")
 
 Report = Callable[[float], None]
@@ -114,9 +116,13 @@ class Output:
         Parameters
         ----------
         line : str
-            May hold rich's markup.
+            Each line of it may begin with words in a style of rich, like `[bold]Path[/]`. All else is written as it
+            is: names of files and robots may hold brackets.
         """
-        self.console.print(line, highlight=False)
+        text = Text()
+        for before, style, head, rest in _STYLED.findall(line):
+            text.append(before).append(head, style or None).append(rest)
+        self.console.print(text, highlight=False)
 
     def table(self, rows: Mapping[str, str]) -> None:
         """Write names and values in two columns.
@@ -128,7 +134,7 @@ class Output:
         """
         width = max(len(name) for name in rows)
         for name, value in rows.items():
-            self.say(f"  [dim]{name:<{width}}[/]  {escape(value)}")
+            self.say(f"  [dim]{name:<{width}}[/]  {value}")
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Write what the user must not overlook, on stderr.
@@ -140,7 +146,8 @@ class Output:
         """
         console = Console(stderr=True, soft_wrap=True)
         for warning in warnings:
-            console.print(f"[bold yellow]warning:[/] {escape(warning)}", highlight=False)
+            words = with_option_names(warning, RUNNING.get())
+            console.print(f"[bold yellow]warning:[/] {escape(words)}", highlight=False)
 
     def document(self, document: Mapping[str, Any]) -> None:
         """Write the JSON document where `--json` wants it.

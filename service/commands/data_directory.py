@@ -78,7 +78,7 @@ def _document(finding: Finding, *, repaired: bool) -> dict[str, Any]:
 
 def _after(one: dict[str, Any], repair: bool) -> str:
     if one["repaired"]:
-        return f" [green]-> {one['remedy']}: done[/]"
+        return f" -> {one['remedy']}: done"
     if one["remedy"] is None:
         return " -> restore it from a backup, or delete it"
     return "" if repair else f" -> --repair will: {one['remedy']}"

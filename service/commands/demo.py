@@ -20,7 +20,6 @@ from typing import Any
 import httpx
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from scipy import ndimage
 
 from joulemap.model.errors import HeightmapError, InputError, JoulemapError
@@ -122,7 +121,7 @@ def run_demo(
             answers = _ask(output, client, ground, model, out)
         title = f"{ground.name}: energy-optimal and shortest path"
         write_file(picture, route_picture(ground.heightmap, answers.plan.route, answers.plan.shortest, title=title))
-        output.say(f"\n[bold]Picture[/]    {escape(str(picture))}")
+        output.say(f"\n[bold]Picture[/]    {picture}")
         output.warn(answers.document["costmap"]["warnings"])
         output.document({"url": url, "picture": str(picture), **answers.document})
         if keep:
@@ -147,7 +146,7 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
     cell = sent["resolution_m"]
     unknown = f", {1.0 - sent['known_share']:.1%} of it unknown" if sent["known_share"] < 1.0 else ""
     output.say(
-        f"\n[bold]Heightmap[/]  {escape(sent['name'])}: {sent['cols'] * cell:g} x {sent['rows'] * cell:g} m "
+        f"\n[bold]Heightmap[/]  {sent['name']}: {sent['cols'] * cell:g} x {sent['rows'] * cell:g} m "
         f"in cells of {cell:g} m, {sent['height_min_m']:.1f} to {sent['height_max_m']:.1f} m high{unknown}"
     )
 
@@ -185,7 +184,7 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
     task = {**ends, "round_trip": True, "battery": battery}
     verdict = _json(client.post(f"/v1/costmaps/{costmap['id']}/feasibility", json=task))
     capacity_wh = lattice.robot.battery_wh
-    mark = "[bold green]yes[/]" if verdict["feasible"] else "[bold red]no[/]"
+    mark = "yes" if verdict["feasible"] else "no"
     left = (
         f"{verdict['charge_at_end']:.1%} charge left at the end, {energy_words(verdict['margin_j'])} above the reserve"
         if verdict["feasible"]

@@ -53,15 +53,11 @@ def doctor(data_dir: DataDir = None, json_file: JsonFile = None) -> None:
             found.append(_finding(name, WRONG, f"{type(error).__name__}: {str(error)[:300]}"))
     for one in found:
         advice = f" -> {one['advice']}" if one["advice"] else ""
-        output.say(f"{_MARKS[one['state']]:<22} {one['name']:<18} {_plain(one['words'] + advice)}")
+        output.say(f"{_MARKS[one['state']]:<22} {one['name']:<18} {one['words'] + advice}")
     wrong = sum(one["state"] == WRONG for one in found)
     output.document({"findings": found, "wrong": wrong})
     if wrong:
         raise typer.Exit(1)
-
-
-def _plain(text: str) -> str:
-    return text.replace("[", "\\[")
 
 
 def _finding(name: str, state: str, words: str, advice: str = "") -> Finding:

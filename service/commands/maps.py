@@ -10,6 +10,7 @@ import typer
 
 from joulemap.model.errors import TooLargeError
 from joulemap.model.terrain.formats import formats_in_words
+from joulemap.service.commands.arguments import RUNNING, with_option_names
 from joulemap.service.commands.battery_file import BatteryFile, battery_values
 from joulemap.service.commands.cluster import Scheduler, costmap_there
 from joulemap.service.commands.console import (
@@ -140,7 +141,7 @@ def costmap(
         raise typer.BadParameter("--out is missing: name the folder to write the cost map to")
     ground = open_ground(heightmap, **reading)
     for note in ground.notes:
-        output.say(f"[bold]Heightmap[/] {note}")
+        output.say(f"[bold]Heightmap[/] {with_option_names(note, RUNNING.get())}")
     rover = robot_of(robot)
     with ThreadPoolExecutor(1) as reader:
         warned = reader.submit(heightmap_warnings, ground)

@@ -263,6 +263,19 @@ def test_a_warning_is_seen_and_kept(tmp_path: Path) -> None:
     assert json.loads(words)["warnings"] == load_lattice(tmp_path / "c.zarr").provenance["warnings"] != []
 
 
+def test_warnings_name_options_and_names_may_hold_brackets(tmp_path: Path) -> None:
+    heights = np.random.default_rng(1).uniform(0, 2000, (30, 30)).round()
+    dem = tmp_path / "[red]dem[1].tif"
+    write_geotiff(dem, Heightmap(heights.astype(np.float32), GridFrame(0.0, 30.0, 1.0, 30, 30, "EPSG:32630")))
+    (tmp_path / "robot.toml").write_text('name = "rover [/x] [bold]2"\n')
+    made = ("--robot", tmp_path / "robot.toml", "--model", "physics", "--out", tmp_path / "[blue]c.zarr")
+    code, words, errors = joulemap("costmap", dem, *made)
+    assert code == 0
+    assert "in centimetres: then --scale is 0.01?" in errors
+    assert words.startswith("Cost map of [red]dem[1].tif for rover [/x] [bold]2, model physics\n")
+    assert f"written  {tmp_path}/[blue]c.zarr\n" in words
+
+
 def test_a_heightmap_without_a_place_is_given_one(tmp_path: Path) -> None:
     np.save(tmp_path / "bare.npy", np.zeros((20, 30), dtype=np.float32))
     bare = ("costmap", tmp_path / "bare.npy", "--model", "physics", "--out", tmp_path / "bare.zarr")
