@@ -263,6 +263,8 @@ def reproject_file(
                 f"{file.name} does not say where its cells lie, so that it cannot be reprojected: leave `reproject` out"
             )
         undeclared = dataset.nodatavals[number - 1] is None and scaling.nodata is None
+        in_feet = own is not None and known_crs(own).linear_units.lower() in _FEET
+        unit_unknown = in_feet and not dataset.units[number - 1] and scaling.scale_m is None
     part = transform
     if window is not None:
         cells = cells_of(window, source_crs, transform, (rows, cols))
@@ -275,6 +277,11 @@ def reproject_file(
     note = f"{what}reprojected from {short_name(source_crs)} to {short_name(target)}{why}, with cells of {grid.a:g} m"
     if factor != 1.0:
         note += f"; its heights are in feet and were multiplied by {factor:.10g}"
+    elif unit_unknown:
+        note += (
+            "; the map is in feet and does not say the unit of its heights, which were taken for metres: give "
+            "`scale_m` as 0.3048 if they are feet, else as 1"
+        )
     resampling = Resampling.average if grid.a > _COARSER * size else Resampling.bilinear
     warped = Warped(
         place, number, source_crs, target, transform, grid, shape, resampling, nodata, undeclared, factor, note

@@ -93,7 +93,9 @@ def decode(source: SourceFile, scaling: Scaling, *, max_cells: int, band: int | 
         try:
             header[key] = float(match.group(2))
         except ValueError as error:
-            raise HeightmapError(f"the ASCII grid's {key} is {match.group(2)[:40]!r}, not a number") from error
+            word = match.group(2)[:40].decode("ascii", "replace")
+            comma = "; decimals need a point" if "," in word else ""
+            raise HeightmapError(f"the ASCII grid's {key} is {word!r}, not a number{comma}") from error
         at = match.end()
     rows, cols = (_count(header, key) for key in ("nrows", "ncols"))
     check_cells(rows, cols, max_cells, what="the ASCII grid")
