@@ -13,9 +13,12 @@ from typing import Any
 
 import anyio
 import httpx
+import numpy as np
 import psutil
 import pytest
+import rasterio
 from fastapi.testclient import TestClient
+from rasterio.transform import from_origin
 
 from joulemap.model.errors import BusyError, TooLargeError
 from joulemap.service.http.app import create_app, openapi_document
@@ -196,6 +199,26 @@ def templates() -> set[psutil.Process]:
 
 def forks() -> set[psutil.Process]:
     return {fork for one in templates() for fork in one.children()}
+
+
+@pytest.mark.parametrize("reproject", [None, "auto"])
+def test_blocks_of_a_map_that_need_more_memory_are_no_corrupt_file(tmp_path: Path, reproject: str | None) -> None:
+    place = tmp_path / "one_block.tif"
+    rows = 5_000
+    frame = {"crs": "EPSG:32630", "transform": from_origin(367_000, 4_064_000, 1, 1)}
+    shape = {"width": rows, "height": rows, "count": 1, "dtype": "float64", "blockysize": rows, "compress": "deflate"}
+    with rasterio.open(place, "w", driver="GTiff", **frame, **shape) as dataset:
+        dataset.write(np.ones((rows, rows)), 1)
+
+    async def _main() -> None:
+        how = {"max_cells": rows * rows, "options": {"reproject": reproject}}
+        with (
+            closing(Readers(processes=1, queue=1, limits=ReadLimits(30, 250))) as narrow,
+            pytest.raises(TooLargeError, match="memory"),
+        ):
+            await narrow.read("heightmap", path=str(place), name=place.name, out=str(tmp_path / "o.tif"), **how)
+
+    anyio.run(_main)
 
 
 def test_a_process_that_takes_too_long_or_too_much_is_ended(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader, MemoryFile
 from rasterio.windows import Window
 
-from joulemap.model.errors import HeightmapError
+from joulemap.model.errors import HeightmapError, TooLargeError
 from joulemap.model.terrain.decoded import Scaling
 
 GDAL_OPTIONS = {
@@ -84,9 +84,13 @@ def opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
         except Exception as error:
             if not (is_gdal_error(error) or isinstance(error, (UnicodeDecodeError, OSError))):
                 raise
-            raise HeightmapError(
-                f"the {name} is truncated or corrupt: {str(error.__cause__ or error)[:300]}"
-            ) from error
+            cause = error.__cause__ or error
+            if type(cause).__name__ == "CPLE_OutOfMemoryError" or "cannot allocate" in str(cause):
+                raise TooLargeError(
+                    f"the {name} asks for more memory than there is for one of its blocks: write it in smaller ones "
+                    "(gdal_translate -co TILED=YES IN OUT)"
+                ) from error
+            raise HeightmapError(f"the {name} is truncated or corrupt: {str(cause)[:300]}") from error
 
 
 def read_band(dataset: DatasetReader, band: int, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
