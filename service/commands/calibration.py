@@ -298,12 +298,12 @@ def _say(output: Output, document: dict[str, Any], out: Path, steps: Sequence[Ne
     from joulemap.service.loop.summary import summary_lines
 
     title, *lines = summary_lines(document)
-    output.say(f"[bold]{title}[/]")
+    output.say(head=title)
     for line in lines:
         output.say(line)
     for step in steps:
         output.say(f"{step.purpose}:")
-        output.say(f"  [bold]{step.command}[/]")
+        output.say(head=f"  {step.command}")
     rows = {
         "track used": coverage_words(document["runs"]["coverage"]),
         "a route": _route_words(document["route"]),

@@ -24,7 +24,6 @@ from joulemap.service.commands.arguments import RUNNING, with_option_names
 STOPPED = 130
 """Exit code of a command that was stopped by Ctrl-C, as in every shell."""
 
-_STYLED = re.compile(r"^([ \n]*)(?:\[([a-z ]+)\](.*?)\[/\])?(.*(?:\n|\Z))", re.MULTILINE)
 _WITH_LETTERS = re.compile(r"([+-]?\d+\.?\d*)\s*°?\s*([NSns])\s*,\s*([+-]?\d+\.?\d*)\s*°?\s*([EWew])")
 
 Report = Callable[[float], None]
@@ -110,19 +109,20 @@ class Output:
         self.to_stdout = json_file is not None and str(json_file) == "-"
         self.console = Console(stderr=self.to_stdout, soft_wrap=True)
 
-    def say(self, line: str = "") -> None:
+    def say(self, line: str = "", *, head: str = "", style: str = "bold") -> None:
         """Write a line.
 
         Parameters
         ----------
         line : str
-            Each line of it may begin with words in a style of rich, like `[bold]Path[/]`. All else is written as it
-            is: names of files and robots may hold brackets.
+            Plain text: names of files and robots may hold brackets.
+        head : str
+            Stands before it, in a style.
+        style : str
+            Of rich.
         """
-        text = Text()
-        for before, style, head, rest in _STYLED.findall(line):
-            text.append(before).append(head, style or None).append(rest)
-        self.console.print(text, highlight=False)
+        gap = " " if head and line else ""
+        self.console.print(Text.assemble((head, style), gap, line), highlight=False)
 
     def table(self, rows: Mapping[str, str]) -> None:
         """Write names and values in two columns.
@@ -134,7 +134,7 @@ class Output:
         """
         width = max(len(name) for name in rows)
         for name, value in rows.items():
-            self.say(f"  [dim]{name:<{width}}[/]  {value}")
+            self.say(value, head=f"  {name:<{width}} ", style="dim")
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Write what the user must not overlook, on stderr.

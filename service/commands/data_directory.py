@@ -57,7 +57,7 @@ def check(
                 finding.repair()
             found.append(_document(finding, repaired=repair and finding.repair is not None))
     for one in found:
-        output.say(f"[bold]{one['kind']}[/] {one['what']}: {one['words']}{_after(one, repair)}")
+        output.say(f"{one['what']}: {one['words']}{_after(one, repair)}", head=one["kind"])
     counts = Counter(one["kind"] for one in found)
     wrong = sum(not one["repaired"] for one in found)
     output.say(", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())) or "nothing is wrong")

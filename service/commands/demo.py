@@ -116,19 +116,20 @@ def run_demo(
     ground = _ground(heightmap, start, goal, reading)
     picture = out / "joulemap-demo.png"
     with _service(host, port, out) as (process, url):
-        output.say(f"[bold]joulemap[/] is running at {url}")
+        output.say(f"is running at {url}", head="joulemap")
         with httpx.Client(base_url=url, timeout=COSTMAP_WITHIN_S + 60.0) as client:
             answers = _ask(output, client, ground, model, out)
         title = f"{ground.name}: energy-optimal and shortest path"
         write_file(picture, route_picture(ground.heightmap, answers.plan.route, answers.plan.shortest, title=title))
-        output.say(f"\n[bold]Picture[/]    {picture}")
+        output.say(f"{picture}", head="\nPicture   ")
         output.warn(answers.document["costmap"]["warnings"])
         output.document({"url": url, "picture": str(picture), **answers.document})
         if keep:
             page = f"{url}/#map={answers.document['costmap']['id']}&{_ends_in_link(answers.document)}"
             output.say(
-                f"\n[bold]Page[/]       {page}\n           This map and route, to look at and to change; your own "
-                f"ground: {url}\nThe service goes on until you press Ctrl-C."
+                f"{page}\n           This map and route, to look at and to change; your own "
+                f"ground: {url}\nThe service goes on until you press Ctrl-C.",
+                head="\nPage      ",
             )
             with contextlib.suppress(KeyboardInterrupt):
                 process.wait()
@@ -146,8 +147,9 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
     cell = sent["resolution_m"]
     unknown = f", {1.0 - sent['known_share']:.1%} of it unknown" if sent["known_share"] < 1.0 else ""
     output.say(
-        f"\n[bold]Heightmap[/]  {sent['name']}: {sent['cols'] * cell:g} x {sent['rows'] * cell:g} m "
-        f"in cells of {cell:g} m, {sent['height_min_m']:.1f} to {sent['height_max_m']:.1f} m high{unknown}"
+        f"{sent['name']}: {sent['cols'] * cell:g} x {sent['rows'] * cell:g} m "
+        f"in cells of {cell:g} m, {sent['height_min_m']:.1f} to {sent['height_max_m']:.1f} m high{unknown}",
+        head="\nHeightmap ",
     )
 
     began = time.perf_counter()
@@ -160,11 +162,12 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
     size = f"{frame['cols']} x {frame['rows']} cells of {frame['spacing_m']:g} m, {costmap['headings']} headings"
     reasons = [f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0]
     output.say(
-        f"[bold]Cost map[/]   {size}, made in {seconds:.1f} s"
+        f"{size}, made in {seconds:.1f} s"
         f" by model {model}; driving costs {price['min']:.0f} to {price['max']:.0f} J/m, {price['mean']:.0f} on average"
         f"\n           ({', '.join(reasons)})"
         if price
-        else "[bold]Cost map[/]   nothing of this ground can be driven"
+        else "nothing of this ground can be driven",
+        head="Cost map  ",
     )
 
     lattice = _download(client, costmap["id"], out / "costmap.zarr")
@@ -174,11 +177,12 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
     ends = {"start": list(start), "goal": list(goal)}
     path = _json(client.post(f"/v1/costmaps/{costmap['id']}/paths", json=ends))
     output.say(
-        f"[bold]Path[/]       from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f})\n"
+        f"from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f})\n"
         f"           energy-optimal  {route_words(path)}\n"
-        f"           shortest        {route_words(path['shortest'])}\n"
-        f"           [bold]saved           {saving_words(path, path['shortest'])}[/]"
+        f"           shortest        {route_words(path['shortest'])}",
+        head="Path      ",
     )
+    output.say(head=f"           saved           {saving_words(path, path['shortest'])}")
 
     battery = {"charge": CHARGE, "reserve": RESERVE}
     task = {**ends, "round_trip": True, "battery": battery}
@@ -191,8 +195,9 @@ def _ask(output: Output, client: httpx.Client, ground: Ground, model: str, out: 
         else f"{energy_words(verdict['shortfall_j'])} are missing"
     )
     output.say(
-        f"[bold]Battery[/]    there and back on a {capacity_wh:g} Wh battery at {CHARGE:.0%}, keeping {RESERVE:.0%}? "
-        f"{mark}\n           {energy_words(verdict['energy_j'])} over {verdict['length_m']:.0f} m; {left}"
+        f"there and back on a {capacity_wh:g} Wh battery at {CHARGE:.0%}, keeping {RESERVE:.0%}? "
+        f"{mark}\n           {energy_words(verdict['energy_j'])} over {verdict['length_m']:.0f} m; {left}",
+        head="Battery   ",
     )
 
     def priced(points: list[list[float]]) -> Any:

@@ -90,7 +90,7 @@ def distill(
             progress=report,
         )
     student, taught = (e["mean_relative_error"] for e in (model.student_held_out, model.teacher_held_out))
-    output.say(f"[bold]Distilled[/] {teacher} into {out}, version {model.version}")
+    output.say(f"{teacher} into {out}, version {model.version}", head="Distilled")
     output.table(
         {
             "learned from": f"{model.answers} answers of the teacher and {model.segments} measured segments",

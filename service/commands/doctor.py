@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from joulemap.service.settings import Settings
 
 GOOD, MISSING, WRONG = "good", "missing", "wrong"
-_MARKS = {GOOD: "[green]good[/]", MISSING: "[yellow]missing[/]", WRONG: "[bold red]wrong[/]"}
+_STYLES = {GOOD: "green", MISSING: "yellow", WRONG: "bold red"}
 _FOR = {
     "tours": "joulemap tour",
     "reproduce": "joulemap reproduce",
@@ -53,7 +53,7 @@ def doctor(data_dir: DataDir = None, json_file: JsonFile = None) -> None:
             found.append(_finding(name, WRONG, f"{type(error).__name__}: {str(error)[:300]}"))
     for one in found:
         advice = f" -> {one['advice']}" if one["advice"] else ""
-        output.say(f"{_MARKS[one['state']]:<22} {one['name']:<18} {one['words'] + advice}")
+        output.say(f"{one['name']:<18} {one['words']}{advice}", head=f"{one['state']:<7}", style=_STYLES[one["state"]])
     wrong = sum(one["state"] == WRONG for one in found)
     output.document({"findings": found, "wrong": wrong})
     if wrong:

@@ -51,5 +51,5 @@ def export(
     else:
         with progress_bar("Export"):
             written = save_map(load_lattice(costmap), out, chosen.name)
-    output.say(f"[bold]Written[/] {', '.join(map(str, written))}: {chosen.words}")
+    output.say(f"{', '.join(map(str, written))}: {chosen.words}", head="Written")
     output.document({"format": chosen.name, "written": [str(path) for path in written]})

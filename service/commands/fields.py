@@ -63,7 +63,7 @@ def field(
     }
     if share is not None:
         figures["corridor_cells"] = int(found.corridor(share).sum())
-    output.say(f"[bold]Energy field[/] {found.kind}")
+    output.say(found.kind, head="Energy field")
     rows = {"cells reached": f"{figures['reached']:,} of {figures['cells']:,}", "written": str(out)}
     if reached.any():
         rows["energy"] = f"{figures['least_j'] / 1e3:.2f} .. {figures['most_j'] / 1e3:.2f} kJ"

@@ -96,7 +96,7 @@ def heightmap(
     for made in maps:
         rows, cols = made["rows"], made["cols"]
         low, high = made["heights_m"]
-        output.say(f"[bold]Heightmap[/] {made['out']} of {runs_words(len(made['runs']))}")
+        output.say(f"{made['out']} of {runs_words(len(made['runs']))}", head="Heightmap")
         output.table(
             {
                 "cells": f"{rows} x {cols} of {resolution:g} m, {100 * made['known_share']:.0f} % known",
@@ -106,7 +106,7 @@ def heightmap(
         )
         output.warn(made["warnings"])
     if each:
-        output.say(f"[bold]Campaign[/] {out / CAMPAIGN_FILE}: which run belongs to which map")
+        output.say(f"{out / CAMPAIGN_FILE}: which run belongs to which map", head="Campaign")
     output.document({"maps": maps, "campaign": str(out / CAMPAIGN_FILE) if each else None})
 
 

@@ -56,7 +56,7 @@ def add(
         key = add_key(
             store.sessions, name, operator=operator, adopt=adopt, jobs=jobs, gb=gb, requests_per_s=requests_per_s
         )
-    output.say(f"[bold]{key}[/]")
+    output.say(head=key)
     output.say(f"the key of {name}: it is shown only now. Send it as the header Authorization: Bearer KEY")
     output.document({"name": name, "key": key, "operator": operator})
 

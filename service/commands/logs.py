@@ -98,7 +98,7 @@ def import_logs(
 
 def _say(output: Output, one: dict[str, Any]) -> None:
     unit = "J/m" if one["target"] == "energy_j" else "A s/m"
-    output.say(f"[bold]{one['name']}[/] {one['format']}" + (f" -> {one['out']}" if one["out"] else ""))
+    output.say(f"{one['format']}" + (f" -> {one['out']}" if one["out"] else ""), head=one["name"])
     rows = {
         "rows": f"{one['rows']:,} in {duration_words(one['seconds'])}",
         "driven": f"{one['metres']:.1f} m in {one['segments']} segments, median {one['per_m']:.4g} {unit}",

@@ -141,7 +141,7 @@ def costmap(
         raise typer.BadParameter("--out is missing: name the folder to write the cost map to")
     ground = open_ground(heightmap, **reading)
     for note in ground.notes:
-        output.say(f"[bold]Heightmap[/] {with_option_names(note, RUNNING.get())}")
+        output.say(with_option_names(note, RUNNING.get()), head="Heightmap")
     rover = robot_of(robot)
     with ThreadPoolExecutor(1) as reader:
         warned = reader.submit(heightmap_warnings, ground)
@@ -166,7 +166,7 @@ def costmap(
     frame, warnings = made.frame, made.provenance["warnings"]
     price, blocked = made.figures["energy_per_m"], made.figures["blocked"]
     words = ", ".join(f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0)
-    output.say(f"[bold]Cost map[/] of {ground.source} for {rover.name}, model {made.provenance['model']['name']}")
+    output.say(f"of {ground.source} for {rover.name}, model {made.provenance['model']['name']}", head="Cost map")
     output.table(
         {
             "cells": f"{frame.rows} rows x {frame.cols} columns of {frame.resolution_m:g} m, {headings} headings",
@@ -199,7 +199,7 @@ def _say_served(output: Output, made: CostmapOut, source: str, out: Path | None)
     found = made.model_dump(mode="json")
     frame, price, blocked = found.pop("frame"), found["energy_per_m"], found["blocked"]
     words = ", ".join(f"{share:.1%} {reason.replace('_', ' ')}" for reason, share in blocked.items() if share > 0)
-    output.say(f"[bold]Cost map[/] {made.id} of {source} for {made.robot.name}, model {made.model}")
+    output.say(f"{made.id} of {source} for {made.robot.name}, model {made.model}", head="Cost map")
     output.table(
         {
             "cells": "{rows} rows x {cols} columns of {spacing_m:g} m".format(**frame) + f", {made.headings} headings",
@@ -374,7 +374,7 @@ def path(
 
 
 def _say_path(output: Output, found: dict[str, Any], robot: str, *, bound: bool) -> None:
-    output.say(f"[bold]Path[/] for {robot}, planner {found['planner']}")
+    output.say(f"for {robot}, planner {found['planner']}", head="Path")
     output.table(
         {
             "energy-optimal": route_words(found),

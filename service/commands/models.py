@@ -134,7 +134,7 @@ def train(
 
         with progress_bar("Training the shipped network") as report:
             trained = train_default(out, seed=DEFAULT_SEED if seed is None else seed, progress=report)
-        output.say(f"[bold]Trained[/] {out}: held-out error {trained['held_out']['mean_relative_error']:.1%}")
+        output.say(f"{out}: held-out error {trained['held_out']['mean_relative_error']:.1%}", head="Trained")
         output.document({"out": str(out), **trained})
         return
     from joulemap.model.runs.segments import coverage_words
@@ -156,7 +156,7 @@ def train(
             overwrite=overwrite,
             progress=report,
         ).facts
-    output.say(f"[bold]Trained[/] {out}, version {made['version']}, {made['epochs']} epochs")
+    output.say(f"{out}, version {made['version']}, {made['epochs']} epochs", head="Trained")
     output.table(
         {
             "learned from": f"{made['segments']:,} segments of {runs_words(len(made['runs']))}",
@@ -206,7 +206,7 @@ def evaluate(
     sites = named_sites(heightmap, runs, site, campaign, robot, reading)
     found = library.evaluate(sites=sites, model=model, charge=charge).document
     output.say(
-        f"[bold]Model {found['model']}[/] on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}"
+        f"on {runs_words(len(found['route_relative_errors']))}: {_errors_words(found)}", head=f"Model {found['model']}"
     )
     output.table(
         {

@@ -94,7 +94,7 @@ def reach(
             content = reach_image(ground.lattice, found)
         write_file(out, content)
     sure = "" if confidence is None else f" with a probability of {confidence:.0%}"
-    output.say(f"[bold]Reach[/] {'there and back' if round_trip else 'one way'}{sure}")
+    output.say(f"{'there and back' if round_trip else 'one way'}{sure}", head="Reach")
     rows = {f"from {100 * level:g} % charge": f"{found.area_m2(k):,.0f} m2" for k, level in enumerate(found.charges)}
     output.table(rows | ({} if out is None else {"written": str(out)}))
     output.warn([*notes, *found.notes, *ground.warnings])

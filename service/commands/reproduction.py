@@ -96,8 +96,9 @@ def reproduce(
     document = publish(setting, command=_command(out, extent.name, seeds, backbone, heightmap_from, only))
     missed = [check["wanted"] for check in document["checks"] if not check["holds"]]
     output.say(
-        f"[bold]Written[/] {out / 'REPRODUCTION.md'}: {len(document['checks']) - len(missed)} of "
-        f"{len(document['checks'])} wanted results hold"
+        f"{out / 'REPRODUCTION.md'}: {len(document['checks']) - len(missed)} of "
+        f"{len(document['checks'])} wanted results hold",
+        head="Written",
     )
     output.document(document)
 
@@ -148,7 +149,7 @@ def baselines(
         tested_heightmap=elsewhere,
         models=[find_predictor(name) for name in model or ()],
     )
-    output.say(f"[bold]Fitted[/] to {runs_words(len(learned))}, judged on {len(tested)}: mean error per 1 m segment")
+    output.say(f"to {runs_words(len(learned))}, judged on {len(tested)}: mean error per 1 m segment", head="Fitted")
     output.table(
         {
             name: f"{one['mean_relative_error']:.1%} straight, {one['with_turns']:.1%} with turns, "

@@ -156,7 +156,7 @@ def simulate(
             files.append(str(log.write_csv(out / f"run_{number:02d}.csv")))
             report(number / runs)
     metres = sum(one.length_m for one in drives)
-    output.say(f"[bold]Simulated[/] {runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}")
+    output.say(f"{runs_words(runs)} over {site.value}, {metres:.0f} m in all, written to {out}", head="Simulated")
     output.document(
         {
             "heightmap": str(out / "dem.tif"),

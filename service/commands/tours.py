@@ -92,7 +92,7 @@ def tour(
 
 def _say_tour(output: Output, found: dict[str, Any], robot: str) -> None:
     way = " -> ".join(str(k) for k in (*found["order"], 0))
-    output.say(f"[bold]Tour[/] for {robot}: {way}{'' if found['proven'] else ' (not proven the best)'}")
+    output.say(f"for {robot}: {way}{'' if found['proven'] else ' (not proven the best)'}", head="Tour")
     ends = zip(found["order"], (*found["order"][1:], 0), strict=True)
     output.table(
         {f"{here} to {there}": route_words(leg) for (here, there), leg in zip(ends, found["legs"], strict=True)}
