@@ -13,11 +13,13 @@ from joulemap.model.loop._mixed_model import IntArray, MixedModel
 from joulemap.model.loop._variation import Variation, fit_variation
 from joulemap.model.loop.forms import CHANGES, NAMED, UNNAMED, Form
 from joulemap.model.loop.forms._base_parameters import BaseParameters
+from joulemap.model.loop.forms.log_faults import Energy, LogFault
 from joulemap.model.loop.forms.structure import PlaceField
 from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.residuals import Residuals
 
+_STEP = 1e-3  # of a shift or a lag, for its derivative
 _DIRECTED = frozenset({"heading", "wind_speed", "wind_from"})  # say something even where they are constant
 
 
@@ -54,6 +56,7 @@ class Design:
     base: BaseParameters
     candidates: tuple[Candidate, ...] = field(repr=False)  # all that are tested
     without: tuple[str, ...] = ()  # base parameters that are in no model
+    beyond: FloatArray | float = 0.0  # what a fault of the log adds to its columns, (n,)
     level_of: FloatArray | None = None  # base parameters before any effect: levels are shares of their prediction
 
     @property
@@ -82,7 +85,23 @@ class Design:
             every = candidate.form.columns(rows)
             columns[:, candidate.tested] = every * self.where(candidate)[:, None]
             columns[:, candidate.beside] = every[:, candidate.shared]
-        return replace(self, residuals=replace(self.residuals, features=rows), columns=columns)
+        return replace(self, residuals=replace(self.residuals, features=rows), columns=columns, beyond=0.0)
+
+    def about(self, candidate: Candidate, size: FloatArray, energy: Energy) -> Design:
+        """The same with the columns of a fault of the log about its size, (k,). energy : of rows without it."""
+        new, columns, beyond = np.flatnonzero(self.new), self.columns.copy(), np.zeros(len(self.new))
+        rows = self.residuals.features.take(new)
+        columns[np.ix_(new, candidate.tested)], beyond[new] = linearised(candidate.form, rows, size, energy)
+        return replace(self, columns=columns, beyond=self.beyond + beyond)
+
+
+def linearised(fault: Form, rows: Features, size: FloatArray, energy: Energy) -> tuple[FloatArray, FloatArray]:
+    """Columns of a fault of the log about its size, (n, k), and what `simulated` adds to these times the size, (n,)."""
+    assert isinstance(fault, LogFault)
+    here = fault.simulated(rows, size, energy)
+    changed = (fault.simulated(rows, size + step, energy) - here for step in _STEP * np.eye(len(size)))
+    columns = np.stack(list(changed), axis=1) / _STEP
+    return columns, here - columns @ size
 
 
 def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> Design:
@@ -166,7 +185,8 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
     """
     residuals, index = design.residuals, design.index(chosen)
     x = design.columns[:, index]
-    said, z = residuals.said, residuals.measured - residuals.said
+    said = residuals.said
+    z = residuals.measured - said - design.beyond
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
     variation = start or Variation(residuals.run, residuals.moving, np.maximum(said, size), np.ones(len(z)))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct

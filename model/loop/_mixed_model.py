@@ -44,11 +44,6 @@ class Estimate:
     freedom: FloatArray  # (q,) degrees of freedom
     tau2: float  # variance between units over that of the noise
 
-    def only(self, own: NDArray[np.bool_], gains: FloatArray) -> Estimate:
-        """Some of the coefficients, over numbers of the same fits, (1 + units,)."""
-        left_out = self.left_out[:, own] / gains[1:, None]
-        return Estimate(self.coefficients[own] / gains[0], left_out, self.freedom[own], self.tau2)
-
     def interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
         """Lower and upper ends of confidence intervals, (q,), of the given coverage: Student's t with the variance of
         the jackknife over units, which assumes nothing of what is within a unit (MacKinnon, Nielsen & Webb 2023).
@@ -289,13 +284,6 @@ class MixedModel:
         freedom = own.sum(axis=0) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300) - 1.0
         found, left_out = self._within_limits(normal, target, chosen, low, high), self._by_others(part)[:, :, 0] / size
         return Estimate(found, left_out, freedom, tau2)
-
-    def coefficients_of(self, energy: FloatArray, chosen: IntArray, tau2: float) -> FloatArray:
-        """What the same fit finds, (q,), in another energy of the rows, (n,)."""
-        z = self.variation.scaled(energy[:, None])[:, 0]
-        level = np.array([self.rows[part, -2] @ z[part] for part in self._parts])
-        target = self.rows[:, chosen].T @ z - (level * tau2 / (1.0 + tau2 * self._gamma)) @ self._h[:, chosen]
-        return np.asarray(np.linalg.solve(self._normal(chosen, tau2)[0], target) / self.size[chosen])
 
 
 def _directions(information: FloatArray, squares: FloatArray) -> FloatArray:

@@ -70,28 +70,24 @@ def fit(
     rows, first, scale = base_step(rows, new)
     selection = select(make_design(rows, new, first), progress=progress)
     base_terms = selection.estimate([])[-1]
-    settled = selection.settled(selection.named or selection.chosen)
+    faults = [c for c in selection.chosen if isinstance(c.form, LogFault)]  # until they are known, all else is moved
+    settled = selection.settled(faults or selection.named or selection.chosen)
     if settled is not selection:
         selection = select(settled.design)
         selection = selection.settled(selection.chosen)
-    estimate, index, found = selection.estimate(selection.chosen)
-    effects, terms = [], list(found)
-    for k, (candidate, verdict) in enumerate(zip(selection.chosen, selection.verdicts, strict=True)):
-        form, own, gains = candidate.form, np.isin(index, candidate.tested), np.ones(1 + len(estimate.left_out))
-        if isinstance(form, LogFault):
-            gains = selection.gains(form, own, estimate, index)
-            form = replace(form, gain=float(gains[0]))
-            terms[k + 1] = Term(form, tuple(c / form.gain for c in terms[k + 1].coefficients))
-        mine = estimate.only(own, gains)
-        term = Term(form, tuple(mine.coefficients.tolist()))
-        effects.append(Effect(term, *mine.interval(), verdict.p_value, verdict.gain, verdict.between))
-    low, high = (ends[np.isin(index, selection.design.fixed)] for ends in estimate.interval())
+    estimate, index, terms = selection.estimate(selection.chosen)
+    effects, (low, high) = [], estimate.interval()
+    for candidate, verdict in zip(selection.chosen, selection.verdicts, strict=True):
+        own = np.isin(index, candidate.tested)
+        term = Term(candidate.form, tuple(estimate.coefficients[own].tolist()))
+        effects.append(Effect(term, low[own], high[own], verdict.p_value, verdict.gain, verdict.between))
+    fixed = np.isin(index, selection.design.fixed)
     planned = [c for c in selection.chosen if c.form.known_before]
     planner = selection if len(planned) == len(selection.chosen) else selection.settled(planned)
     planner_terms = planner.estimate(planned, without=(MEASURED_SLOPE,))[-1]
     ranges = driven_ranges(rows.features.take(np.flatnonzero(new)))
     drives = selection.design.residuals.features.drives
-    correction = Correction(tuple(terms), planner_terms, ranges, drives, first, rows.charge)
+    correction = Correction(terms, planner_terms, ranges, drives, first, rows.charge)
     ranked = tuple(sorted(effects, key=lambda e: -e.share))
     run_share = float(np.sqrt(estimate.tau2 * selection.model.sigma2(index)))
-    return Fitted(selection, low, high, ranked, correction, base_terms, scale, run_share)
+    return Fitted(selection, low[fixed], high[fixed], ranked, correction, base_terms, scale, run_share)

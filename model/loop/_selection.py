@@ -12,7 +12,6 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from joulemap.model.loop._design import Candidate, Design, fit_model
 from joulemap.model.loop._mixed_model import Estimate, IntArray, MixedModel
@@ -107,33 +106,24 @@ class Selection:
         return tuple(terms)
 
     def settled(self, kept: Sequence[Candidate]) -> Selection:
-        """With some effects in what resists, which follows from coefficients and these from it (Gauss-Newton)."""
+        """With some effects in what resists, and faults of the log about their size (Gauss-Newton)."""
         found, forces = self, [k for k, c in enumerate(kept) if c.form.resists]
+        faults = [k for k, c in enumerate(kept) if isinstance(c.form, LogFault)]
         rows, new, first = self.design.residuals.features, self.design.new, np.asarray(self.design.level_of)
         known = self.design.residuals.moving & (new.all() | ~new)  # what the coasting was fitted to
-        for _ in range(_ROUNDS if forces else 0):
-            design, (base, *terms) = found.design, found.estimate(kept)[-1]
+        for _ in range(_ROUNDS if forces or faults else 0):
+            design, (estimate, index, (base, *terms)) = found.design, found.estimate(kept)
             where = [design.where(kept[k]) for k in forces]
             costs = [lambda r, w=w, t=terms[k]: w * t.energy(r) for k, w in zip(forces, where, strict=True)]
             _, added = with_forces(rows, first, base.form, base.by_name, costs)
-            rows = replace(rows, drives=replace(rows.drives, resisted_tan=float(added[known].mean())))
+            if forces:
+                rows = replace(rows, drives=replace(rows.drives, resisted_tan=float(added[known].mean())))
             design = design.on(with_forces(rows, first, base.form, base.by_name, costs)[0])
+            for k in faults:
+                size = estimate.coefficients[np.isin(index, kept[k].tested)]
+                design = design.about(kept[k], size, partial(found._energy, [base, *terms[:k], *terms[k + 1 :]]))
             found = replace(found, design=design, model=fit_model(design, kept, self.model.variation))
         return found
-
-    def gains(self, fault: LogFault, own: NDArray[np.bool_], estimate: Estimate, index: IntArray) -> FloatArray:
-        """What the same fit finds of a simulated fault of the log, over what was simulated, (1 + units,): by the
-        estimate, and by that without each unit (indirect inference: Gourieroux, Monfort & Renault 1993). own : its
-        columns among those of the estimate, (q,).
-        """
-        design, new = self.design, np.flatnonzero(self.design.new)
-        rows, energy, out = design.residuals.features.take(new), np.zeros(len(design.new)), []
-        for values in (estimate.coefficients, *estimate.left_out):
-            others = [t for t in self._terms(self.chosen, values, index) if t.form is not fault]
-            energy[new] = fault.simulated(rows, values[own], partial(self._energy, others))
-            found = self.model.coefficients_of(energy, index, estimate.tau2)[own]
-            out.append(float(found @ values[own]) / float(values[own] @ values[own]))
-        return np.asarray(out)
 
     def _energy(self, terms: Sequence[Term], rows: Features) -> FloatArray:
         rows = with_base_parameters(rows, self.design.base, np.asarray(self.design.level_of))

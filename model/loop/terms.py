@@ -10,7 +10,8 @@ import numpy as np
 
 from joulemap.model.energy.uncertainty import Spread
 from joulemap.model.loop.forms import Form
-from joulemap.model.loop.forms._base_parameters import with_forces
+from joulemap.model.loop.forms._base_parameters import with_base_parameters, with_forces
+from joulemap.model.loop.forms.log_faults import LogFault
 from joulemap.model.runs.features import SHARE_DRIVEN, Drives, Features, FloatArray, quantity, share_beyond
 
 
@@ -91,7 +92,7 @@ class Correction:
     planner_terms : tuple of Term
         The same without what is not known before a drive, fitted for themselves.
     ranges : mapping
-        Lowest and highest value of every quantity in the runs. Beyond, the border's value holds.
+        Lowest and highest value of every quantity in the runs. Beyond, the border's value holds, but for a law.
     drives : Drives
         As fitted. Plans are made at the speed at which motors take what a battery gives.
     first_base : Term, optional
@@ -146,13 +147,22 @@ class Correction:
             Energy [J], or charge [A s], of rows that are held within the ranges and have the base parameters in their
             energy of motion.
         """
-        held, terms = rows.within(self.ranges), self.planner_terms if planned else self.terms
-        if self.first_base is None:
+        terms = self.planner_terms if planned else self.terms
+        held, first = rows.within(_held(self.ranges, terms)), self.first_base
+        if first is None:
             return _total(terms, held)
-        forces, first = [t.energy for t in terms if t.form.resists], self.first_base
+        forces, others = [t.energy for t in terms if t.form.resists], [t for t in terms if t.form.on_map]
         resisted, _ = with_forces(held, first.coefficients, first.form, terms[0].by_name, forces)
-        moved = 0.0 if self.charge else resisted.base_motion - held.base_motion
-        return moved + _total(terms, resisted)
+
+        def _drawn(of: Features) -> FloatArray:
+            total = _total(others, with_base_parameters(of, first.form, first.coefficients))
+            return total if self.charge else total + of.predicted
+
+        added = _drawn(resisted) - (0.0 if self.charge else held.predicted)
+        for form, size in ((t.form, np.asarray(t.coefficients)) for t in terms):
+            if isinstance(form, LogFault):
+                added += form.simulated(resisted, size, _drawn)
+        return added
 
     def beyond(self, rows: Features) -> dict[str, float]:
         """Return which quantities of some rows are outside the ranges of the runs.
@@ -168,9 +178,15 @@ class Correction:
             Share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
         """
         used = {name for term in self.planner_terms for name in term.form.covariates}
-        names = sorted({"speed", "grade", *used} & set(self.ranges))
+        names = sorted({"speed", "grade", *used} & set(_held(self.ranges, self.planner_terms)))
         shares = {name: share_beyond(quantity(rows, name), *self.ranges[name]) for name in names}
         return {name: share for name, share in shares.items() if share > 0.0}
+
+
+def _held(ranges: Mapping[str, tuple[float, float]], terms: Sequence[Term]) -> dict[str, tuple[float, float]]:
+    """The ranges in which quantities are held: not those of a law."""
+    of_laws = {name for term in terms if term.form.extrapolates for name in term.form.covariates}
+    return {name: ends for name, ends in ranges.items() if name not in of_laws}
 
 
 def _total(terms: Sequence[Term], rows: Features) -> FloatArray:
@@ -190,12 +206,9 @@ def turning_per_rad(terms: Sequence[Term], rows: Features) -> float:
     Returns
     -------
     float
-        Cost [J/rad, or A s/rad].
-
-    Notes
-    -----
-    The slope of the energy of turning over the angle that each row turned, in least squares. Turns beyond the driven
-    range, such as one on the spot whose peak of power a log may not show, are left out.
+        Cost [J/rad, or A s/rad]: the slope of the energy of turning over the angle that each row turned, in least
+        squares. Turns beyond the driven range, such as one on the spot whose peak of power a log may not show, are left
+        out.
     """
     moving = rows.take(~rows.standing)
     rows = moving.take(moving.turned_abs_rad <= np.quantile(moving.turned_abs_rad, 1.0 - SHARE_DRIVEN))

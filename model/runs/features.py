@@ -421,14 +421,14 @@ class Features:
         -------
         ndarray of float, (n,)
             Energy by a cubic spline through what was drawn until the end of each row. A stationary interval has its
-            own.
+            own. Before and after a run its first and last row go on.
         """
         out = energy.copy()
         for run in np.unique(self.run[~self.standing]):
             mine = np.flatnonzero((self.run == run) & ~self.standing)
-            ends = np.append(0.0, np.cumsum(np.maximum(self.duration_s[mine], 1e-6)))
-            drawn = CubicSpline(ends, np.append(0.0, np.cumsum(energy[mine])))
-            out[mine] = np.diff(drawn(np.clip(ends - lag_s, 0.0, ends[-1])))
+            longer = mine[[0, *range(mine.size), -1]]
+            ends, drawn = (np.append(0.0, np.cumsum(v[longer])) for v in (np.maximum(self.duration_s, 1e-6), energy))
+            out[mine] = np.diff(CubicSpline(ends, drawn)(np.clip(ends[1:-1] - lag_s, 0.0, ends[-1])))
         return out
 
     @property

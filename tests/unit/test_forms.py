@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from joulemap.model.errors import ModelError
+from joulemap.model.loop._design import linearised
 from joulemap.model.loop.forms import CHANGES, FORMS, NAMED, UNNAMED, form_from_dict
 from joulemap.model.loop.forms._base_parameters import BaseParameters
 from joulemap.model.loop.forms.baseline_change import (
@@ -92,6 +93,11 @@ BY_HAND = {  # (form, one metre, what one unit of each coefficient adds to it [J
     "below the power limit": (PowerLimit(100.0), even(), [0.0]),
     "heater": (Temperature(10.0, "time"), even(columns={"temperature": np.array([15.0])}), [2.0 * 5.0]),
     "grease": (Temperature(10.0, "motion"), even(columns={"temperature": np.array([5.0])}), [-5.0 * MOTION]),
+    "grease as viscous as oil": (
+        Temperature(10.0, "length", 0.05),
+        even(columns={"temperature": np.array([-10.0])}),
+        [-math.e / 0.05],
+    ),
     "temperature unknown": (Temperature(10.0, "time"), even(columns={"temperature": np.array([np.nan])}), [0.0]),
     "payload": (Payload(), even(columns={"payload": np.array([3.0])}), [3.0 / 40.0 * MOTION]),
     "wind from ahead": (Wind("air"), breeze(0.0), [2.5**2 - 0.5**2]),
@@ -183,12 +189,42 @@ def test_readings_that_are_late_belong_to_the_row_before():
 
 
 def test_a_late_meter_says_what_was_drawn_earlier():
-    """Constant power moves nothing but the start; a ramp of 10 W per row of 2 s moves 5 W/s times the lag."""
+    """Constant power moves nothing; a ramp of 10 W per row of 2 s moves 5 W/s times the lag."""
     rows = even(5, duration_s=[2.0] * 5)
     steady = rows.read_late(np.full(5, 60.0), 0.5)
-    np.testing.assert_allclose(steady, [45.0, 60.0, 60.0, 60.0, 60.0])
-    ramp = 2.0 * (10.0 * np.arange(5) + 30.0)
-    np.testing.assert_allclose(rows.read_late(ramp, 0.5)[1:], ramp[1:] - 2.0 * 5.0 * 0.5)
+    np.testing.assert_allclose(steady, [60.0] * 5)
+    more = even(30, duration_s=[2.0] * 30)
+    ramp = 2.0 * (10.0 * np.arange(30) + 30.0)
+    np.testing.assert_allclose(more.read_late(ramp, 0.5)[10:-10], ramp[10:-10] - 2.0 * 5.0 * 0.5, rtol=1e-4)
+
+
+def test_a_calibrated_late_meter_reads_all_that_is_drawn_late():
+    """Waves of 4 rows, a quarter of a wave late: far from a straight line in the lag."""
+    rows = even(40, turned_abs_rad=1.0 + np.sin(0.5 * math.pi * np.arange(40)))
+    base = BaseParameters.of(charge=False)
+    nothing = Term(base, (0.0,) * len(base.names))
+    turning, late = Term(Turning(), (30.0,)), Term(MeterLag(), (2.0,))
+    added = Correction((nothing, turning, late), (), first_base=nothing).added_energy(rows, planned=False)
+    earlier = rows.predicted + 30.0 * (1.0 + np.sin(0.5 * math.pi * (np.arange(40) - 1.0)))  # by one row of 2 s
+    np.testing.assert_allclose((rows.predicted + added)[1:], earlier[1:])
+
+
+@pytest.mark.parametrize(("fault", "size"), [(MeterLag(), [0.8]), (MapShift(), [0.7, 0.3])])
+def test_a_fault_about_its_size_is_what_was_simulated(fault, size):
+    """The columns times the size and the rest are that; and a little more of the fault is a little more of a column."""
+    rng = np.random.default_rng(1)
+    slope = 0.01 * rng.standard_normal((2, 40))
+    rows = even(40, turned_abs_rad=rng.uniform(0.0, 1.0, 40), grade_east=slope[0], grade_north=slope[1])
+
+    def energy(of):
+        return of.predicted + 30.0 * of.turned_abs_rad
+
+    size = np.array(size)
+    columns, beyond = linearised(fault, rows, size, energy)
+    np.testing.assert_allclose(columns @ size + beyond, fault.simulated(rows, size, energy), atol=1e-9)
+    there = fault.simulated(rows, size + 1e-3, energy)
+    np.testing.assert_allclose(columns @ (size + 1e-3) + beyond, there, atol=1e-3 * np.abs(there).max())
+    assert np.abs(columns).max() > 1.0
 
 
 def test_a_moved_map_has_other_slopes():
@@ -197,10 +233,38 @@ def test_a_moved_map_has_other_slopes():
     assert even(grade_east=[0.01]).moved(2.0, 0.0).base_motion - even().base_motion == pytest.approx([0.02 * W])
 
 
-def test_a_fault_that_a_fit_finds_in_part_is_the_same_energy():
-    rows = even(grade_east=[0.01], grade_north=[-0.02])
-    whole = Term(MapShift(), (0.7, 0.3)).energy(rows)
-    np.testing.assert_allclose(Term(MapShift(gain=0.7), (1.0, 0.3 / 0.7)).energy(rows), whole)
+LOADS = {"payload": (5.0, 20.0), "wind_speed": (1.0, 4.0), "temperature": (0.0, 10.0)}
+
+
+@pytest.mark.parametrize(
+    ("form", "logged", "holds"),
+    [
+        (Payload(), {"payload": 30.0}, True),
+        (Wind("head"), {"wind_speed": 6.0, "wind_from": 0.0}, True),
+        (Temperature(5.0, "length", 0.06), {"temperature": -10.0}, True),
+        (Temperature(5.0, "length"), {"temperature": -10.0}, False),
+    ],
+)
+def test_a_law_holds_beyond_the_runs_and_a_straight_line_does_not(form, logged, holds):
+    rows = even(columns={key: np.array([value]) for key, value in logged.items()})
+    ranges = {f"column:{key}": ends for key, ends in LOADS.items()}
+    term = Term(form, (1.0,))
+    correction = Correction((term,), (term,), ranges)
+    there, border = term.energy(rows), term.energy(rows.within(ranges))
+    np.testing.assert_allclose(correction.added_energy(rows, planned=False), there if holds else border)
+    assert abs(there - border) > 0.1
+    assert bool(correction.beyond(rows)) is not holds
+
+
+def test_a_drift_over_the_clock_begins_anew_each_day():
+    """Runs at 8 and 12 o'clock of two days; what is predicted later counts from the first stamp that is known."""
+    hour = 3600.0
+    rows = even(4, clock_s=np.array([8.0, 12.0, 32.0, 35.0]) * hour)
+    form = next(f for f in Drift.variants(rows) if f.over == "clock" and not f.of_all)
+    assert (form.start, form.end) == ((8.0 * hour, 32.0 * hour), 4.0 * hour)
+    np.testing.assert_allclose(form.column(rows), [0.0, 4.0, 0.0, 3.0])
+    other = even(4, clock_s=np.array([10.0, 32.5, 80.0, 90.0]) * hour)  # on both days, and on a third
+    np.testing.assert_allclose(form.column(other), [2.0, 0.5, 0.0, 4.0])  # up to the four hours of the runs
 
 
 def test_what_comes_first_are_the_declared_numbers():

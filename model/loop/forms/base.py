@@ -40,6 +40,8 @@ class Form:
         Whether it is a force against the motion, which may make drives pull where they would brake.
     of_map : bool
         Whether it belongs to the map on which it was found, and is not there on another.
+    extrapolates : bool
+        Whether its formula is a law of physics, which holds beyond the range of its covariates in the runs.
     covariates : tuple of str
         Quantities that it depends on; nothing is tested where a logged column, `column:NAME`, is missing.
     options : mapping of str to sequence
@@ -60,6 +62,7 @@ class Form:
     on_map: ClassVar[bool] = True
     resists: ClassVar[bool] = False
     of_map: ClassVar[bool] = False
+    extrapolates: ClassVar[bool] = False
     covariates: ClassVar[tuple[str, ...]] = ()
     options: ClassVar[Mapping[str, Sequence[Any]]] = {}
     tuned: ClassVar[int] = 0

@@ -11,13 +11,7 @@ from joulemap.model.runs.features import Features, FloatArray
 
 @dataclass(frozen=True)
 class CrossSlope(Form):
-    """Rolling resistance that grows with the slope across the motion, as of a robot that crabs.
-
-    Attributes
-    ----------
-    power : int
-        Of the tangent.
-    """
+    """Rolling resistance that grows with the tangent across the motion to a power, as of a robot that crabs."""
 
     power: int = 1
 

@@ -10,6 +10,8 @@ import numpy as np
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray, quantity
 
+_NIGHT_S = 43_200.0  # without a stamp: runs with less than half a day between them are of one day
+
 
 @dataclass(frozen=True)
 class Drift(Form):
@@ -18,15 +20,17 @@ class Drift(Form):
     Attributes
     ----------
     over : str
-        `since_start`, `driven` or `clock`.
-    start, end : float
-        Values of the covariate in the runs between which it grows: it is nil at the first stamp of the day.
+        `since_start`, `driven`, or `clock` for the time since the first stamp of the day.
+    start : float or tuple of float
+        First stamp of each day of the runs.
+    end : float
+        Largest value of the covariate in the runs, up to which it grows.
     of_all : bool
         A share of the predicted energy instead of energy per metre.
     """
 
     over: str
-    start: float = 0.0
+    start: float | tuple[float, ...] = ()
     of_all: bool = True
     end: float | None = None
 
@@ -47,10 +51,19 @@ class Drift(Form):
 
     def column(self, rows: Features) -> FloatArray:
         amount = rows.hotel_and_motion if self.of_all else rows.work_m * rows.pulling
-        return amount * (np.clip(quantity(rows, self.over), self.start, self.end) - self.start) / self.per[0]
+        since = _of_day(rows.clock_s, self.start)[0] if self.over == "clock" else quantity(rows, self.over)
+        return amount * np.clip(since, 0.0, self.end) / self.per[0]
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
+        since, start = _of_day(rows.clock_s)
         for over in ("since_start", "driven", "clock"):
-            start = float(rows.clock_s.min()) if over == "clock" else 0.0
-            yield from (cls(over, start, of_all, float(quantity(rows, over).max())) for of_all in (True, False))
+            end = float((since if over == "clock" else quantity(rows, over)).max())
+            yield from (cls(over, start if over == "clock" else (), of_all, end) for of_all in (True, False))
+
+
+def _of_day(clock_s: FloatArray, start: float | tuple[float, ...] = ()) -> tuple[FloatArray, tuple[float, ...]]:
+    """Time since the first stamp of each row's day, (n,), and the first stamps of all days. start : known stamps."""
+    stamps = np.unique(np.append(clock_s, start))
+    first = stamps[np.diff(stamps, prepend=-np.inf) > _NIGHT_S]
+    return clock_s - first[np.searchsorted(first, clock_s, side="right") - 1], tuple(first.tolist())

@@ -11,20 +11,10 @@ from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 
 Energy = Callable[[Features], FloatArray]
-_STEP = 1e-3  # of a shift, for its derivative
 
 
-@dataclass(frozen=True)
 class LogFault(Form):
-    """A fault of the log, which its columns describe to first order.
-
-    Attributes
-    ----------
-    gain : float
-        What a fit of the first order finds of a fault of one unit.
-    """
-
-    gain: float = 1.0
+    """A fault of the log, which its columns describe to first order."""
 
     planned = False
     on_map = False
@@ -38,8 +28,6 @@ class LogFault(Form):
 class MeterLag(LogFault):
     """Time by which the measured power is late.
 
-    Notes
-    -----
     To first order the energy of a row is less by the lag times the predicted power at its end, and more by that at its
     start. The power at a border is the mean of both sides.
     """
@@ -54,7 +42,7 @@ class MeterLag(LogFault):
         power = rows.power_w / rows.unit_j
         follows = (np.diff(rows.run) == 0) & ~rows.standing[1:] & ~rows.standing[:-1]
         border = np.pad(np.where(follows, 0.5 * (power[1:] + power[:-1]), np.nan), 1, constant_values=np.nan)
-        return self.gain * (border[:-1] - border[1:])
+        return border[:-1] - border[1:]
 
     def simulated(self, rows: Features, size: FloatArray, energy: Energy) -> FloatArray:
         drawn = energy(rows)
@@ -76,8 +64,8 @@ class MapShift(LogFault):
         return ("east", "north")
 
     def columns(self, rows: Features) -> FloatArray:
-        amount = (self.gain * rows.weight_length * rows.pulling)[:, None]
+        amount = (rows.weight_length * rows.pulling)[:, None]
         return np.nan_to_num(amount * np.stack([rows.grade_east, rows.grade_north], axis=1))
 
     def simulated(self, rows: Features, size: FloatArray, energy: Energy) -> FloatArray:
-        return (energy(rows.moved(*(_STEP * size))) - energy(rows)) / _STEP
+        return energy(rows.moved(*size)) - energy(rows)

@@ -21,6 +21,7 @@ class Payload(Form):
     low = -1.0
     high = 2.0
     weather = True
+    extrapolates = True
 
     def column(self, rows: Features) -> FloatArray:
         return rows.motion_part / rows.robot.mass_kg * quantity(rows, "column:payload")

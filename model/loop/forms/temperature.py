@@ -10,6 +10,8 @@ import numpy as np
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray, quantity
 
+_OF_OIL_PER_K = 0.06  # mineral oils from 0 to 40 degC: 0.05 of ISO VG 10 to 0.065 of VG 220 (ISO 3448, ASTM D341)
+
 
 @dataclass(frozen=True)
 class Temperature(Form):
@@ -18,14 +20,21 @@ class Temperature(Form):
     Attributes
     ----------
     reference : float
-        Temperature at which it is nil [degC].
+        Temperature to which the coefficient belongs [degC]: on a straight line it is nil there.
     of : str
         `motion` for a share of the energy of motion (grease, tyres), `length` for energy per metre, `time` for power
         (a heater).
+    rate_per_k : float
+        By which it falls exponentially, as the viscosity of oil does; 0 for a straight line.
+
+    References
+    ----------
+    Stachowiak & Batchelor 2014, "Engineering Tribology", section 2.4 (the viscosity of oil: Reynolds' equation).
     """
 
     reference: float
     of: str = "motion"
+    rate_per_k: float = 0.0
 
     key = "temperature"
     resists = True
@@ -35,12 +44,20 @@ class Temperature(Form):
     covariates = ("column:temperature",)
     weather = True
 
+    @property
+    def extrapolates(self) -> bool:  # type: ignore[override]
+        """Whether it is that of viscosity."""
+        return self.rate_per_k > 0.0
+
     def units(self, energy: str) -> tuple[str, ...]:
         return ({"motion": "1/K", "length": f"{energy}/m/K", "time": "W/K" if energy == "J" else "A/K"}[self.of],)
 
     def column(self, rows: Features) -> FloatArray:
         amount = {"motion": rows.motion_part, "length": rows.work_m * rows.pulling, "time": rows.duration_s}[self.of]
-        return amount * (quantity(rows, "column:temperature") - self.reference)
+        warmer = quantity(rows, "column:temperature") - self.reference
+        if self.rate_per_k == 0.0:
+            return amount * warmer
+        return -amount * np.exp(-self.rate_per_k * warmer) / self.rate_per_k
 
     @classmethod
     def variants(cls, rows: Features) -> Iterator[Form]:
@@ -48,3 +65,4 @@ class Temperature(Form):
         if np.isfinite(logged).any():
             usual = round(float(np.nanmean(logged)), 2)
             yield from (cls(usual, of) for of in ("motion", "length", "time"))
+            yield from (cls(usual, of, _OF_OIL_PER_K) for of in ("motion", "length"))

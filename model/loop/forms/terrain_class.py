@@ -49,13 +49,7 @@ class _ByClass(Form):
 
 @dataclass(frozen=True)
 class TerrainClass(_ByClass):
-    """Energy added on each class of a logged column of text; a class that is not listed is the reference.
-
-    Attributes
-    ----------
-    of_motion : bool
-        A share of the energy of motion instead of energy per metre.
-    """
+    """Energy added on each class. of_motion : a share of the energy of motion instead of energy per metre."""
 
     of_motion: bool = False
 
@@ -86,13 +80,7 @@ class TerrainClass(_ByClass):
 
 @dataclass(frozen=True)
 class TurningByClass(_ByClass):
-    """Turning on each class of a logged column of text, in addition to turning on classes that are not listed.
-
-    Attributes
-    ----------
-    limit_per_m : float, optional
-        As of `Turning`.
-    """
+    """Turning on each class of a logged column of text, beside turning on others. limit_per_m : of `Turning`."""
 
     limit_per_m: float | None = None
 

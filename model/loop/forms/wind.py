@@ -37,6 +37,7 @@ class Wind(Form):
     options: ClassVar = {"law": ("air", "head", "linear")}
     low = 0.0
     weather = True
+    extrapolates = True
 
     def units(self, energy: str) -> tuple[str, ...]:
         return (f"{energy}/m per " + ("m/s" if self.law == "linear" else "(m/s)^2"),)
