@@ -3,7 +3,8 @@
 Steps from coarse to fine. *Shortcuts* keep, out of all vertices, the chain of straight legs that costs least
 (dynamic programming, so zigzags stay where they pay). *Bending* shifts long stretches by many cells, all at once by the
 combination of shifts that costs least (`deform`). *Settling* moves every vertex to the least energy nearby by Newton's
-method (`settle`); where turning costs or limits are near, vertices are bent there too, by small shares of a cell.
+method (`settle`); where turning costs or limits are near, vertices are bent there too, by small shares of a cell. A
+path that is not long is settled and bent again and again until that gains nothing.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ CORNER_STEPS = (8.0, 4.0, 2.0, 1.0, *FINE_STEPS)
 BENT_CELLS = 500.0
 """Longest path whose vertices are shifted a last time, to the sides and along it [cells]: that gains a few hundredths
 of a percent and takes most of the time."""
+LEAST_GAIN, PASSES = 2e-5, 8
+"""Gain of the last two stages, as a share of the energy, for which they are repeated, and how often at most."""
 _SIDES, _BOTH = (0.0,), (0.0, 0.5 * math.pi)
 Stage = Callable[[CostLattice, Points], Points]
 """Lattice and (row, col) polyline to a polyline with the same ends."""
@@ -58,7 +61,7 @@ def refine_path(lattice: CostLattice, points: Points, *, stages: tuple[Stage, ..
     points : ndarray of float, (n, 2)
         (row, col) polyline.
     stages : tuple of callable, optional
-        The first of `STAGES`, where less is enough; those of `path_stages` by default.
+        The first of `STAGES`, where less is enough; those of `path_stages` by default, and `converged` after them.
 
     Returns
     -------
@@ -67,6 +70,34 @@ def refine_path(lattice: CostLattice, points: Points, *, stages: tuple[Stage, ..
     """
     for stage in path_stages(points) if stages is None else stages:
         points = stage(lattice, points)
+    return converged(lattice, points) if stages is None else points
+
+
+def converged(lattice: CostLattice, points: Points) -> Points:
+    """Return a path that went through all stages, after the last two were repeated until they gained nothing.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy; `points` where it is longer than
+        `BENT_CELLS`.
+    """
+    if path_length(points) > BENT_CELLS:
+        return points
+    energy = path_price(lattice, points)
+    for _ in range(PASSES):
+        for stage in STAGES[-2:]:
+            points = stage(lattice, points)
+        before, energy = energy, path_price(lattice, points)
+        if not before - energy > LEAST_GAIN * abs(energy):
+            break
     return points
 
 

@@ -79,7 +79,7 @@ def _place(position: Any, points: Any) -> Any:
 
 
 def _say(output: Output, found: dict[str, Any]) -> None:
-    output.say(f"[bold {'green' if found['still_home'] else 'red'}]{found['text']}[/]")
+    output.say(head=found["text"], style="bold green" if found["still_home"] else "bold red")
     rows = {}
     if (place := found["point_of_no_return"]) is not None:
         ahead = f"{place['distance_m']:.0f} m, {duration_words(place['time_s'])}"

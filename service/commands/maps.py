@@ -484,7 +484,7 @@ def feasibility(
 
 def _say_verdict(output: Output, found: dict[str, Any], *, round_trip: bool) -> None:
     colour = {"yes": "green", "likely": "green", "marginal": "yellow", "no": "red"}[found["verdict"]]
-    output.say(f"[bold {colour}]{found['message']}[/]")
+    output.say(head=found["message"], style=f"bold {colour}")
     output.say(found["verdict_text"])
     rows = {"way out": route_words(found["out"])}
     if found["back"] is not None:

@@ -100,7 +100,7 @@ def _say_tour(output: Output, found: dict[str, Any], robot: str) -> None:
     )
     verdict = found["battery"]
     colour = {"yes": "green", "likely": "green", "marginal": "yellow", "no": "red"}[verdict["verdict"]]
-    output.say(f"[bold {colour}]{verdict['message']}[/]")
+    output.say(head=verdict["message"], style=f"bold {colour}")
     output.say(verdict["verdict_text"])
     output.warn(found["warnings"])
     output.document(found)

@@ -50,6 +50,7 @@ def main() -> None:
     only.add_argument("--return", action="store_true", dest="homeward", help="ask a service until where one comes home")
     only.add_argument("--objectives", action="store_true", help="set routes that weigh odds beside the cheapest ones")
     parser.add_argument("--tasks", type=int, default=10, help="random tasks a map: --quality, --reach, --objectives")
+    parser.add_argument("--seed", type=int, default=11, help="of the random tasks of --quality")
     parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
     parser.add_argument("--real", type=Path, help="a heightmap for --quality, --reach and --objectives")
     options = parser.parse_args()
@@ -58,7 +59,7 @@ def main() -> None:
         console.print(compare_planners(read_heightmap(options.heightmap)))
     elif options.quality:
         real = read_heightmap(options.real) if options.real else None
-        console.print(compare_options(real, options.tasks, options.sampling))
+        console.print(compare_options(real, options.tasks, options.sampling, options.seed))
     elif options.reach:
         for found in compare_reach(read_heightmap(options.real) if options.real else None, options.tasks):
             console.print(found)
