@@ -34,6 +34,10 @@ class Correction(Protocol):
         """Lowest and highest value of every quantity in the runs."""
 
     @property
+    def of_laws(self) -> set[str]:
+        """Quantities on which laws of physics depend, which hold beyond the runs."""
+
+    @property
     def drives(self) -> Drives:
         """Where the drives coast."""
 
@@ -145,9 +149,11 @@ class CalibratedPredictor(Predictor):
                         "runs: what depends on speed has the value at the nearest of these"
                     )
                 elif share > _OTHER_GROUND:
+                    follow = name in self.correction.of_laws
                     found.append(
                         f"{share:.0%} of this map has a {quantity_name(name)} outside the {driven} of the calibration "
-                        "runs: there the effects have their value at the border of that range"
+                        "runs: there the effects "
+                        + ("follow a law that no run has shown there" if follow else "have their value at the border")
                     )
         return found
 

@@ -148,7 +148,10 @@ class Correction:
             energy of motion.
         """
         terms = self.planner_terms if planned else self.terms
-        held, first = rows.within(_held(self.ranges, terms)), self.first_base
+        held, first = (
+            rows.within({name: ends for name, ends in self.ranges.items() if name not in self.of_laws}),
+            self.first_base,
+        )
         if first is None:
             return _total(terms, held)
         forces, others = [t.energy for t in terms if t.form.resists], [t for t in terms if t.form.on_map]
@@ -164,6 +167,12 @@ class Correction:
                 added += form.simulated(resisted, size, _drawn)
         return added
 
+    @property
+    def of_laws(self) -> set[str]:
+        """Quantities on which laws of physics depend: these hold beyond what the runs have shown."""
+        laws = (term.form for term in (*self.terms, *self.planner_terms) if term.form.extrapolates)
+        return {name for form in laws for name in form.covariates}
+
     def beyond(self, rows: Features) -> dict[str, float]:
         """Return which quantities of some rows are outside the ranges of the runs.
 
@@ -178,15 +187,9 @@ class Correction:
             Share of the rows whose value lies beyond, by quantity that an effect depends on; only shares above 0.
         """
         used = {name for term in self.planner_terms for name in term.form.covariates}
-        names = sorted({"speed", "grade", *used} & set(_held(self.ranges, self.planner_terms)))
+        names = sorted({"speed", "grade", *used} & set(self.ranges))
         shares = {name: share_beyond(quantity(rows, name), *self.ranges[name]) for name in names}
         return {name: share for name, share in shares.items() if share > 0.0}
-
-
-def _held(ranges: Mapping[str, tuple[float, float]], terms: Sequence[Term]) -> dict[str, tuple[float, float]]:
-    """The ranges in which quantities are held: not those of a law."""
-    of_laws = {name for term in terms if term.form.extrapolates for name in term.form.covariates}
-    return {name: ends for name, ends in ranges.items() if name not in of_laws}
 
 
 def _total(terms: Sequence[Term], rows: Features) -> FloatArray:

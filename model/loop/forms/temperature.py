@@ -44,11 +44,6 @@ class Temperature(Form):
     covariates = ("column:temperature",)
     weather = True
 
-    @property
-    def extrapolates(self) -> bool:  # type: ignore[override]
-        """Whether it is that of viscosity."""
-        return self.rate_per_k > 0.0
-
     def units(self, energy: str) -> tuple[str, ...]:
         return ({"motion": "1/K", "length": f"{energy}/m/K", "time": "W/K" if energy == "J" else "A/K"}[self.of],)
 
