@@ -69,7 +69,7 @@ def ground_under(
     """
     dx, dy = heading_vector(heading_rad)
 
-    def heights_at(along: FloatArray, right: FloatArray, east: float = 0.0, north: float = 0.0) -> FloatArray:
+    def _heights_at(along: FloatArray, right: FloatArray, east: float = 0.0, north: float = 0.0) -> FloatArray:
         return heightmap.sample(
             x[:, None] - east + np.outer(dx, along) + np.outer(dy, right),
             y[:, None] - north + np.outer(dy, along) - np.outer(dx, right),
@@ -77,33 +77,33 @@ def ground_under(
 
     side = np.linspace(-_REACH_M, _REACH_M, PLACES)
     a, r = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
-    heights = heights_at(a, r)  # (n, 25)
+    heights = _heights_at(a, r)  # (n, 25)
     plane = np.stack([np.ones_like(a), a, r], axis=1)
     coefficients = heights @ np.linalg.pinv(plane).T  # (n, 3)
     rest = heights - coefficients @ plane.T
     length, width = max(robot.length_m, LEAST_M), max(robot.width_m, LEAST_M)
     axles = np.concatenate([side - 0.5 * length, side + 0.5 * length])
     half = np.full(axles.size, 0.5 * width)
-    left, right = heights_at(axles, -half), heights_at(axles, half)  # (n, 10): rear axle, front axle
+    left, right = _heights_at(axles, -half), _heights_at(axles, half)  # (n, 10): rear axle, front axle
     tilt = (left - right) / width  # > 0 down to the right
     roll = 0.5 * (tilt[:, :PLACES] + tilt[:, PLACES:])
     climb = 0.5 * (left + right)
     grade = ((climb[:, PLACES:] - climb[:, :PLACES]) / length).mean(axis=1)
     grade = np.where(np.isfinite(grade), grade, coefficients[:, 1])
-    track = np.mean([heights_at(_ALONG, np.full(_ALONG.size, w)) for w in (-0.5 * width, 0.5 * width)], axis=0)
+    track = np.mean([_heights_at(_ALONG, np.full(_ALONG.size, w)) for w in (-0.5 * width, 0.5 * width)], axis=0)
     grades = (track[:, PLACES - 1 :] - track[:, : 1 - PLACES]) / (2.0 * _REACH_M)
     roll = np.where(np.isfinite(roll), roll, -coefficients[:, 2:])  # the wheels reach further than the square metre
 
-    def change(east: float, north: float) -> FloatArray:
-        ends = [heights_at(np.array([-_REACH_M, _REACH_M]), np.zeros(2), s * east, s * north) for s in (1.0, -1.0)]
+    def _change(east: float, north: float) -> FloatArray:
+        ends = [_heights_at(np.array([-_REACH_M, _REACH_M]), np.zeros(2), s * east, s * north) for s in (1.0, -1.0)]
         rise = [(e[:, 1] - e[:, 0]) / (2.0 * _REACH_M) for e in ends]
         return (rise[0] - rise[1]) / 2.0
 
     return {
         "grade": grade,
         "grades": np.where(np.isfinite(grades), grades, grade[:, None]),
-        "grade_east": change(1.0, 0.0) if moved else np.zeros(x.size),
-        "grade_north": change(0.0, 1.0) if moved else np.zeros(x.size),
+        "grade_east": _change(1.0, 0.0) if moved else np.zeros(x.size),
+        "grade_north": _change(0.0, 1.0) if moved else np.zeros(x.size),
         "cross_abs": np.abs(roll).mean(axis=1),
         "cross_sq": (roll**2).mean(axis=1),
         "roughness_m": np.sqrt(np.mean(rest**2, axis=1)),
