@@ -25,11 +25,12 @@ from joulemap.planner.passages import mark_around, path_through_passages
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals, without_repeats
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
-COUNT = 48
+COUNT = 24
 """Most corridors."""
-APART = 0.01
-"""Least distance between the middles of two corridors, as a share of the length of the best path; at least two cells:
-many a path that BIT* found cheaper lay two to four cells away over a hundred."""
+PLATEAU = 0.03
+"""Least share of the energy that a path has in common with both searches."""
+APART = 0.02
+"""Least distance between the middles of two corridors, as a share of the length of the best path."""
 _NONE = -1
 
 
@@ -54,7 +55,7 @@ def corridor_paths(
         Fractional (row, col).
     margin : float, default 0.01
         Most energy beyond that of the best, as a share of it.
-    count : int, default 48
+    count : int, default 24
         Most paths.
 
     Returns
@@ -95,8 +96,8 @@ def corridor_paths(
     most = float(total) + margin * abs(float(total))
     behind = _back(ahead, table, targets, rest, most)
     reached = np.flatnonzero(behind.energy_j < math.inf)
-    states, via, _, middle = plateaus(ahead, behind, table, reached)
-    good = via <= most
+    states, via, length, middle = plateaus(ahead, behind, table, reached)
+    good = (length >= PLATEAU * abs(total)) & (via <= most)
     states, via, middle = states[good], via[good], middle[good]
     cols = lattice.frame.cols
     taken = np.zeros(lattice.frame.shape, dtype=np.bool_)

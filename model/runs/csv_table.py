@@ -28,7 +28,7 @@ from joulemap.model.runs.table import (
 from joulemap.model.source_file import SourceFile
 
 _SEPARATORS = (",", ";", "\t")
-_BEFORE_HEADER = re.compile(rb"(?:[#%][^\r\n]*+|[\r\n]++)*+")  # comments and empty lines, millions too
+_BEFORE_HEADER = re.compile(rb"(?:(?:[#%][^\r\n]*+)?+[\r\n]++)*+")  # comments and empty lines, millions too
 _OTHER_ENCODING = "cp1252"  # what spreadsheets write in Western Europe and America
 _LONGEST_HEADER = 1_000_000  # bytes of the line with the names
 _BLOCK_BYTES = 1 << 22
