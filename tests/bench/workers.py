@@ -34,7 +34,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 def bench_workers(cells: int = CELLS) -> list[Row]:
     """The least seconds of several rounds in turns, from the moment all workers stand ready."""
     times: dict[int, list[float]] = {count: [] for count in WORKERS}
-    apart: list[float] = []
+    separate: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         write_geotiff(place / "dem.tif", terrain(cells, 1.0))
@@ -43,15 +43,15 @@ def bench_workers(cells: int = CELLS) -> list[Row]:
             for count in WORKERS:
                 times[count].append(seconds_of(place, count, f"{count}-{number}"))
             with ThreadPoolExecutor(2) as both:
-                apart.append(max(both.map(seconds_of, (place, place), (1, 1), (f"a-{number}", f"b-{number}"))))
+                separate.append(max(both.map(seconds_of, (place, place), (1, 1), (f"a-{number}", f"b-{number}"))))
     alone = min(times[WORKERS[0]])
     rows: list[Row] = []
     for count, took in times.items():
         load = f"load of the machine {os.getloadavg()[0]:.1f}"
         words = f"{count} Dask worker(s), {alone / min(took):.2f} times one ({load})"
         rows.append((f"{cells} x {cells}", words, min(took), "one worker", min(took) / alone))
-    words = f"two clusters of one worker, a map each: {2.0 * alone / min(apart):.2f} times one"
-    rows.append((f"{cells} x {cells}", words, min(apart), "one worker", min(apart) / alone))
+    words = f"two clusters of one worker, a map each: {2.0 * alone / min(separate):.2f} times one"
+    rows.append((f"{cells} x {cells}", words, min(separate), "one worker", min(separate) / alone))
     return rows
 
 
