@@ -18,6 +18,9 @@ TURN_LIMITS_RADPS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8)
 SMOOTHING_S = 0.3
 """Positions are smoothed over so long, or over one interval of the fixes where that is longer."""
 
+MOST_SMOOTHED = 1000
+"""Most rows that a smoothed position is made of; where more lie that near in time, every second, third or later one."""
+
 _TRACK_HEADING_S = 0.5  # directions need more smoothing than places
 _COMPASS_AGREES_RAD = 0.25
 _JUMP_RAD, _JUMP_S = math.pi / 2.0, 0.25
@@ -261,7 +264,7 @@ def smooth(
     Parameters
     ----------
     t, x, y : ndarray of float, (n,)
-        Stamps [s] and positions [m].
+        Stamps [s], which increase, and positions [m].
     piece : ndarray of int, (n,)
         Number of the piece.
     sigma_s : float
@@ -275,11 +278,18 @@ def smooth(
     n = t.size
     sx, sy, vx, vy = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
     reach = 3.0 * sigma_s + 1e-6  # rounding must not take one side's last sample
+    first = last = 0
     for k in range(n):
+        while piece[first] != piece[k] or t[k] - t[first] > reach:
+            first += 1
+        last = max(last, k)
+        while last + 1 < n and piece[last + 1] == piece[k] and t[last + 1] - t[k] <= reach:
+            last += 1
+        stride = 1 + (last - first) // MOST_SMOOTHED
         w0 = w1 = w2 = x0 = x1 = y0 = y1 = 0.0
         for side in (-1, 1):
-            j = k if side == 1 else k - 1
-            while 0 <= j < n and piece[j] == piece[k] and abs(t[j] - t[k]) <= reach:
+            j = k if side == 1 else k - stride
+            while first <= j <= last:
                 dt = t[j] - t[k]
                 w = math.exp(-0.5 * (dt / sigma_s) ** 2)
                 w0 += w
@@ -289,7 +299,7 @@ def smooth(
                 x1 += w * dt * (x[j] - x[k])
                 y0 += w * (y[j] - y[k])
                 y1 += w * dt * (y[j] - y[k])
-                j += side
+                j += side * stride
         det = w0 * w2 - w1 * w1
         if det > 1e-12:
             sx[k] = x[k] + (w2 * x0 - w1 * x1) / det

@@ -1,5 +1,6 @@
 """Logs that were cut off or changed are read or refused in words, in bounded time and memory, with nothing printed."""
 
+import struct
 import time
 
 import numpy as np
@@ -108,6 +109,23 @@ def test_a_long_tail_of_noise_is_refused_soon(kind, tmp_path):
         with pytest.raises(RunsError, match=r"run run: the .* is (truncated or )?corrupt (after|at)"):
             parse_run(content + part, name="run", crs=files.CRS)
         assert time.process_time() - began < 8.0
+
+
+@pytest.mark.parametrize(
+    ("formats", "words"),
+    [
+        (["battery_status:uint64_t timestamp;cell[2] held;", "cell:battery_status back;"], "holds itself"),
+        (["battery_status:uint64_t timestamp;a[90] x;", "a:b[90] x;", "b:float[90] x;"], "has 729,001 columns"),
+        (["battery_status:uint64_t timestamp;float[" + "9" * 5_000 + "] x;"], "has 1,000,000,000 columns, the limit is"),
+    ],
+)
+def test_a_message_of_messages_is_refused_before_it_is_written_out(formats, words, tmp_path):
+    content = files.write_ulog(tmp_path / "a.ulg", files.drive(5.0)).read_bytes()
+    own = b"battery_status:uint64_t timestamp;float voltage_v;float current_a;"
+    at = content.index(own)
+    made = b"".join(struct.pack("<Hc", len(text), b"F") + text.encode() for text in formats)
+    with pytest.raises(JoulemapError, match=words):
+        parse_run(content[: at - 3] + made + content[at + len(own) :], name="run", crs=files.CRS)
 
 
 def test_a_recording_without_its_summary_has_all_its_messages(tmp_path):

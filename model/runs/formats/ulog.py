@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
@@ -82,7 +83,8 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
             run=source.name,
         )
     named = {text.split(".")[0].lstrip("+-").split("[")[0] for text in mapping.values()}
-    broken, notes = _about_end(source)
+    broken, notes, formats = _skimmed(source)
+    _check_formats(formats, limits, source.name)
     with reading("ULog", source.name, lambda: f"at byte {broken:,}"), source.open() as stream:
         limited = FiniteStream(stream, end=broken if notes else None, most_steps=_MOST_STEPS)
         log = ULog(limited, [*_KINDS, *sorted(named - set(_KINDS))])
@@ -114,9 +116,10 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     return log_of(streams, _WANTED, prefer=(("lat", "lon"), ("x", "y")), notes=notes)
 
 
-def _about_end(source: SourceFile) -> tuple[int, list[str]]:
-    """Where the messages end [bytes], and a note where the last one is not whole."""
+def _skimmed(source: SourceFile) -> tuple[int, list[str], list[str]]:
+    """Where the messages end [bytes], a note where the last one is not whole, and the formats that are declared."""
     size, at = source.size_bytes, _HEADER_BYTES
+    formats: list[str] = []
     with source.open() as stream:
         while at < size:
             stream.seek(at)
@@ -125,11 +128,30 @@ def _about_end(source: SourceFile) -> tuple[int, list[str]]:
                 length, kind = _MESSAGE_HEAD.unpack(head)
                 if kind not in _MESSAGE_KINDS:
                     with on_disk(source) as path:
-                        return at, [filled("ULog", path, at)] if fill_at(path) <= at else []
+                        return at, [filled("ULog", path, at)] if fill_at(path) <= at else [], formats
+                if kind == b"F":
+                    formats.append(stream.read(length).decode(errors="replace"))
             if len(head) < _MESSAGE_HEAD.size or at + _MESSAGE_HEAD.size + length > size:
-                return at, [cut_off("ULog", at, size)]
+                return at, [cut_off("ULog", at, size)], formats
             at += _MESSAGE_HEAD.size + length
-    return at, []
+    return at, [], formats
+
+
+def _check_formats(formats: list[str], limits: TableLimits, name: str) -> None:
+    """Refuse messages that hold themselves, or more columns than the limit: the library writes out every field."""
+    fields: dict[str, list[tuple[str, int]]] = {}
+    for text in formats:  # like battery_status:uint64_t timestamp;float[4] cell_v
+        kind, _, declared = text.partition(":")
+        types = (field.split(" ")[0].rstrip("]").partition("[") for field in declared.split(";") if field)
+        fields[kind] = [(inner, int(count[:9]) if count.isdecimal() else 1) for inner, _, count in types]
+    columns: dict[str, int] = {}
+    try:
+        for kind in TopologicalSorter({kind: {inner for inner, _ in fields[kind]} for kind in fields}).static_order():
+            held = sum(count * columns[inner] for inner, count in fields[kind]) if kind in fields else 1
+            columns[kind] = min(held, 10**12)
+            limits.check(0, columns[kind], f"{name}, ULog message {kind[:80]!r},")
+    except CycleError as error:
+        raise RunsError(f"run {name}: the ULog's message {error.args[1][0][:80]!r} holds itself", run=name) from error
 
 
 _GPS = ("vehicle_gps_position", "sensor_gps")
