@@ -1,8 +1,8 @@
 """The best route that we find between two places: one function, which every question goes through.
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
-the best one as a whole, the others where they differ from it (`detours`). Where limits close moves, the path through
-`passages` is one of them.
+the best one as a whole, the others where they differ from it (`detours`); then ways beside it are looked for
+(`ribbon`). Where limits close moves, the path through `passages` is one of them.
 """
 
 from __future__ import annotations

@@ -121,3 +121,10 @@ def test_points_beyond_all_coordinates_are_refused_with_their_place(far):
     lines = [b"0 0 1", b"1 0.3 2", b"0.2 1 3", b"7.1 3.3 1", f"{far} 4 2".encode()]
     with pytest.raises(HeightmapError, match="coordinates must be"):
         read_heightmap(b"\n".join(lines), filename="points.xyz")
+
+
+def test_points_of_a_grid_that_no_number_counts_are_refused():
+    """The distance of the last one, in the smallest step between others, is larger than any number."""
+    lines = [b"0 0 1", b"2e-6 2e-6 2", b"0 2e-6 1", b"1e308 0 2"]
+    with pytest.raises(HeightmapError, match="coordinates must be"):
+        read_heightmap(b"\n".join(lines), filename="points.xyz")

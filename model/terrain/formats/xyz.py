@@ -17,6 +17,7 @@ _LINE = re.compile(rb"\s*" + rb"[ \t,;]+".join([_NUMBER] * 3) + rb"[ \t,;]*(?:[ 
 _HEADER = re.compile(rb"\s*\"?x\"?[ \t,;]+\"?y\"?[ \t,;]+\"?(?:z|height|elevation|h)\b[^\r\n]*[\r\n]+", re.IGNORECASE)
 _PART_BYTES = 1 << 22
 _MARKS = bytes.maketrans(b",;\t", b"   ")
+_MOST_STEPS = 1e9  # of a grid, along a side
 
 
 def recognise(head: bytes, name: str) -> bool:
@@ -143,6 +144,8 @@ def _regular(x: NDArray[np.float64], y: NDArray[np.float64]) -> float | None:
         if not steps.size:
             return None
         side = float(steps.min())
+        if float(values.max()) - float(values.min()) >= _MOST_STEPS * side:
+            return None
         if np.abs(steps / side - np.round(steps / side)).max() > 1e-3:
             return None
         sides.append(side)
