@@ -36,14 +36,14 @@ RIBBONS = (
     Ribbon(spacing=4, half_width=4.0, step=0.25, slope=0.75),
     Ribbon(spacing=8, half_width=4.0, step=0.25, slope=1.0),
     Ribbon(spacing=12, half_width=6.0, step=0.5, slope=1.0),
-    Ribbon(spacing=8, half_width=4.0, step=0.125, slope=1.0),
+    Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
 )
 """Where ways beside the path are looked for, one after the other, its vertices being half a cell apart. Each finds ways
-that the others miss: of 100 random tasks on the five maps of `tests/bench/quality.py` 12 cost over 0.1 % more without
-any than with the best of six sets, and one with the first three."""
+that the others miss: of 100 random tasks on the five maps of `tests/bench/quality.py` 18 cost over 0.1 % more without
+any than with the best of six sets, four with the first three and two with all."""
 RIBBON_CELLS = 300.0
-"""Longest path beside which ways are looked for [cells]: a way saves a few cells' energy, which is less than 0.1 % of
-most longer paths, and the search takes longer than all stages."""
+"""Longest path beside which ways are looked for [cells]: a way saves the energy of a few cells, a smaller share of a
+longer path, and takes more time there."""
 _AFTER_JOINING = 2
 """The first stage that a path with detours goes through once more, because it has corners where they begin and end."""
 
