@@ -3,7 +3,7 @@
 Paths of two corridors mostly begin and end over the same cells. The part in between is a *detour*: it leaves the best
 path, runs through the other corridor, and joins the path again. It competes with the stretch of the best path that it
 would replace, and is given up after a stage that leaves it too far behind. Detours that replace different stretches may
-all be taken. The improved path has detours of its own, a few cells beside it, where the grid tells no corridors apart
+all be taken. Then the path is compared with detours a few cells beside it, in corridors that are too near for the grid
 (`ribbon`).
 """
 
@@ -38,11 +38,11 @@ RIBBONS = (
     Ribbon(spacing=12, half_width=6.0, step=0.5, slope=1.0),
     Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
 )
-"""Where ways beside the path are looked for, one after the other, its vertices being half a cell apart. Each finds ways
-that the others miss: of 100 random tasks on the five maps of `tests/bench/quality.py` 18 cost over 0.1 % more without
-any than with the best of six sets, four with the first three and two with all."""
+"""Ribbons in which a cheaper way beside the path is searched, one after the other. Two vertices are half a cell from each
+other. Each ribbon finds ways that the others miss: of 100 random tasks on the five maps of `tests/bench/quality.py` 18
+cost over 0.1 % more without any than with the best of six sets, four with the first three and two with all."""
 RIBBON_CELLS = 300.0
-"""Longest path beside which ways are looked for [cells]: a way saves the energy of a few cells, a smaller share of a
+"""Longest path for which this is done [cells]: a way saves the energy of a few cells, a smaller share of a
 longer path, and takes more time there."""
 _AFTER_JOINING = 2
 """The first stage that a path with detours goes through once more, because it has corners where they begin and end."""
@@ -127,10 +127,7 @@ def _beside(lattice: CostLattice, points: Points, ribbon: Ribbon) -> Points:
     ]
 
     def _finished(detour: _Detour) -> _Detour:
-        way = detour.points
-        for stage in path_stages(way)[_AFTER_JOINING:]:
-            way = stage(lattice, way)
-        return replace(detour, points=converged(lattice, way))
+        return replace(detour, points=converged(lattice, _smoothed(lattice, detour.points)))
 
     return _with_best(lattice, points, vertices, ways, _finished)
 
@@ -154,10 +151,15 @@ def _with_best(
     taken = [detours[k] for k in np.argsort(-gains_j, kind="stable") if gains_j[k] > 0.0]
     if not taken:
         return points
-    joined = _joined(vertices, taken)
-    for stage in path_stages(joined)[_AFTER_JOINING:]:
-        joined = stage(lattice, joined)
+    joined = _smoothed(lattice, _joined(vertices, taken))
     return joined if path_price(lattice, joined) < path_price(lattice, points) else points
+
+
+def _smoothed(lattice: CostLattice, points: Points) -> Points:
+    """The path without the corners where detours begin and end."""
+    for stage in path_stages(points)[_AFTER_JOINING:]:
+        points = stage(lattice, points)
+    return points
 
 
 def _improved(lattice: CostLattice, grid: Points) -> _Improved:

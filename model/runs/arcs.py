@@ -15,7 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.runs.reader import Run
-from joulemap.model.runs.track import SMOOTHING_S, compass_headings, direction_of_travel, integral, smooth
+from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
+from joulemap.model.runs.track import compass_headings, direction_of_travel, integral
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -44,13 +44,12 @@ from joulemap.model.runs.arcs import (
 )
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import Segments
+from joulemap.model.runs.smoothing import SMOOTHING_S, smooth
 from joulemap.model.runs.table import add_count
 from joulemap.model.runs.track import (
-    SMOOTHING_S,
     cut_chords,
     integral,
     pieces_of,
-    smooth,
     stationary_intervals,
     track_headings,
     track_speeds,

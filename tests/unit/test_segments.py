@@ -13,7 +13,6 @@ from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.describe import describe_segments
 from joulemap.model.runs.reader import Run
 from joulemap.model.runs.segments import concatenate_segments, coverage_words, driven_only
-from joulemap.model.runs.track import smooth
 from joulemap.model.terrain.heightmap import Heightmap
 
 
@@ -358,15 +357,3 @@ def test_what_is_used_is_said_in_metres():
     coverage = cut_segments(replace(run, x=x)).coverage()
     assert coverage_words(coverage) == "27 of 30 m (89.8 %); left out: 3 m gaps"
     assert coverage_words(cut_segments(run).coverage()) == "30 of 30 m (100.0 %)"
-
-
-def test_smoothing_never_crosses_pieces_and_takes_some_of_many_rows():
-    slow, piece = 0.1 * np.arange(50), np.repeat([1, 2], 25)
-    bent = np.where(piece == 1, 2.0 * slow, 7.0)
-    x, _, speed, _ = smooth(slow, bent, slow, piece, 0.3)
-    np.testing.assert_allclose(x, bent, atol=1e-12)
-    np.testing.assert_allclose(speed, np.where(piece == 1, 2.0, 0.0), atol=1e-9)
-    line = np.linspace(0.0, 1.0, 30_000)
-    noisy = line + 0.1 * np.random.default_rng(1).standard_normal(line.size)
-    dense, *_ = smooth(3.0 * line, noisy, noisy, np.ones(line.size, dtype=np.int64), 0.1)
-    assert np.abs(dense - line)[1_000:-1_000].mean() < 0.01  # of 6,000 rows that near in time every seventh is enough

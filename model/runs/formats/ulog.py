@@ -148,7 +148,7 @@ def _check_formats(formats: list[str], limits: TableLimits, name: str) -> None:
     try:
         for kind in TopologicalSorter({kind: {inner for inner, _ in fields[kind]} for kind in fields}).static_order():
             held = sum(count * columns[inner] for inner, count in fields[kind]) if kind in fields else 1
-            columns[kind] = min(held, 10**12)
+            columns[kind] = min(held, 10**12)  # the message writes it out
             limits.check(0, columns[kind], f"{name}, ULog message {kind[:80]!r},")
     except CycleError as error:
         raise RunsError(f"run {name}: the ULog's message {error.args[1][0][:80]!r} holds itself", run=name) from error
