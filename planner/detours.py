@@ -39,8 +39,9 @@ RIBBONS = (
     Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
 )
 """Ribbons in which a cheaper way beside the path is searched, one after the other; a leg of the path is at most half a
-cell long. Each ribbon finds ways that the others miss: of 100 random tasks on the five maps of `tests/bench/quality.py` 18
-cost over 0.1 % more without any than with the best of six sets, four with the first three and two with all."""
+cell long. Each ribbon finds ways that the others miss. Of 100 random tasks on the five maps of
+`tests/bench/quality.py` 18 cost over 0.1 % more without any than with the best of six sets, four with the first three
+and two with all."""
 RIBBON_CELLS = 300.0
 """Longest path for which this is done [cells]: a way saves the energy of a few cells, a smaller share of a
 longer path, and takes more time there."""
