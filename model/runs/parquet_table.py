@@ -138,6 +138,7 @@ def _read(content: bytes, name: str, limits: TableLimits) -> tuple[dict[str, Flo
     rows = 0
     size = max(1, (_BATCH_TEXTS if in_full else _BATCH_CELLS) // max(1, len(columns)))
     for batch in file.iter_batches(batch_size=size, use_threads=False):
+        batch.validate(full=True)  # Arrow takes places in a dictionary as they are written
         for column, values in zip(columns, batch.columns, strict=True):
             longest = _longest(values)
             letters[column] = max(letters[column], longest)

@@ -83,6 +83,9 @@ def test_what_is_no_run_is_refused_with_its_place():
     words = columns() | {"current": np.array(["2.0"] * 59 + ["much"])}
     with pytest.raises(RunsError, match="column 'current', row 61: 'much' is not a number"):
         parse_run(parquet(words), name="run.parquet")
+    words = pa.DictionaryArray.from_arrays(np.repeat([0, 1, 3], 20), ["grass", "gravel", "sand"], safe=False)
+    with pytest.raises(RunsError, match=r"not a readable Parquet file: .*out of bounds: 3"):
+        parse_run(parquet({**columns(), "terrain": words}), name="run.parquet")
     with pytest.raises(RunsError, match="3 rows are too few"):
         parse_run(parquet({key: values[:3] for key, values in columns().items()}), name="run.parquet")
 
