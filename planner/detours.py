@@ -33,15 +33,15 @@ JOINT_CELLS = 12.0
 """Length that a detour has in common with the grid path of the best one at either end [cells], along which it leaves
 the improved path and joins it. With 6, six of 1,878 random tasks cost over 0.1 % more, and three less."""
 RIBBONS = (
+    Ribbon(spacing=12, half_width=12.0, step=0.5, slope=1.0),
     Ribbon(spacing=4, half_width=4.0, step=0.25, slope=0.75),
     Ribbon(spacing=8, half_width=4.0, step=0.25, slope=1.0),
-    Ribbon(spacing=12, half_width=6.0, step=0.5, slope=1.0),
     Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
 )
-"""Ribbons in which a cheaper way beside the path is searched, one after the other; a leg of the path is at most half a
-cell long. Each ribbon finds ways that the others miss. Of 100 random tasks on the five maps of
-`tests/bench/quality.py` 18 cost over 0.1 % more without any than with the best of six sets, four with the first three
-and two with all."""
+"""Ribbons in which cheaper ways beside the path are searched, one after the other, the widest first; a leg of the path
+is at most half a cell long. Each ribbon finds ways that the others miss."""
+RIBBON_SLACK = 2.0
+"""By how much a chain through a ribbon may be dearer than the cheapest one, as a share of the mean energy of a cell."""
 RIBBON_CELLS = 300.0
 """Longest path for which this is done [cells]: a way saves the energy of a few cells, a smaller share of a
 longer path, and takes more time there."""
@@ -113,7 +113,16 @@ def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
     """
     best = _improved(lattice, paths[0])
     detours = [detour for other in paths[1:] if (detour := _detour(lattice, best, other)) is not None]
-    points = _with_best(lattice, best.points, best.vertices, detours, lambda detour: _competed(lattice, best, detour))
+
+    def _improve(detour: _Detour) -> _Detour | None:
+        share = (detour.last - detour.first) / (len(best.vertices) - 1)
+        most_j = [
+            detour.replaced_j + share * (usual_j - best.prices_j[-1]) + lag * detour.unit_j
+            for usual_j, lag in zip(best.prices_j[1:], LAGS[1:], strict=False)
+        ]
+        return _competed(lattice, detour, best.stages, most_j)
+
+    points = _with_best(lattice, best.points, best.vertices, detours, _improve)
     for ribbon in RIBBONS if path_length(points) <= RIBBON_CELLS else ():
         points = _beside(lattice, points, ribbon)
     return converged(lattice, points)
@@ -121,14 +130,17 @@ def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
 
 def _beside(lattice: CostLattice, points: Points, ribbon: Ribbon) -> Points:
     """The path with the ways beside it that are cheaper once their vertices have settled."""
-    vertices = subdivided(points, 0.5)
+    vertices, cell_j = subdivided(points, 0.5), _cell_energy(lattice, points)
     ways = [
-        _Detour(way, first, last, path_price(lattice, vertices[first : last + 1]), 0.0)
-        for first, last, way in ways_beside(lattice, vertices, ribbon)
+        _Detour(way, first, last, path_price(lattice, vertices[first : last + 1]), cell_j * math.sqrt(LEAST_CELLS))
+        for first, last, way in ways_beside(lattice, vertices, ribbon, slack_j=RIBBON_SLACK * cell_j)
     ]
 
-    def _finished(detour: _Detour) -> _Detour:
-        return replace(detour, points=converged(lattice, _smoothed(lattice, detour.points)))
+    def _finished(detour: _Detour) -> _Detour | None:
+        stages = path_stages(detour.points)[_AFTER_JOINING:]
+        most_j = [detour.replaced_j + lag * detour.unit_j for lag in LAGS[_AFTER_JOINING + 1 :]]
+        settled = _competed(lattice, detour, stages, most_j)
+        return None if settled is None else replace(settled, points=converged(lattice, settled.points))
 
     return _with_best(lattice, points, vertices, ways, _finished)
 
@@ -169,9 +181,12 @@ def _improved(lattice: CostLattice, grid: Points) -> _Improved:
     for stage in stages:
         points = stage(lattice, points)
         prices_j.append(path_price(lattice, points))
-    # with regeneration the energy of a whole path may be 0
-    j_per_cell = float(np.abs(leg_prices(lattice, points)).sum()) / max(path_length(points), 1.0)
-    return _Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), j_per_cell)
+    return _Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), _cell_energy(lattice, points))
+
+
+def _cell_energy(lattice: CostLattice, points: Points) -> float:
+    """Mean energy of a cell's length [J], without signs: with regeneration that of a whole path may be 0."""
+    return float(np.abs(leg_prices(lattice, points)).sum()) / max(path_length(points), 1.0)
 
 
 def _detour(lattice: CostLattice, best: _Improved, other: Points) -> _Detour | None:
@@ -202,14 +217,14 @@ def _nearest(vertices: Points, place: Points) -> int:
     return int(np.argmin(((vertices - place) ** 2).sum(axis=1)))
 
 
-def _competed(lattice: CostLattice, best: _Improved, detour: _Detour) -> _Detour | None:
-    """The detour after all stages; None where it falls too far behind what the best path was after the same stage."""
+def _competed(
+    lattice: CostLattice, detour: _Detour, stages: Sequence[Stage], most_j: Sequence[float]
+) -> _Detour | None:
+    """The detour after some stages; None where it costs more after one of them than it may [J]."""
     points = detour.points
-    share = (detour.last - detour.first) / (len(best.vertices) - 1)
-    for stage, usual_j, lag in zip(best.stages, best.prices_j[1:], LAGS[1:], strict=False):
+    for stage, most in zip(stages, most_j, strict=False):
         points = stage(lattice, points)
-        to_gain_j = share * (usual_j - best.prices_j[-1])
-        if not path_price(lattice, points) - to_gain_j <= detour.replaced_j + lag * detour.unit_j:
+        if not path_price(lattice, points) <= most:
             return None
     return replace(detour, points=points)
 

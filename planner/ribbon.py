@@ -2,7 +2,9 @@
 
 Stations at equal distances along the path are shifted to its sides, each by any of many offsets. The cheapest chain of
 straight legs from station to station, of all combinations of offsets (Viterbi 1967), leaves the path where another way
-beside it is cheaper, over ridges that no small shift crosses. Work and memory are proportional to the path's length.
+beside it is cheaper, over ridges that no small shift crosses. Searched from both ends, the ribbon gives the cheapest
+chain through each of its places: the valleys of these prices are further ways, a little dearer as chains of straight
+legs, which may be cheaper once their vertices have settled. Work and memory are proportional to the path's length.
 """
 
 from __future__ import annotations
@@ -17,6 +19,12 @@ from joulemap.planner.deform import turn_sides
 from joulemap.planner.edges import Points, price_arrays
 from joulemap.planner.kernels import heading_memory, leg_energy_with
 from joulemap.planner.lattice import CostLattice
+
+CHAINS = 10
+"""Most chains through a ribbon: the cheapest, and those through the lowest valleys."""
+APART = 1.0
+"""Least distance of a valley from the path and from chains that were found before [cells]: within it, vertices settle
+by themselves."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +49,10 @@ class Ribbon:
     slope: float
 
 
-def ways_beside(lattice: CostLattice, vertices: Points, ribbon: Ribbon) -> list[tuple[int, int, Points]]:
-    """Return where the cheapest chain through a ribbon leaves its path.
+def ways_beside(
+    lattice: CostLattice, vertices: Points, ribbon: Ribbon, *, slack_j: float = 0.0
+) -> list[tuple[int, int, Points]]:
+    """Return where the cheapest chain through a ribbon leaves its path, and where chains through its valleys do.
 
     Parameters
     ----------
@@ -52,65 +62,128 @@ def ways_beside(lattice: CostLattice, vertices: Points, ribbon: Ribbon) -> list[
         (row, col) polyline, its vertices about equally far from each other.
     ribbon : Ribbon
         Where the stations may go.
+    slack_j : float, default 0
+        Most energy of a chain beyond that of the cheapest [J]; with 0 the cheapest is the only one.
 
     Returns
     -------
     list of (int, int, ndarray of float, (m, 2))
         Of each way the vertices at which it leaves and joins the path, and its (row, col) polyline between them, both
-        included. Turns are not counted.
+        included; ways may overlap. Turns are not counted.
     """
     count = max(round((len(vertices) - 1) / ribbon.spacing), 1)
     places = np.round(np.linspace(0, len(vertices) - 1, count + 1)).astype(np.int64)
     if places.size < 3:
         return []
     offsets = int(ribbon.half_width / ribbon.step)
-    never_pays = lattice.robot.regeneration == 0.0
-    chain, shifted = _cheapest(*price_arrays(lattice), vertices[places], offsets, ribbon.step, ribbon.slope, never_pays)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], shifted, [False]]).astype(np.int8)))
-    return [
-        (int(places[first - 1]), int(places[after]), chain[first - 1 : after + 1])
-        for first, after in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    stations = vertices[places]
+    legs, side = _leg_prices(
+        *price_arrays(lattice),
+        stations,
+        offsets,
+        ribbon.step,
+        ribbon.slope,
+        slack_j,
+        lattice.robot.regeneration == 0.0,
+    )
+    shifts = _chains(legs, offsets, slack_j, max(int(APART / ribbon.step), 1)) - offsets
+    ways: dict[tuple[int, int, bytes], Points] = {}
+    for shift in shifts:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], shift != 0, [False]]).astype(np.int8)))
+        for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            part = slice(first - 1, after + 1)  # with a station on the path at either end
+            way = stations[part] + (shift[part] * ribbon.step)[:, None] * side[part]
+            ways[int(places[first - 1]), int(places[after]), shift[part].tobytes()] = way
+    return [(first, last, way) for (first, last, _), way in ways.items()]
 
 
 @njit(cache=True, nogil=True)
-def _cheapest(traction, gradient, blocked, terms, stations, offsets, step, slope, never_pays):
-    """The cheapest chain, (n, 2), and where it is shifted, (n,).
+def _leg_prices(traction, gradient, blocked, terms, stations, offsets, step, slope, slack_j, never_pays):
+    """Energies of legs between neighbouring stations [J], (n, width, most legs), and the direction to the side, (n, 2).
 
-    offsets : their number to either side; never_pays : no price is negative.
+    Of a leg to station s: [s, lane from, lane to - lane from + reach], infinite where it may not be driven or is in no
+    chain that is cheap enough. offsets : their number to either side; never_pays : no price is negative.
     """
     n, width = stations.shape[0], 2 * offsets + 1
-    side = np.zeros((n, 2))
+    side, longest = np.zeros((n, 2)), 0.0
     turn_sides(stations, side, 0.0, 0, n)
+    for s in range(1, n):
+        longest = max(longest, math.hypot(stations[s, 0] - stations[s - 1, 0], stations[s, 1] - stations[s - 1, 1]))
+    reach = max(int(slope * longest / step), 1)
+    legs = np.full((n, width, 2 * reach + 1), np.inf)
     memory = heading_memory(traction.shape[2])
     least = np.full(width, np.inf)
     least[offsets] = 0.0
-    came = np.full((n, width), offsets, dtype=np.int64)
     for s in range(1, n):
         ahead = np.full(width, np.inf)
-        length = math.hypot(stations[s, 0] - stations[s - 1, 0], stations[s, 1] - stations[s - 1, 1])
-        reach = max(int(slope * length / step), 1)
         for a in range(width):
             if least[a] == np.inf:
                 continue
             row0, col0 = _shifted(stations, side, s - 1, (a - offsets) * step)
-            low, high = (offsets, offsets + 1) if s == n - 1 else (max(a - reach, 0), min(a + reach + 1, width))
+            low, high = max(a - reach, 0), min(a + reach + 1, width)
+            if s == n - 1:  # the end stays where it is
+                low, high = max(low, offsets), min(high, offsets + 1)
             for b in range(low, high):
                 row1, col1 = _shifted(stations, side, s, (b - offsets) * step)
-                most = ahead[b] - least[a] if never_pays else math.inf
+                most = ahead[b] + slack_j - least[a] if never_pays else math.inf
                 energy = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most)
-                if least[a] + energy < ahead[b]:  # not where the leg may not be driven: NaN
-                    ahead[b], came[s, b] = least[a] + energy, a
+                if energy <= most:  # not where the leg may not be driven: NaN
+                    legs[s, a, b - a + reach] = energy
+                    ahead[b] = min(ahead[b], least[a] + energy)
         least = ahead
-    chain, shifted = stations.copy(), np.zeros(n, dtype=np.bool_)
-    if least[offsets] == np.inf:
-        return chain, shifted
-    a = offsets
+    return legs, side
+
+
+@njit(cache=True, nogil=True)
+def _chains(legs, offsets, slack_j, apart):
+    """Lanes of the cheapest chain and of those through valleys, (k, n); lane `offsets` is the path itself.
+
+    apart : lanes between two valleys at least.
+    """
+    n, width, reach = legs.shape[0], legs.shape[1], legs.shape[2] // 2
+    came = np.full((n, width), offsets, dtype=np.int64)
+    gone = came.copy()
+    through, back = np.full((n, width), np.inf), np.full((n, width), np.inf)
+    through[0, offsets] = back[n - 1, offsets] = 0.0
+    for s in range(1, n):
+        for a in range(width):
+            for b in range(max(a - reach, 0), min(a + reach + 1, width)):
+                total = through[s - 1, a] + legs[s, a, b - a + reach]
+                if total < through[s, b]:
+                    through[s, b], came[s, b] = total, a
     for s in range(n - 1, 0, -1):
-        a = came[s, a]
-        shifted[s - 1] = a != offsets
-        chain[s - 1] = _shifted(stations, side, s - 1, (a - offsets) * step)
-    return chain, shifted
+        for a in range(width):
+            for b in range(max(a - reach, 0), min(a + reach + 1, width)):
+                total = legs[s, a, b - a + reach] + back[s, b]
+                if total < back[s - 1, a]:
+                    back[s - 1, a], gone[s - 1, a] = total, b
+    through += back
+    lanes = np.full((CHAINS, n), offsets, dtype=np.int64)
+    near = np.zeros((n, width), dtype=np.bool_)  # a chain that was found, or the path
+    near[:, max(offsets - apart, 0) : offsets + apart + 1] = True
+    if through[0, offsets] == np.inf:
+        return lanes[:0]
+    most, at, lane = through[0, offsets] + slack_j, n - 1, offsets
+    for k in range(CHAINS):
+        lanes[k, at] = lane
+        for s in range(at, 0, -1):
+            lanes[k, s - 1] = came[s, lanes[k, s]]
+        for s in range(at, n - 1):
+            lanes[k, s + 1] = gone[s, lanes[k, s]]
+        for s in range(n):
+            near[s, max(lanes[k, s] - apart, 0) : lanes[k, s] + apart + 1] = True
+        at, lowest = -1, most
+        for s in range(1, n - 1):
+            for a in range(width):
+                here = through[s, a]
+                if here < lowest and not near[s, a]:
+                    left = through[s, a - 1] if a > 0 else np.inf
+                    right = through[s, a + 1] if a < width - 1 else np.inf
+                    if left >= here and right >= here:
+                        lowest, at, lane = here, s, a
+        if at < 0:
+            return lanes[: k + 1]
+    return lanes
 
 
 @njit(cache=True)

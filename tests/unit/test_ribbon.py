@@ -60,6 +60,25 @@ def test_two_channels_are_two_ways():
     assert [np.sign(np.median(way[:, 0]) - LINE) for _, _, way in ways] == [1, -1]
 
 
+def test_a_dearer_valley_is_a_way_within_the_slack():
+    prices = np.ones((ROWS, COLS))
+    prices[LINE + 3, 20:60], prices[LINE - 3, 20:60] = 0.3, 0.4
+    lattice, path = ground(prices), straight()
+
+    def _saved_j(first, last, way):
+        return path_price(lattice, path[first : last + 1]) - path_price(lattice, way)
+
+    (best,) = ways_beside(lattice, path, WIDE)
+    assert np.median(best[2][:, 0]) == LINE + 3
+    dearer_j = 0.1 * 3.0 * 40.0  # 3 J/m of traction over 40 m
+    assert len(ways_beside(lattice, path, WIDE, slack_j=0.5 * dearer_j)) == 1
+    ways = ways_beside(lattice, path, WIDE, slack_j=1.5 * dearer_j)
+    (other,) = [way for way in ways if np.median(way[2][:, 0]) < LINE]
+    assert np.median(other[2][:, 0]) == LINE - 3
+    np.testing.assert_array_equal(ways[0][2], best[2])
+    assert _saved_j(*best) - _saved_j(*other) == pytest.approx(dearer_j, rel=0.1)
+
+
 def test_no_way_leads_over_blocked_ground():
     lattice = channel()
     blocked = lattice.blocked.copy()
