@@ -35,8 +35,9 @@ the improved path and joins it. With 6, six of 1,878 random tasks cost over 0.1 
 RIBBONS = (
     Ribbon(spacing=12, half_width=12.0, step=0.5, slope=1.0),
     Ribbon(spacing=4, half_width=4.0, step=0.25, slope=0.75),
-    Ribbon(spacing=8, half_width=4.0, step=0.25, slope=1.0),
+    Ribbon(spacing=6, half_width=6.0, step=0.25, slope=1.0),
     Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
+    Ribbon(spacing=3, half_width=3.0, step=0.25, slope=1.0),
 )
 """Ribbons in which cheaper ways beside the path are searched, one after the other, the widest first; a leg of the path
 is at most half a cell long. Each ribbon finds ways that the others miss."""
