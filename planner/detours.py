@@ -39,10 +39,14 @@ RIBBONS = (
     Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
     Ribbon(spacing=3, half_width=3.0, step=0.25, slope=1.0),
 )
-"""Ribbons in which cheaper ways beside the path are searched, one after the other, the widest first; a leg of the path
-is at most half a cell long. Each ribbon finds ways that the others miss."""
+"""Ribbons in which cheaper ways beside the path are searched; a leg of the path is at most half a cell long. Each
+ribbon finds ways that the others miss. The ways of all compete for the same path: one ribbon after the other, the first
+small gain often closes the way to a larger one."""
 RIBBON_SLACK = 2.0
 """By how much a chain through a ribbon may be dearer than the cheapest one, as a share of the mean energy of a cell."""
+ROUNDS, ROUND_GAIN = 3, 1e-4
+"""Most rounds, and the gain of one, as a share of the energy, for which another one follows: the path beside which ways
+are searched is a new one then."""
 RIBBON_CELLS = 300.0
 """Longest path for which this is done [cells]: a way saves the energy of a few cells, a smaller share of a
 longer path, and takes more time there."""
@@ -124,16 +128,26 @@ def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
         return _competed(lattice, detour, best.stages, most_j)
 
     points = _with_best(lattice, best.points, best.vertices, detours, _improve)
-    for ribbon in RIBBONS if path_length(points) <= RIBBON_CELLS else ():
-        points = _beside(lattice, points, ribbon)
-    return converged(lattice, points)
+    return converged(lattice, _with_ways_beside(lattice, points))
 
 
-def _beside(lattice: CostLattice, points: Points, ribbon: Ribbon) -> Points:
-    """The path with the ways beside it that are cheaper once their vertices have settled."""
+def _with_ways_beside(lattice: CostLattice, points: Points) -> Points:
+    """The path after rounds of `_beside`, while they gain more than a little."""
+    energy = path_price(lattice, points)
+    for _ in range(ROUNDS if path_length(points) <= RIBBON_CELLS else 0):
+        points = _beside(lattice, points)
+        before, energy = energy, path_price(lattice, points)
+        if not before - energy > ROUND_GAIN * abs(energy):
+            break
+    return points
+
+
+def _beside(lattice: CostLattice, points: Points) -> Points:
+    """The path with the ways beside it, through any ribbon, that are cheaper once their vertices have settled."""
     vertices, cell_j = subdivided(points, 0.5), _cell_energy(lattice, points)
     ways = [
         _Detour(way, first, last, path_price(lattice, vertices[first : last + 1]), cell_j * math.sqrt(LEAST_CELLS))
+        for ribbon in RIBBONS
         for first, last, way in ways_beside(lattice, vertices, ribbon, slack_j=RIBBON_SLACK * cell_j)
     ]
 
