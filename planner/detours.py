@@ -47,9 +47,9 @@ RIBBON_SLACK = 2.0
 ROUNDS, ROUND_GAIN = 3, 1e-4
 """Most rounds, and the gain of one, as a share of the energy, for which another one follows: the path beside which ways
 are searched is a new one then."""
-RIBBON_CELLS = 300.0
-"""Longest path for which this is done [cells]: a way saves the energy of a few cells, a smaller share of a
-longer path, and takes more time there."""
+RIBBON_CELLS, VALLEY_CELLS = 300.0, 150.0
+"""Longest path for which this is done, and for which valleys compete and further rounds follow [cells]: a way saves the
+energy of a few cells, a smaller share of a longer path, and takes more time there."""
 _AFTER_JOINING = 2
 """The first stage that a path with detours goes through once more, because it has corners where they begin and end."""
 
@@ -133,22 +133,29 @@ def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
 
 def _with_ways_beside(lattice: CostLattice, points: Points) -> Points:
     """The path after rounds of `_beside`, while they gain more than a little."""
-    energy = path_price(lattice, points)
-    for _ in range(ROUNDS if path_length(points) <= RIBBON_CELLS else 0):
-        points = _beside(lattice, points)
+    length, energy = path_length(points), path_price(lattice, points)
+    if length > RIBBON_CELLS:
+        return points
+    if length > VALLEY_CELLS:
+        return _beside(lattice, points, 0.0)
+    for _ in range(ROUNDS):
+        points = _beside(lattice, points, RIBBON_SLACK)
         before, energy = energy, path_price(lattice, points)
         if not before - energy > ROUND_GAIN * abs(energy):
             break
     return points
 
 
-def _beside(lattice: CostLattice, points: Points) -> Points:
-    """The path with the ways beside it, through any ribbon, that are cheaper once their vertices have settled."""
+def _beside(lattice: CostLattice, points: Points, slack: float) -> Points:
+    """The path with the ways beside it, through any ribbon, that are cheaper once their vertices have settled.
+
+    slack : as `RIBBON_SLACK`.
+    """
     vertices, cell_j = subdivided(points, 0.5), _cell_energy(lattice, points)
     ways = [
         _Detour(way, first, last, path_price(lattice, vertices[first : last + 1]), cell_j * math.sqrt(LEAST_CELLS))
         for ribbon in RIBBONS
-        for first, last, way in ways_beside(lattice, vertices, ribbon, slack_j=RIBBON_SLACK * cell_j)
+        for first, last, way in ways_beside(lattice, vertices, ribbon, slack_j=slack * cell_j)
     ]
 
     def _finished(detour: _Detour) -> _Detour | None:
