@@ -43,7 +43,7 @@ RIBBONS = (
 ribbon finds ways that the others miss. The ways of all compete for the same path: one ribbon after the other, the first
 small gain often closes the way to a larger one."""
 RIBBON_SLACK = 2.0
-"""By how much a chain through a ribbon may be dearer than the cheapest one, as a share of the mean energy of a cell."""
+"""By how much a chain through a ribbon may be dearer than the cheapest one, in mean energies of a cell."""
 ROUNDS, ROUND_GAIN = 3, 1e-4
 """Most rounds, and the gain of one, as a share of the energy, for which another one follows: the path beside which ways
 are searched is a new one then."""

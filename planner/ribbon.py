@@ -22,7 +22,7 @@ from joulemap.planner.lattice import CostLattice
 
 CHAINS = 10
 """Most chains through a ribbon: the cheapest, and those through the lowest valleys."""
-APART = 1.0
+LEAST_DISTANCE = 1.0
 """Least distance of a valley from the path and from chains that were found before [cells]: within it, vertices settle
 by themselves."""
 
@@ -86,7 +86,7 @@ def ways_beside(
         slack_j,
         lattice.robot.regeneration == 0.0,
     )
-    shifts = _chains(legs, offsets, slack_j, max(int(APART / ribbon.step), 1)) - offsets
+    shifts = _chains(legs, offsets, slack_j, max(int(LEAST_DISTANCE / ribbon.step), 1)) - offsets
     ways: dict[tuple[int, int, bytes], Points] = {}
     for shift in shifts:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], shift != 0, [False]]).astype(np.int8)))
@@ -135,10 +135,10 @@ def _leg_prices(traction, gradient, blocked, terms, stations, offsets, step, slo
 
 
 @njit(cache=True, nogil=True)
-def _chains(legs, offsets, slack_j, apart):
+def _chains(legs, offsets, slack_j, distance):
     """Lanes of the cheapest chain and of those through valleys, (k, n); lane `offsets` is the path itself.
 
-    apart : lanes between two valleys at least.
+    offsets : lanes to either side of the path; distance : least number of lanes between two valleys.
     """
     n, width, reach = legs.shape[0], legs.shape[1], legs.shape[2] // 2
     came = np.full((n, width), offsets, dtype=np.int64)
@@ -160,7 +160,7 @@ def _chains(legs, offsets, slack_j, apart):
     through += back
     lanes = np.full((CHAINS, n), offsets, dtype=np.int64)
     near = np.zeros((n, width), dtype=np.bool_)  # a chain that was found, or the path
-    near[:, max(offsets - apart, 0) : offsets + apart + 1] = True
+    near[:, max(offsets - distance, 0) : offsets + distance + 1] = True
     if through[0, offsets] == np.inf:
         return lanes[:0]
     most, at, lane = through[0, offsets] + slack_j, n - 1, offsets
@@ -171,7 +171,7 @@ def _chains(legs, offsets, slack_j, apart):
         for s in range(at, n - 1):
             lanes[k, s + 1] = gone[s, lanes[k, s]]
         for s in range(n):
-            near[s, max(lanes[k, s] - apart, 0) : lanes[k, s] + apart + 1] = True
+            near[s, max(lanes[k, s] - distance, 0) : lanes[k, s] + distance + 1] = True
         at, lowest = -1, most
         for s in range(1, n - 1):
             for a in range(width):
