@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import InputError, PointError
 from joulemap.model.frames import heading_of, heading_vector
-from joulemap.planner.kernels import heading_memory, heading_weights, leg_energies, path_energy
+from joulemap.planner.kernels import heading_memory, heading_weights, leg_energies, path_energy, polyline_energies
 from joulemap.planner.lattice import CostLattice
 
 Points = NDArray[np.float64]
@@ -94,7 +94,7 @@ def leg_prices(lattice: CostLattice, points: Points) -> NDArray[np.float64]:
     ndarray of float, (n - 1,)
         Energy [J]; NaN where a leg may not be driven.
     """
-    return leg_prices_between(lattice, points[:-1], points[1:])
+    return polyline_energies(*price_arrays(lattice), np.ascontiguousarray(points, dtype=np.float64))
 
 
 def leg_prices_between(lattice: CostLattice, starts: Points, ends: Points) -> NDArray[np.float64]:

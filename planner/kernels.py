@@ -42,7 +42,7 @@ def heading_memory(bins):
     return np.empty(bins), directions
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def heading_weights(east, north, memory):
     """Fill memory with the weights of the trigonometric interpolation between equal heading bins.
 
@@ -56,9 +56,8 @@ def heading_weights(east, north, memory):
     Notes
     -----
     The periodic sinc (Dirichlet) kernel: exact for every Fourier series of order below K / 2. With d_k the angle from
-    bin k, and K even, its weight is sin(K d_k / 2) / (K tan(d_k / 2)). Here sin(K d / 2) = U(cos d) sin d at the
-    nearest bin, U the Chebyshev polynomial of the second kind of order K / 2 - 1, and elsewhere the same value with
-    alternating sign; so no trigonometric function is called.
+    bin k, and K even, its weight is sin(K d_k / 2) / (K tan(d_k / 2)). sin(K d / 2) is a power at the nearest bin, and
+    elsewhere the same value with alternating sign; so no trigonometric function is called.
 
     References
     ----------
@@ -78,17 +77,28 @@ def heading_weights(east, north, memory):
             angle = half - math.pi * (k - nearest) / bins
             weights[k] = math.sin(bins * angle) / (bins * math.sin(angle))
     else:
-        before, chebyshev = 0.0, 1.0
-        for _ in range(bins // 2 - 1):
-            before, chebyshev = chebyshev, 2.0 * cosine * chebyshev - before
-        top = (-sine if nearest % 2 == 1 else sine) * chebyshev / bins
+        wave = _sine_of_multiple(cosine, sine, bins // 2)
+        top = (-wave if nearest % 2 == 1 else wave) / bins
         for k in range(bins):
             weights[k] = (
                 top
                 * (east * directions[2, k] - north * directions[3, k])
                 / (1.0 - (north * directions[0, k] + east * directions[1, k]))
             )
-        weights[nearest] = (1.0 + cosine) * chebyshev / bins
+        weights[nearest] = (1.0 + cosine) * wave / (bins * sine)
+
+
+@njit(cache=True, forceinline=True)
+def _sine_of_multiple(cosine, sine, times):
+    """sin(n a) of the angle a with this cosine and sine: the n-th power of cos a + i sin a by repeated squaring."""
+    real, imaginary = 1.0, 0.0
+    while True:
+        if times & 1:
+            real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+        times >>= 1
+        if times == 0:
+            return imaginary
+        cosine, sine = cosine * cosine - sine * sine, 2.0 * cosine * sine
 
 
 @njit(cache=True, error_model="numpy")
@@ -103,7 +113,8 @@ def _nearest_bin(east, north, bins):
         angle = math.pi - angle
     if east < 0.0:
         angle = 2.0 * math.pi - angle
-    return int(angle * (0.5 * bins / math.pi) + 0.5) % bins
+    nearest = int(angle * (0.5 * bins / math.pi) + 0.5)
+    return nearest if nearest < bins else 0
 
 
 @njit(cache=True)
@@ -155,8 +166,9 @@ def _weighted(weights, traction, i, j):
 
 
 @njit(cache=True, forceinline=True)
-def _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, i, j):
+def _corner(traction, gradient, blocked, weights, east, north, limits, i, j):
     """Traction of one cell at the leg's heading, NaN when it is blocked, too steep or takes too much power for it."""
+    max_grade, max_cross, max_traction = limits
     rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
     steep = abs(rise_east * east + rise_north * north) > max_grade
     tilted = abs(rise_east * north - rise_north * east) > max_cross
@@ -194,7 +206,7 @@ def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
     return leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most):
     """Return the energy of a leg as `leg_energy` does, with memory of the caller and a limit.
 
@@ -216,7 +228,8 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
 
     Notes
     -----
-    The leg is cut where it crosses lines of cell centres (Amanatides & Woo 1987).
+    The leg is cut where it crosses lines of cell centres (Amanatides & Woo 1987). It is compiled into its callers: to
+    hand over all these arrays takes a third of the time that a short leg takes.
     """
     spacing, hotel, regeneration, max_grade, max_cross = terms[0], terms[1], terms[2], terms[3], terms[4]
     max_traction = terms[5]
@@ -234,78 +247,62 @@ def leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1
     if length == 0.0:
         i, j = int(round(row0)), int(round(col0))
         return 0.0 if blocked[min(max(i, 0), rows - 1), min(max(j, 0), cols - 1)] == 0 else math.nan
-    east, north = dcol / length, -drow / length
+    per_length = 1.0 / length
+    east, north = dcol * per_length, -drow * per_length
     heading_weights(east, north, memory)
     weights = memory[0]
-    enough = most / (length * spacing)
-    same = 1e-9 / max(abs(drow), abs(dcol))  # crossings nearer to each other count as one
-    # the square of four centres that the leg begins in, and the shares of the leg at the next line of rows and columns
-    i = int(math.floor(row0 + 1e-9)) if drow >= 0.0 else int(math.ceil(row0 - 1e-9)) - 1
-    j = int(math.floor(col0 + 1e-9)) if dcol >= 0.0 else int(math.ceil(col0 - 1e-9)) - 1
-    next_row = (i + (drow > 0.0) - row0) / drow if drow != 0.0 else math.inf
-    next_col = (j + (dcol > 0.0) - col0) / dcol if dcol != 0.0 else math.inf
-    energy = t = t0 = 0.0
-    a, b = -9, -9  # the square whose corners are held; at the rim of the map it is not (i, j)
-    c00 = c01 = c10 = c11 = 0.0
-    known = 0  # bit set of the corners that hold a traction: 1 for 00, 2 for 01, 4 for 10, 8 for 11
+    enough = most * per_length / spacing
+    # rows and columns are counted in the direction of travel, so that the leg enters squares on their near side
+    down, right = 1 if drow >= 0.0 else -1, 1 if dcol >= 0.0 else -1
+    row0, col0, drow, dcol = row0 * down, col0 * right, abs(drow), abs(dcol)
+    per_row, per_col = 1.0 / drow, 1.0 / dcol
+    same = 1e-9 * min(per_row, per_col)  # crossings nearer to each other count as one
+    i, j = int(math.floor(row0 + 1e-9)), int(math.floor(col0 + 1e-9))
+    next_row, next_col = (i + 1 - row0) * per_row, (j + 1 - col0) * per_col  # shares of the leg at the next lines
+    near_i, far_i = min(max(down * i, 0), rows - 1), min(max(down * (i + 1), 0), rows - 1)
+    near_j, far_j = min(max(right * j, 0), cols - 1), min(max(right * (j + 1), 0), cols - 1)
+    limits = max_grade, max_cross, max_traction
+    c00 = _corner(traction, gradient, blocked, weights, east, north, limits, near_i, near_j)
+    c01 = _corner(traction, gradient, blocked, weights, east, north, limits, near_i, far_j)
+    c10 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, near_j)
+    c11 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, far_j)
+    u0, v0 = max(row0 - i, 0.0), max(col0 - j, 0.0)  # place in the square: 0 near, 1 far
+    energy = t = 0.0
+    t0 = math.nan
     while True:
         t_next = min(next_row, next_col, 1.0)
-        at_i, at_j = min(max(i, 0), rows - 2), min(max(j, 0), cols - 2)
-        if at_i != a or at_j != b:  # two corners are those of the square before
-            if at_i == a and at_j == b + 1:
-                c00, c10, known = c01, c11, (known & 10) >> 1
-            elif at_i == a and at_j == b - 1:
-                c01, c11, known = c00, c10, (known & 5) << 1
-            elif at_j == b and at_i == a + 1:
-                c00, c01, known = c10, c11, (known & 12) >> 2
-            elif at_j == b and at_i == a - 1:
-                c10, c11, known = c00, c01, (known & 3) << 2
-            else:
-                known = 0
-            a, b = at_i, at_j
-        u0 = min(max(row0 + t * drow - a, 0.0), 1.0)
-        u1 = min(max(row0 + t_next * drow - a, 0.0), 1.0)
-        v0 = min(max(col0 + t * dcol - b, 0.0), 1.0)
-        v1 = min(max(col0 + t_next * dcol - b, 0.0), 1.0)
-        top, bottom = 1.0 - min(u0, u1) > TOUCH, max(u0, u1) > TOUCH
-        left, right = 1.0 - min(v0, v1) > TOUCH, max(v0, v1) > TOUCH
-        use = (top and left) * 1 + (top and right) * 2 + (bottom and left) * 4 + (bottom and right) * 8
-        need = use & ~known
-        if need & 1:
-            c00 = _corner(traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a, b)
-        if need & 2:
-            c01 = _corner(
-                traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a, b + 1
-            )
-        if need & 4:
-            c10 = _corner(
-                traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a + 1, b
-            )
-        if need & 8:
-            c11 = _corner(
-                traction, gradient, blocked, weights, east, north, max_grade, max_cross, max_traction, a + 1, b + 1
-            )
-        known |= use
+        u1, v1 = min(row0 + t_next * drow - i, 1.0), min(col0 + t_next * dcol - j, 1.0)
         a00, a01, a10, a11 = c00, c01, c10, c11
-        if use != 15:
-            a00, a01 = c00 if use & 1 else 0.0, c01 if use & 2 else 0.0
-            a10, a11 = c10 if use & 4 else 0.0, c11 if use & 8 else 0.0
-        down, across, twist = a10 - a00, a01 - a00, a00 - a01 - a10 + a11
+        if 1.0 - u0 <= TOUCH or u1 <= TOUCH or 1.0 - v0 <= TOUCH or v1 <= TOUCH:  # along a line: two do not count
+            near_row, far_row, near_col, far_col = 1.0 - u0 > TOUCH, u1 > TOUCH, 1.0 - v0 > TOUCH, v1 > TOUCH
+            a00, a01 = c00 if near_row and near_col else 0.0, c01 if near_row and far_col else 0.0
+            a10, a11 = c10 if far_row and near_col else 0.0, c11 if far_row and far_col else 0.0
+        rise, across, twist = a10 - a00, a01 - a00, a00 - a01 - a10 + a11
         if t == 0.0:
-            t0 = a00 + u0 * down + v0 * (across + u0 * twist)
-        t1 = a00 + u1 * down + v1 * (across + u1 * twist)
+            t0 = a00 + u0 * rise + v0 * (across + u0 * twist)
+        t1 = a00 + u1 * rise + v1 * (across + u1 * twist)
         tm = 0.5 * (t0 + t1) - 0.25 * twist * (u1 - u0) * (v1 - v0)
         if math.isnan(tm):
             return math.nan
         energy += (t_next - t) * (hotel + mean_response(t0, tm, t1, regeneration))
         if t_next >= 1.0 - same or energy > enough:
             return energy * length * spacing
-        if next_row <= t_next + same:
-            i += 1 if drow > 0.0 else -1
-            next_row = (i + (drow > 0.0) - row0) / drow
-        if next_col <= t_next + same:
-            j += 1 if dcol > 0.0 else -1
-            next_col = (j + (dcol > 0.0) - col0) / dcol
+        over_row, over_col = next_row <= t_next + same, next_col <= t_next + same
+        u0, v0 = u1, v1
+        if over_row:
+            i += 1
+            u0, next_row = 0.0, (i + 1 - row0) * per_row
+            near_i, far_i = far_i, min(max(down * (i + 1), 0), rows - 1)
+            c00, c01 = c10, c11
+        if over_col:
+            j += 1
+            v0, next_col = 0.0, (j + 1 - col0) * per_col
+            near_j, far_j = far_j, min(max(right * (j + 1), 0), cols - 1)
+            c00, c10 = c01, c11
+            c01 = _corner(traction, gradient, blocked, weights, east, north, limits, near_i, far_j)
+        if over_row:
+            c10 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, near_j)
+        c11 = _corner(traction, gradient, blocked, weights, east, north, limits, far_i, far_j)
         t, t0 = t_next, t1
 
 
@@ -350,6 +347,36 @@ def leg_energies(traction, gradient, blocked, terms, legs):
             legs[k, 3],
             math.inf,
         )
+    return out
+
+
+@njit(cache=True, nogil=True)
+def polyline_energies(traction, gradient, blocked, terms, points):
+    """Return the energies of the legs of a polyline, without turns.
+
+    Parameters
+    ----------
+    traction : ndarray of float32, (rows, cols, K)
+        As for `leg_energy`, like the next three.
+    gradient : ndarray of float32, (rows, cols, 2)
+        Rise per metre.
+    blocked : ndarray of uint8, (rows, cols)
+        `Blocked` codes.
+    terms : ndarray of float64, (6,)
+        Terms of the price.
+    points : ndarray of float64, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float64, (n - 1,)
+        Energy [J]; NaN where a leg may not be driven.
+    """
+    out = np.empty(max(points.shape[0] - 1, 0))
+    memory = heading_memory(traction.shape[2])
+    for k in range(out.size):
+        row0, col0, row1, col1 = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
+        out[k] = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
     return out
 
 
@@ -402,23 +429,9 @@ def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
     float
         Energy [J]; NaN where a leg may not be driven.
     """
-    energy = 0.0
-    memory = heading_memory(traction.shape[2])
-    for k in range(1, points.shape[0]):
-        energy += leg_energy_with(
-            memory,
-            traction,
-            gradient,
-            blocked,
-            terms,
-            points[k - 1, 0],
-            points[k - 1, 1],
-            points[k, 0],
-            points[k, 1],
-            math.inf,
+    energy = polyline_energies(traction, gradient, blocked, terms, points).sum()
+    for k in range(2, points.shape[0] if turn_j_per_rad > 0.0 else 0):
+        energy += turn_j_per_rad * turn_angle(
+            points[k - 2, 0], points[k - 2, 1], points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1]
         )
-        if k >= 2 and turn_j_per_rad > 0.0:
-            energy += turn_j_per_rad * turn_angle(
-                points[k - 2, 0], points[k - 2, 1], points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1]
-            )
     return energy

@@ -15,10 +15,12 @@ import numpy as np
 from numba import njit
 
 from joulemap.planner.deform import turn_sides
-from joulemap.planner.kernels import heading_memory, leg_energy_with
+from joulemap.planner.kernels import heading_memory, leg_energy_with, polyline_energies
 
 DAMPING = 1e-3
 """Added to the diagonal of the Hessian, as a share of its largest entry, where a stretch has no curvature at all."""
+_PROBED = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 1.0), (-1.0, -1.0))
+"""Offsets of a leg's two ends at which it is priced, in probes."""
 
 
 @njit(cache=True, nogil=True)
@@ -58,10 +60,7 @@ def settled(traction, gradient, blocked, terms, points, probes, hindered):
     side = np.zeros((n, 2))
     slope, curve, mixed, shift = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     ahead = np.empty((n, 2))  # what a probe of the vertex to either side costs more
-    energy = np.empty(n - 1)
-    for k in range(n - 1):
-        r0, c0, r1, c1 = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-        energy[k] = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, math.inf)
+    energy = polyline_energies(traction, gradient, blocked, terms, points)
     for r in range(probes.size):
         probe = probes[r]
         turn_sides(points, side, 0.0, 0, n)
@@ -86,32 +85,28 @@ def _probe(arrays, points, side, probe, energy, slope, curve, mixed, ahead):
     memory, traction, gradient, blocked, terms = arrays
     n = points.shape[0]
     slope[:], curve[:], mixed[:], ahead[:] = 0.0, 0.0, 0.0, 0.0
+    probed = np.empty(6)
     for k in range(n - 1):
         here = energy[k]
-        left = right = other_left = other_right = both = neither = here
-        r0, c0, r1, c1 = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-        a, b = probe * side[k, 0], probe * side[k, 1]
-        c, d = probe * side[k + 1, 0], probe * side[k + 1, 1]
-        if k > 0:
-            left = leg_energy_with(memory, traction, gradient, blocked, terms, r0 + a, c0 + b, r1, c1, math.inf)
-            right = leg_energy_with(memory, traction, gradient, blocked, terms, r0 - a, c0 - b, r1, c1, math.inf)
-            ahead[k, 0] += left - here
-            ahead[k, 1] += right - here
-        if k < n - 2:
-            other_left = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1 + c, c1 + d, math.inf)
-            other_right = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1 - c, c1 - d, math.inf)
-            ahead[k + 1, 0] += other_left - here
-            ahead[k + 1, 1] += other_right - here
+        for v in range(6):
+            start, end = probe * _PROBED[v][0], probe * _PROBED[v][1]
+            if (start != 0.0 and k == 0) or (end != 0.0 and k == n - 2):  # both ends of the path stay
+                probed[v] = here
+                continue
+            row0, col0 = points[k, 0] + start * side[k, 0], points[k, 1] + start * side[k, 1]
+            row1, col1 = points[k + 1, 0] + end * side[k + 1, 0], points[k + 1, 1] + end * side[k + 1, 1]
+            probed[v] = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+        left, right, other_left, other_right = probed[0], probed[1], probed[2], probed[3]
+        ahead[k, 0] += left - here
+        ahead[k, 1] += right - here
+        ahead[k + 1, 0] += other_left - here
+        ahead[k + 1, 1] += other_right - here
         first, last = left + right - 2.0 * here, other_left + other_right - 2.0 * here
         if math.isnan(first + last):
             continue
         cross = 0.0
         if 0 < k < n - 2:
-            both = leg_energy_with(memory, traction, gradient, blocked, terms, r0 + a, c0 + b, r1 + c, c1 + d, math.inf)
-            neither = leg_energy_with(
-                memory, traction, gradient, blocked, terms, r0 - a, c0 - b, r1 - c, c1 - d, math.inf
-            )
-            cross = 0.5 * (both + neither - 2.0 * here - first - last)
+            cross = 0.5 * (probed[4] + probed[5] - 2.0 * here - first - last)
             if math.isnan(cross):
                 cross = 0.0
         middle, spread = 0.5 * (first + last), math.hypot(0.5 * (first - last), cross)
@@ -158,25 +153,16 @@ def _move(arrays, points, side, shift, energy):
     stays, moves = 0.0, math.inf
     for k in range(n - 1):
         cost[k, 0, 0] = energy[k]
-        for a in range(2):
-            for b in range(2):
-                if a + b == 0 or (a == 1 and shift[k] == 0.0) or (b == 1 and shift[k + 1] == 0.0):
-                    continue
-                here, there = a * shift[k], b * shift[k + 1]
-                price = leg_energy_with(
-                    memory,
-                    traction,
-                    gradient,
-                    blocked,
-                    terms,
-                    points[k, 0] + here * side[k, 0],
-                    points[k, 1] + here * side[k, 1],
-                    points[k + 1, 0] + there * side[k + 1, 0],
-                    points[k + 1, 1] + there * side[k + 1, 1],
-                    math.inf,
-                )
-                if not math.isnan(price):
-                    cost[k, a, b] = price
+        for v in range(1, 4):
+            a, b = v >> 1, v & 1
+            here, there = a * shift[k], b * shift[k + 1]
+            if (a == 1 and here == 0.0) or (b == 1 and there == 0.0):
+                continue
+            row0, col0 = points[k, 0] + here * side[k, 0], points[k, 1] + here * side[k, 1]
+            row1, col1 = points[k + 1, 0] + there * side[k + 1, 0], points[k + 1, 1] + there * side[k + 1, 1]
+            price = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, math.inf)
+            if not math.isnan(price):
+                cost[k, a, b] = price
         to_stay, to_move = stays + cost[k, 0, 0], stays + cost[k, 0, 1]
         if moves + cost[k, 1, 0] < to_stay:
             to_stay, came[k + 1, 0] = moves + cost[k, 1, 0], 1
