@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from joulemap.model.terrain.readers import read_heightmap
+from tests.bench.beside import compare_ways_beside
 from tests.bench.calibration import bench_calibration
 from tests.bench.homeward import compare_return
 from tests.bench.large_maps import bench_large, bench_start_up
@@ -46,13 +47,14 @@ def main() -> None:
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     only.add_argument("--quality", action="store_true", help="set the default answer beside every other option of ours")
+    only.add_argument("--beside", action="store_true", help="set ways beside a path beside none, on the same maps")
     only.add_argument("--reach", action="store_true", help="set reach beside planning to one goal after another")
     only.add_argument("--return", action="store_true", dest="homeward", help="ask a service until where one comes home")
     only.add_argument("--objectives", action="store_true", help="set routes that weigh odds beside the cheapest ones")
-    parser.add_argument("--tasks", type=int, default=10, help="random tasks a map: --quality, --reach, --objectives")
-    parser.add_argument("--seed", type=int, default=11, help="of the random tasks of --quality")
+    parser.add_argument("--tasks", type=int, default=10, help="random tasks a map: --quality, --beside, --reach, ...")
+    parser.add_argument("--seed", type=int, default=11, help="of the random tasks of --quality and --beside")
     parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
-    parser.add_argument("--real", type=Path, help="a heightmap for --quality, --reach and --objectives")
+    parser.add_argument("--real", type=Path, help="a heightmap for --quality, --beside, --reach and --objectives")
     options = parser.parse_args()
     console = Console(width=140)
     if options.heightmap:
@@ -60,6 +62,9 @@ def main() -> None:
     elif options.quality:
         real = read_heightmap(options.real) if options.real else None
         console.print(compare_options(real, options.tasks, options.sampling, options.seed))
+    elif options.beside:
+        real = read_heightmap(options.real) if options.real else None
+        console.print(compare_ways_beside(real, options.tasks, options.seed))
     elif options.reach:
         for found in compare_reach(read_heightmap(options.real) if options.real else None, options.tasks):
             console.print(found)

@@ -1,0 +1,71 @@
+"""What ways beside a path save: the same random tasks with several settings of `joulemap.planner.detours`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from rich.table import Table
+
+from joulemap.model.errors import JoulemapError
+from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner import detours
+from joulemap.planner.plan import RoutePlanner
+from tests.bench.quality import NOTICED, quality_maps
+
+SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "none": {"RIBBON_CELLS": 0.0},
+    "the cheapest of each ribbon": {"VALLEY_CELLS": 0.0},
+    "as it is": {},
+    "valleys beside all of them": {"VALLEY_CELLS": detours.RIBBON_CELLS},
+}
+"""Constants of `joulemap.planner.detours` that differ."""
+
+
+def compare_ways_beside(
+    heightmap: Heightmap | None, tasks: int, seed: int, settings: Mapping[str, Mapping[str, Any]] = SETTINGS
+) -> Table:
+    """How much dearer than the best of all settings the answer of each is, and its processor time."""
+    gaps: dict[str, list[float]] = {name: [] for name in settings}
+    spent, longest = dict.fromkeys(settings, 0.0), 0.0
+    for _, lattice in quality_maps(heightmap):
+        planner = RoutePlanner(lattice)
+        planner.prepare()
+        free = np.argwhere(lattice.blocked == 0).astype(float)
+        rng = np.random.default_rng(seed)
+        done = 0
+        while done < tasks:
+            start, goal = free[rng.integers(len(free), size=2)]
+            if np.abs(start - goal).max() < 5.0:
+                continue
+            ends = [tuple(float(v) for v in lattice.frame.xy(*end)) for end in (start, goal)]
+            energies = {}
+            try:
+                for name, changed in settings.items():
+                    with patch.dict(vars(detours), changed):
+                        began = time.process_time()
+                        energies[name] = planner.plan(*ends).route.energy_j
+                        spent[name] += time.process_time() - began
+            except JoulemapError:
+                continue
+            done += 1
+            longest = max(longest, float(np.abs(start - goal).max()))
+            for name, energy in energies.items():
+                gaps[name].append(energy / min(energies.values()) - 1.0)
+    count = len(next(iter(gaps.values())))
+    out = Table(title=f"ways beside a path, {count} random tasks of up to {longest:.0f} cells")
+    for column in ("ways", "tasks above 0.1 %", "mean gap %", "worst %", "processor ms an answer"):
+        out.add_column(column, justify="left" if column == "ways" else "right")
+    for name, values in gaps.items():
+        share = 100.0 * np.array(values)
+        out.add_row(
+            name,
+            str(int((share > 100.0 * NOTICED).sum())),
+            f"{share.mean():.4f}",
+            f"{share.max():.3f}",
+            f"{1e3 * spent[name] / count:.0f}",
+        )
+    return out
