@@ -116,8 +116,9 @@ def _levelled(
 ) -> NDArray[np.float64]:
     """The surface after some sweeps, each of which puts every cell where its neighbours and the prices put it."""
     rows, cols, moves = energy.shape
-    steps = offsets[:: max(moves // 8, 1)][:4]  # of more than eight moves, those between the eight say little new
-    rises = np.empty((rows, cols, 4), dtype=np.float32)
+    ways = min(moves // 2, 4)  # as many have their way back among the others
+    steps = offsets[:: max(moves // 8, 1)][:ways]  # of more than eight moves, those between the eight say little new
+    rises = np.empty((rows, cols, ways), dtype=np.float32)
     share_out(lambda p: _rise_rows(energy, offsets, p.start, p.stop, rises), parts_of(rows, cols))
     for _ in range(SWEEPS):
         before, surface = surface, np.empty_like(surface)
@@ -137,12 +138,12 @@ def _level_part(
 
 @njit(cache=True, nogil=True)
 def _rise_rows(energy, offsets, first, end, rises):
-    """Fill rows first..end - 1 [J]: half of what a move in four directions costs more than its way back, else NaN."""
+    """Fill rows first..end - 1 [J]: half of what a move in some directions costs more than its way back, else NaN."""
     _, cols, moves = energy.shape
     stride = max(moves // 8, 1)
     for i in range(first, end):
         for j in range(cols):
-            for k in range(4):
+            for k in range(rises.shape[2]):
                 n = k * stride
                 there, back = energy[i, j, n], np.float32(math.nan)
                 if not math.isnan(there):
@@ -154,13 +155,13 @@ def _rise_rows(energy, offsets, first, end, rises):
 def _level_rows(rises, steps, surface, first, end, out):
     """Fill rows first..end - 1 [J]: each cell where its neighbours and the rises from them put it, on average.
 
-    A sweep towards the surface of least squares. steps : (4, 2) the directions of the rises.
+    A sweep towards the surface of least squares. steps : (k, 2) the directions of the rises.
     """
-    rows, cols, _ = rises.shape
+    rows, cols, ways = rises.shape
     for i in range(first, end):
         for j in range(cols):
             total, count = 0.0, 0
-            for k in range(4):
+            for k in range(ways):
                 r, c = i + steps[k, 0], j + steps[k, 1]
                 rise = rises[i, j, k]
                 if not math.isnan(rise):
