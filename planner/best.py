@@ -2,19 +2,22 @@
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
 the best one as a whole, the others where they differ from it (`detours`); then ways beside it are looked for
-(`ribbon`). Where limits close moves, the path through `passages` is one of them.
+(`beside`). Where limits close moves, the path through `passages` is one of them.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from joulemap.planner.beside import with_ways_beside
 from joulemap.planner.corridors import corridor_paths
-from joulemap.planner.detours import best_of, largest_lag
+from joulemap.planner.detours import best_of_corridors, largest_lag
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
+from joulemap.planner.refine import converged
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,3 +71,21 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
     paths = [path.points for path in found] + ([] if through is None else [through])
     points = best_of(lattice, paths)
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
+
+
+def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
+    """Return the best of what the any-angle step makes of some paths, with ways beside it.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    paths : sequence of ndarray of float, (n, 2)
+        As for `detours.best_of_corridors`.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline.
+    """
+    return converged(lattice, with_ways_beside(lattice, best_of_corridors(lattice, paths)))

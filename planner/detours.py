@@ -3,8 +3,7 @@
 Paths of two corridors mostly begin and end over the same cells. The part in between is a *detour*: it leaves the best
 path, runs through the other corridor, and joins the path again. It competes with the stretch of the best path that it
 would replace, and is given up after a stage that leaves it too far behind. Detours that replace different stretches may
-all be taken. Then the path is compared with detours a few cells beside it, in corridors that are too near for the grid
-(`ribbon`).
+all be taken.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ import numpy as np
 from joulemap.model.threads import share_out
 from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.refine import Stage, converged, path_length, path_stages, subdivided
-from joulemap.planner.ribbon import Ribbon, ways_beside
+from joulemap.planner.refine import Stage, path_length, path_stages, subdivided
 
 LAGS = (0.2, 0.15, 0.1, 0.03, 0.01, 0.0)
 """By how much a detour that wins in the end may lag behind before the stages and after each, as a share of the mean
@@ -32,25 +30,7 @@ cells, and short detours take little time."""
 JOINT_CELLS = 12.0
 """Length that a detour has in common with the grid path of the best one at either end [cells], along which it leaves
 the improved path and joins it. With 6, six of 1,878 random tasks cost over 0.1 % more, and three less."""
-RIBBONS = (
-    Ribbon(spacing=12, half_width=12.0, step=0.5, slope=1.0),
-    Ribbon(spacing=4, half_width=4.0, step=0.25, slope=0.75),
-    Ribbon(spacing=6, half_width=6.0, step=0.25, slope=1.0),
-    Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
-    Ribbon(spacing=3, half_width=3.0, step=0.25, slope=1.0),
-)
-"""Ribbons in which cheaper ways beside the path are searched; a leg of the path is at most half a cell long. Each
-ribbon finds ways that the others miss. The ways of all compete for the same path: one ribbon after the other, the first
-small gain often closes the way to a larger one."""
-RIBBON_SLACK = 2.0
-"""By how much a chain through a ribbon may be dearer than the cheapest one, in mean energies of a cell."""
-ROUNDS, ROUND_GAIN = 3, 1e-4
-"""Most rounds, and the gain of one, as a share of the energy, for which another one follows: the path beside which ways
-are searched is a new one then."""
-RIBBON_CELLS, VALLEY_CELLS = 300.0, 150.0
-"""Longest path for which this is done, and for which valleys compete and further rounds follow [cells]: a way saves the
-energy of a few cells, a smaller share of a longer path, and takes more time there."""
-_AFTER_JOINING = 2
+AFTER_JOINING = 2
 """The first stage that a path with detours goes through once more, because it has corners where they begin and end."""
 
 
@@ -70,10 +50,19 @@ class _Improved:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Detour:
-    """Points that may replace the vertices `first` to `last` of the best path.
+class Detour:
+    """Points that may replace some vertices of the best path.
 
-    replaced_j : energy of these; unit_j : what `LAGS` are counted in.
+    Attributes
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+    first, last : int
+        The vertices at which it begins and ends.
+    replaced_j : float
+        Energy of the path between these [J].
+    unit_j : float
+        Energy in which it is counted how far the detour lags behind [J].
     """
 
     points: Points
@@ -100,7 +89,7 @@ def largest_lag(cells: float) -> float:
     return LAGS[0] * math.sqrt(max(cells, LEAST_CELLS)) / cells
 
 
-def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
+def best_of_corridors(lattice: CostLattice, paths: Sequence[Points]) -> Points:
     """Return the best of what the any-angle step makes of some paths.
 
     Parameters
@@ -119,62 +108,44 @@ def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
     best = _improved(lattice, paths[0])
     detours = [detour for other in paths[1:] if (detour := _detour(lattice, best, other)) is not None]
 
-    def _improve(detour: _Detour) -> _Detour | None:
+    def _improve(detour: Detour) -> Detour | None:
         share = (detour.last - detour.first) / (len(best.vertices) - 1)
         most_j = [
             detour.replaced_j + share * (usual_j - best.prices_j[-1]) + lag * detour.unit_j
             for usual_j, lag in zip(best.prices_j[1:], LAGS[1:], strict=False)
         ]
-        return _competed(lattice, detour, best.stages, most_j)
+        return competed(lattice, detour, best.stages, most_j)
 
-    points = _with_best(lattice, best.points, best.vertices, detours, _improve)
-    return converged(lattice, _with_ways_beside(lattice, points))
-
-
-def _with_ways_beside(lattice: CostLattice, points: Points) -> Points:
-    """The path after rounds of `_beside`, while they gain more than a little."""
-    length, energy = path_length(points), path_price(lattice, points)
-    if length > RIBBON_CELLS:
-        return points
-    if length > VALLEY_CELLS:
-        return _beside(lattice, points, 0.0)
-    for _ in range(ROUNDS):
-        points = _beside(lattice, points, RIBBON_SLACK)
-        before, energy = energy, path_price(lattice, points)
-        if not before - energy > ROUND_GAIN * abs(energy):
-            break
-    return points
+    return with_detours(lattice, best.points, best.vertices, detours, _improve)
 
 
-def _beside(lattice: CostLattice, points: Points, slack: float) -> Points:
-    """The path with the ways beside it, through any ribbon, that are cheaper once their vertices have settled.
-
-    slack : as `RIBBON_SLACK`.
-    """
-    vertices, cell_j = subdivided(points, 0.5), _cell_energy(lattice, points)
-    ways = [
-        _Detour(way, first, last, path_price(lattice, vertices[first : last + 1]), cell_j * math.sqrt(LEAST_CELLS))
-        for ribbon in RIBBONS
-        for first, last, way in ways_beside(lattice, vertices, ribbon, slack_j=slack * cell_j)
-    ]
-
-    def _finished(detour: _Detour) -> _Detour | None:
-        stages = path_stages(detour.points)[_AFTER_JOINING:]
-        most_j = [detour.replaced_j + lag * detour.unit_j for lag in LAGS[_AFTER_JOINING + 1 :]]
-        settled = _competed(lattice, detour, stages, most_j)
-        return None if settled is None else replace(settled, points=converged(lattice, settled.points))
-
-    return _with_best(lattice, points, vertices, ways, _finished)
-
-
-def _with_best(
+def with_detours(
     lattice: CostLattice,
     points: Points,
     vertices: Points,
-    detours: list[_Detour],
-    improve: Callable[[_Detour], _Detour | None],
+    detours: list[Detour],
+    improve: Callable[[Detour], Detour | None],
 ) -> Points:
-    """The path after the detours that pay were taken; vertices : of the path, those that detours replace."""
+    """Return a path after the detours that pay were taken.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+    vertices : ndarray of float, (m, 2)
+        The same path with the vertices that the detours replace.
+    detours : list of Detour
+        The detours; those that are improved are changed in the list.
+    improve : callable
+        Returns an improved detour, or None where it cannot win.
+
+    Returns
+    -------
+    ndarray of float, (k, 2)
+        (row, col) polyline with at most the same energy. Of detours that overlap the one that saves most is taken.
+    """
     gains_j = np.zeros(len(detours))
 
     def _improve(k: int) -> None:
@@ -192,7 +163,7 @@ def _with_best(
 
 def _smoothed(lattice: CostLattice, points: Points) -> Points:
     """The path without the corners where detours begin and end."""
-    for stage in path_stages(points)[_AFTER_JOINING:]:
+    for stage in path_stages(points)[AFTER_JOINING:]:
         points = stage(lattice, points)
     return points
 
@@ -203,15 +174,28 @@ def _improved(lattice: CostLattice, grid: Points) -> _Improved:
     for stage in stages:
         points = stage(lattice, points)
         prices_j.append(path_price(lattice, points))
-    return _Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), _cell_energy(lattice, points))
+    return _Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), cell_energy(lattice, points))
 
 
-def _cell_energy(lattice: CostLattice, points: Points) -> float:
-    """Mean energy of a cell's length [J], without signs: with regeneration that of a whole path may be 0."""
+def cell_energy(lattice: CostLattice, points: Points) -> float:
+    """Return the mean energy of a cell's length of a path.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    float
+        Mean of the energies of legs without their signs [J]: with regeneration the energy of a whole path may be 0.
+    """
     return float(np.abs(leg_prices(lattice, points)).sum()) / max(path_length(points), 1.0)
 
 
-def _detour(lattice: CostLattice, best: _Improved, other: Points) -> _Detour | None:
+def _detour(lattice: CostLattice, best: _Improved, other: Points) -> Detour | None:
     """The part of another path that the best one has not; None where it is the same or too dear to win."""
     usual, common = best.grid, min(len(best.grid), len(other))
     differ = (usual[:common] != other[:common]).any(axis=1)
@@ -232,17 +216,32 @@ def _detour(lattice: CostLattice, best: _Improved, other: Points) -> _Detour | N
     points = np.vstack([best.vertices[first], other[a + 1 : b], best.vertices[last]])
     if first >= last or math.isnan(path_price(lattice, points)):  # the joints may not be driven
         points, first, last = other, 0, len(best.vertices) - 1
-    return _Detour(points, first, last, path_price(lattice, best.vertices[first : last + 1]), unit_j)
+    return Detour(points, first, last, path_price(lattice, best.vertices[first : last + 1]), unit_j)
 
 
 def _nearest(vertices: Points, place: Points) -> int:
     return int(np.argmin(((vertices - place) ** 2).sum(axis=1)))
 
 
-def _competed(
-    lattice: CostLattice, detour: _Detour, stages: Sequence[Stage], most_j: Sequence[float]
-) -> _Detour | None:
-    """The detour after some stages; None where it costs more after one of them than it may [J]."""
+def competed(lattice: CostLattice, detour: Detour, stages: Sequence[Stage], most_j: Sequence[float]) -> Detour | None:
+    """Return a detour after some stages of the any-angle step.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    detour : Detour
+        The detour.
+    stages : sequence of callable
+        As `path_stages` returns them.
+    most_j : sequence of float
+        Most energy after each stage [J]; stages beyond these are not done.
+
+    Returns
+    -------
+    Detour or None
+        The detour, None where it costs more after a stage than it may.
+    """
     points = detour.points
     for stage, most in zip(stages, most_j, strict=False):
         points = stage(lattice, points)
@@ -251,7 +250,7 @@ def _competed(
     return replace(detour, points=points)
 
 
-def _joined(vertices: Points, detours: Sequence[_Detour]) -> Points:
+def _joined(vertices: Points, detours: Sequence[Detour]) -> Points:
     """The path with those detours that replace vertices which none before them replaces."""
     free = np.ones(len(vertices), dtype=np.bool_)
     chosen = []

@@ -17,9 +17,8 @@ from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.avoid import Polygon, checked_polygons, window_of, without
-from joulemap.planner.best import best_path
+from joulemap.planner.best import best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
-from joulemap.planner.detours import best_of
 from joulemap.planner.edges import Points, leg_prices_between, path_price
 from joulemap.planner.fields import field_towards
 from joulemap.planner.lattice import CostLattice

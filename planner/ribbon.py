@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from joulemap.planner.deform import turn_sides
 from joulemap.planner.edges import Points, price_arrays
@@ -89,12 +90,28 @@ def ways_beside(
     shifts = _chains(legs, offsets, slack_j, max(int(LEAST_DISTANCE / ribbon.step), 1)) - offsets
     ways: dict[tuple[int, int, bytes], Points] = {}
     for shift in shifts:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], shift != 0, [False]]).astype(np.int8)))
-        for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        for first, after in stretches(shift != 0):
             part = slice(first - 1, after + 1)  # with a station on the path at either end
             way = stations[part] + (shift[part] * ribbon.step)[:, None] * side[part]
             ways[int(places[first - 1]), int(places[after]), shift[part].tobytes()] = way
     return [(first, last, way) for (first, last, _), way in ways.items()]
+
+
+def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return where some flags are set.
+
+    Parameters
+    ----------
+    flags : ndarray of bool, (n,)
+        The flags.
+
+    Returns
+    -------
+    list of (int, int)
+        The first index of each stretch, and that after its last.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 @njit(cache=True, nogil=True)

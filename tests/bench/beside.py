@@ -1,4 +1,4 @@
-"""What ways beside a path save: the same random tasks with several settings of `joulemap.planner.detours`."""
+"""What ways beside a path save: the same random tasks with several settings of `joulemap.planner.beside`."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from rich.table import Table
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner import detours
+from joulemap.planner import beside
 from joulemap.planner.plan import RoutePlanner
 from tests.bench.quality import NOTICED, quality_maps
 
 SETTINGS: Mapping[str, Mapping[str, Any]] = {
-    "none": {"RIBBON_CELLS": 0.0},
-    "the cheapest of each ribbon": {"VALLEY_CELLS": 0.0},
+    "none": {"MOST_CELLS": 0.0},
+    "without the widest ribbon": {"RIBBONS": beside.RIBBONS[:-1]},
+    "one round": {"ROUNDS": 1},
     "as it is": {},
-    "valleys beside all of them": {"VALLEY_CELLS": detours.RIBBON_CELLS},
+    "each round beside the whole path": {"AROUND_CELLS": 1e6},
+    "all that are found": {"SAME_CELLS": 0.0},
+    "on paths of up to 300 cells": {"MOST_CELLS": 300.0},
 }
-"""Constants of `joulemap.planner.detours` that differ."""
+"""Constants of `joulemap.planner.beside` that differ."""
 
 
 def compare_ways_beside(
@@ -45,7 +48,7 @@ def compare_ways_beside(
             energies = {}
             try:
                 for name, changed in settings.items():
-                    with patch.dict(vars(detours), changed):
+                    with patch.dict(vars(beside), changed):
                         began = time.process_time()
                         energies[name] = planner.plan(*ends).route.energy_j
                         spent[name] += time.process_time() - began

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from joulemap.planner.detours import best_of
+from joulemap.planner.best import best_of
 from joulemap.planner.edges import path_price
 from tests.reference.lattices import ascii_lattice
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from joulemap.planner.detours import best_of
+from joulemap.planner.best import best_of
 from joulemap.planner.edges import leg_prices, path_price
 from joulemap.planner.lattice import Blocked
 from joulemap.planner.refine import refine_path, subdivided

@@ -1,0 +1,148 @@
+"""Ways a few cells beside a path, in corridors that are too near to each other for the grid to tell them.
+
+Chains through ribbons around the path (`ribbon`) leave it and join it again, as detours do (`detours`), and compete for
+it like them. Where ways were taken, the path is a new one, and ways beside it are searched once more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from joulemap.planner.detours import AFTER_JOINING, Detour, cell_energy, competed, with_detours
+from joulemap.planner.edges import Points, path_price
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.refine import converged, path_length, path_stages, subdivided
+from joulemap.planner.ribbon import Ribbon, stretches, ways_beside
+
+MOST_CELLS = 200.0
+"""Longest path for which this is done [cells]: a way saves the energy of a few cells, which is a smaller share of a
+longer path and takes more time there. Of 70 random paths of 200 to 290 cells ways saved 0.1 % of one."""
+RIBBONS = (
+    Ribbon(spacing=12, half_width=12.0, step=0.5, slope=1.0),
+    Ribbon(spacing=4, half_width=4.0, step=0.25, slope=0.75),
+    Ribbon(spacing=6, half_width=6.0, step=0.25, slope=1.0),
+    Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
+    Ribbon(spacing=3, half_width=3.0, step=0.25, slope=1.0),
+    Ribbon(spacing=16, half_width=16.0, step=0.5, slope=1.0),
+)
+"""Ribbons in which ways are searched; a leg of the path is at most half a cell long. Each ribbon finds ways that the
+others miss. The ways of all compete for the same path: one ribbon after the other, the first small gain often closes
+the way to a larger one."""
+SLACK = 2.0
+"""By how much a chain through a ribbon may be dearer than the cheapest one, in mean energies of a cell."""
+SAME_CELLS = 1.0
+"""A way all of whose places are within this distance of ways that are cheaper so far is left out [cells]: several
+ribbons find it, and it would settle alike."""
+LAGS = (1.0, 0.2, 0.0)
+"""By how much a way may be dearer than what it replaces after each stage of its settling, in mean energies of a cell:
+of the ways that saved 0.1 % or more in the end, 19 of 20 lagged by at most 1.1, 0.5 and 0.1."""
+ROUNDS, LEAST_GAIN = 3, 1e-4
+"""Most rounds, and the gain of one, as a share of the energy, for which another one follows."""
+MOVED_CELLS, AROUND_CELLS = 0.25, 12.0
+"""A further round looks beside those places of the path that are farther than the first distance from where it was, and
+along it for the second distance before and after them [cells]."""
+
+
+def with_ways_beside(lattice: CostLattice, points: Points) -> Points:
+    """Return a path with the ways beside it that cost less.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline that went through all stages of `refine`.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy; `points` where it is longer than
+        `MOST_CELLS`.
+    """
+    if path_length(points) > MOST_CELLS:
+        return points
+    earlier, energy = None, path_price(lattice, points)
+    for _ in range(ROUNDS):
+        earlier, points = points, _improved(lattice, points, earlier)
+        before, energy = energy, path_price(lattice, points)
+        if not before - energy > LEAST_GAIN * abs(energy):
+            break
+    return points
+
+
+def _improved(lattice: CostLattice, points: Points, earlier: Points | None) -> Points:
+    """The path with the ways, through any ribbon, that are cheaper once their vertices have settled.
+
+    earlier : a path beside which ways were searched before; only where it is left they are searched again.
+    """
+    vertices, cell_j = subdivided(points, 0.5), cell_energy(lattice, points)
+    ways = []
+    for a, b in [(0, len(vertices))] if earlier is None else _changed(vertices, earlier):
+        for ribbon in RIBBONS:
+            for first, last, way in ways_beside(lattice, vertices[a:b], ribbon, slack_j=SLACK * cell_j):
+                replaced_j = path_price(lattice, vertices[a + first : a + last + 1])
+                ways.append(Detour(way, a + first, a + last, replaced_j, cell_j))
+
+    def _settled(way: Detour) -> Detour | None:
+        stages = path_stages(way.points)[AFTER_JOINING:]
+        settled = competed(lattice, way, stages, [way.replaced_j + lag * way.unit_j for lag in LAGS])
+        return None if settled is None else replace(settled, points=converged(lattice, settled.points))
+
+    return with_detours(lattice, points, vertices, _distinct(lattice, ways), _settled)
+
+
+def _changed(vertices: Points, earlier: Points) -> list[tuple[int, int]]:
+    """Stretches around the vertices that are not on an earlier path: the first vertex of each, and that after its last.
+
+    They do not overlap.
+    """
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(vertices, axis=0).T)))
+    new = ~_near(vertices, _legs([earlier]), MOVED_CELLS, False)
+    around = np.zeros(len(vertices), dtype=np.bool_)
+    for first, after in stretches(new):
+        around[(along >= along[first] - AROUND_CELLS) & (along <= along[after - 1] + AROUND_CELLS)] = True
+    return stretches(around)
+
+
+def _distinct(lattice: CostLattice, ways: list[Detour]) -> list[Detour]:
+    """The ways without those that go where cheaper ones go."""
+    lags_j = [path_price(lattice, way.points) - way.replaced_j for way in ways]
+    kept: list[Detour] = []
+    for k in np.argsort(lags_j, kind="stable"):
+        way = ways[k]
+        cheaper = [other.points for other in kept if other.first < way.last and way.first < other.last]
+        if not cheaper or not _near(subdivided(way.points, 0.5), _legs(cheaper), SAME_CELLS, True).all():
+            kept.append(way)
+    return kept
+
+
+def _legs(lines: Sequence[Points]) -> NDArray[np.float64]:
+    """Start and end of every leg of some polylines, (n, 4)."""
+    return np.vstack([np.hstack([line[:-1], line[1:]]) for line in lines])
+
+
+@njit(cache=True, nogil=True)
+def _near(places, legs, within, all_or_none):
+    """Whether each place, (n, 2), is within a distance of a leg, (m, 4).
+
+    all_or_none : those after the first that is not are not looked at, and count as not near.
+    """
+    near, count, k = np.zeros(places.shape[0], dtype=np.bool_), legs.shape[0], 0
+    for i in range(places.shape[0]):
+        for _ in range(count):  # beginning with the leg that the place before is near to
+            drow, dcol = legs[k, 2] - legs[k, 0], legs[k, 3] - legs[k, 1]
+            row, col = places[i, 0] - legs[k, 0], places[i, 1] - legs[k, 1]
+            share = min(max((row * drow + col * dcol) / max(drow * drow + dcol * dcol, 1e-12), 0.0), 1.0)
+            if math.hypot(row - share * drow, col - share * dcol) <= within:
+                near[i] = True
+                break
+            k = k + 1 if k + 1 < count else 0
+        if all_or_none and not near[i]:
+            break
+    return near
