@@ -2,7 +2,8 @@
 
 The service runs in a process of its own on a fresh data directory (or one that is kept with `--data-dir`), with one
 cost map of hills. The clients share this process. Other work on the machine makes the times longer, so the processor
-time of the service is printed beside them.
+time of the service is printed beside them. So is how late a process was that does nothing but sleep: where it was as
+late as the event loop, the machine made them wait.
 """
 
 from __future__ import annotations
@@ -32,6 +33,16 @@ from tests.bench.maps import terrain
 
 _TICK_HZ = os.sysconf("SC_CLK_TCK")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+_STALLS_MS = (25, 50, 100)
+_SLEEPER = """
+import sys, time
+until, counts = time.monotonic() + float(sys.argv[1]), [0] * len(sys.argv[2:])
+while (began := time.monotonic()) < until:
+    time.sleep(0.01)
+    late_ms = 1e3 * (time.monotonic() - began - 0.01)
+    counts = [count + (late_ms > float(bound)) for count, bound in zip(counts, sys.argv[2:])]
+print(*counts)
+"""
 
 
 class Connection:
@@ -235,6 +246,9 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
     seen = {name: Seen(name) for name in ("paths", "positions", "readyz", "healthz")}
     until = time.perf_counter() + options.seconds
     cpu, stolen, began, stalls = server.cpu_s(), _stolen_s(), time.perf_counter(), await _stalls(server)
+    sleeper = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", _SLEEPER, str(options.seconds), *map(str, _STALLS_MS), stdout=asyncio.subprocess.PIPE
+    )
     tasks: list[Awaitable[None]] = []
     for _ in range(options.clients):
         client = Connection(server.port)
@@ -287,6 +301,7 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
     duration = time.perf_counter() - began
     after = await _stalls(server)
     stalls = {bound: after[bound] - stalls[bound] for bound in after}
+    slept = (await sleeper.communicate())[0].split()
     quarters = [np.median(part, axis=0).tolist() for part in np.array_split(np.array(memory), 4)]
     return {
         "questions": [one.summary(duration) for one in seen.values() if one.seconds],
@@ -294,6 +309,7 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
         "cpu_share": (server.cpu_s() - cpu) / duration,
         "cpu_ms_per_path": 1e3 * (server.cpu_s() - cpu) / max(len(seen["paths"].seconds), 1),
         "stalls": {f"{1e3 * bound:g} ms": max(stalls.values()) - count for bound, count in stalls.items()},
+        "sleeper": {f"{bound:g} ms": int(count) for bound, count in zip(_STALLS_MS, slept, strict=True)},
         "stolen_s": _stolen_s() - stolen,
         "memory_mb": quarters,
         "load": os.getloadavg()[0],
@@ -309,10 +325,11 @@ def _told(found: dict[str, Any]) -> str:
             f"max {one['max_ms']:7.1f}  {one['statuses']}"
         )
         lines += [f"  {count} times: {words}" for words, count in one["refusals"].items()]
-    stalls = {bound: round(count) for bound, count in found["stalls"].items() if bound in ("25 ms", "50 ms", "100 ms")}
+    stalls = {bound: round(found["stalls"][bound]) for bound in found["sleeper"]}
     lines.append(
         f"server: {found['cpu_share']:.2f} cores, {found['cpu_ms_per_path']:.0f} ms of processor a path; stalls of the "
-        f"event loop longer than {stalls}; load of the machine {found['load']:.1f}, "
+        f"event loop longer than {stalls}, of a process that only sleeps {found['sleeper']}; load of the machine "
+        f"{found['load']:.1f}, "
         f"{found['stolen_s']:.2f} s taken by its host"
     )
     for name, medians in zip(("the service", "its workers"), zip(*found["memory_mb"], strict=True), strict=True):
