@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
 import os
 import random
 import re
@@ -237,7 +238,10 @@ async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]
     place = f"/v1/costmaps/{costmap}"
 
     def _question() -> bytes:
-        ends = {"start": _point(options.cells, chance), "goal": _point(options.cells, chance)}
+        start, goal = (_point(options.cells, chance) for _ in range(2))
+        while options.near and math.dist(start, goal) > options.near:
+            start, goal = (_point(options.cells, chance) for _ in range(2))
+        ends = {"start": start, "goal": goal}
         return json.dumps({**ends, "snap": True, "refine": options.refine, **options.change}).encode()
 
     status, answer = await first.ask("POST", f"{place}/paths", _question())
@@ -344,6 +348,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--cells", type=int, default=1000, help="cells along a side, 1 m each")
     parser.add_argument("--no-refine", dest="refine", action="store_false", help="paths over grid moves only")
+    parser.add_argument("--near", type=float, metavar="M", help="only goals that are at most so far from their start")
     parser.add_argument("--change", type=json.loads, default={}, metavar="JSON", help="more fields of each question")
     parser.add_argument("--build", action="store_true", help="build cost maps of the same heightmap meanwhile")
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="print the memory every so many seconds")
