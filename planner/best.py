@@ -19,6 +19,10 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.refine import converged
 
+ANY_ANGLE_NEIGHBOURS = 32
+"""The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
+valleys."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BestPath:

@@ -17,7 +17,7 @@ from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.avoid import Polygon, checked_polygons, window_of, without
-from joulemap.planner.best import best_of, best_path
+from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.edges import Points, leg_prices_between, path_price
 from joulemap.planner.fields import field_towards
@@ -34,9 +34,6 @@ from joulemap.planner.tours import cheapest_tour
 
 SAMPLING_PLANNERS = tuple(name for name in PLANNERS if planner_named(name).uses_time_limit)
 
-ANY_ANGLE_NEIGHBOURS = 32
-"""The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
-valleys."""
 _KEPT_REACHES = 2
 _KEPT_TOWARDS = 20  # of 4 bytes a cell
 

@@ -1,4 +1,8 @@
-"""Routes on a lattice that stays on disk: the search over tiles, then the any-angle step along what it found."""
+"""Routes on a lattice that stays on disk: the search over tiles, then the any-angle step around what it found.
+
+Where the surroundings of the path that was found are small enough they are read, and searched as a lattice in memory
+is: the answer is the one that the whole map gives in memory. Of a longer path only the nearest corridor is improved.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +20,13 @@ from numpy.typing import ArrayLike
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.avoid import checked_polygons
+from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path
 from joulemap.planner.bound import quick_bound
 from joulemap.planner.coarse import CoarseLevel, coarse_level
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import MovePrices
+from joulemap.planner.moves import move_table
 from joulemap.planner.places import end_point
 from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
 from joulemap.planner.route import Route, price_route
@@ -30,6 +36,10 @@ from joulemap.planner.tiled_search import DEFAULT_MEMORY, TiledSearch
 
 MARGIN_CELLS = 48
 """How far beside the grid's path the any-angle step may go."""
+SURROUNDINGS_CELLS = 1_000_000
+"""Most cells around a path that are read and searched as a lattice in memory is, in about a second and 0.3 GB."""
+_BYTES_PER_CELL = 400
+"""What such a cell takes: prices by heading, those of moves, and labels [bytes]."""
 _ENDS_CELLS = 128
 """How far around start and goal free places are looked for."""
 _MOST_STRIP = 400_000_000
@@ -198,7 +208,8 @@ class StoredPlanner:
         details |= {"planner": planner, "neighbours": neighbours, "refined": refine, "tiled": True}
         details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
         if details["from_shortest"]:
-            points = refine_path(self.lattice, shortest) if refine else shortest
+            self._strip.read_along(shortest, cells=MARGIN_CELLS if refine else 4)
+            points = best_of(self.lattice, [shortest, points]) if refine else shortest
         details["grid_gap"] = _gap(details["grid_energy_j"], details["grid_bound_j"])
         details["seconds"] = time.perf_counter() - began
         least = quick_bound(self.lattice, start, goal)
@@ -263,9 +274,22 @@ class StoredPlanner:
         if not refine:
             return found.points, details
         if level is not None:
-            return refine_path(lattice, found.points), details
+            return self._best(start, goal, found.points), details
         distances = _of_distances(lattice)
         return refine_corners(distances, refine_coarsely(distances, found.points)), details
+
+    def _best(self, start: Points, goal: Points, points: Points) -> Points:
+        """The best path of all corridors around one, where these are small enough, else that one at any angle."""
+        shape = self.stored.frame.shape
+        low = np.maximum(np.floor(points.min(axis=0)).astype(np.int64) - MARGIN_CELLS, 0)
+        high = np.minimum(np.ceil(points.max(axis=0)).astype(np.int64) + MARGIN_CELLS + 1, shape)
+        if int(np.prod(high - low)) > min(SURROUNDINGS_CELLS, self._memory // _BYTES_PER_CELL):
+            return refine_path(self.lattice, points)
+        around = self.stored.window(int(low[0]), int(high[0]), int(low[1]), int(high[1]))
+        table = move_table(around, neighbours=ANY_ANGLE_NEIGHBOURS)
+        found = best_path(around, table, start - low, goal - low).points + low
+        self._strip.read_along(found, cells=4)
+        return found
 
     def _end(self, name: str, xy: tuple[float, float], notes: list[str], snap: bool) -> Points:
         x, y = float(xy[0]), float(xy[1])

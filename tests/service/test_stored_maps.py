@@ -11,6 +11,7 @@ import joulemap as jm
 from joulemap.model.errors import InputError, TooLargeError
 from joulemap.model.frames import GridFrame
 from joulemap.model.terrain.heightmap import Heightmap
+from joulemap.planner import stored_planner
 from joulemap.service.cli import app
 from joulemap.service.http.app import create_app
 from tests.service.conftest import GOAL as HTTP_GOAL
@@ -32,7 +33,7 @@ def folder(tmp_path_factory):
 def test_a_route_from_disk_is_that_of_the_map_in_memory(folder):
     whole, stored = jm.open_costmap(folder), jm.open_costmap(folder, memory_gb=0.5)
     ours, theirs = stored.plan(START, GOAL), whole.plan(START, GOAL)
-    assert ours.energy_j == pytest.approx(theirs.energy_j, rel=1e-3)
+    assert ours.energy_j == pytest.approx(theirs.energy_j, rel=1e-9)
     assert ours.shortest.length_m == pytest.approx(theirs.shortest.length_m, rel=1e-3)
     details = ours.found.details
     assert details["grid_bound_j"] <= details["grid_energy_j"] <= details["grid_bound_j"] * (1 + 1e-4) + 0.1
@@ -40,6 +41,22 @@ def test_a_route_from_disk_is_that_of_the_map_in_memory(folder):
     again = jm.planner.route.price_route(whole.lattice, ours.points)
     assert again.energy_j == pytest.approx(ours.energy_j, rel=1e-9)
     assert stored.at(50.0, 20.0).energy_per_m == pytest.approx(whole.at(50.0, 20.0).energy_per_m, nan_ok=True)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_between_random_places_a_route_from_disk_is_that_of_the_map_in_memory(folder, seed):
+    whole, stored = jm.open_costmap(folder), jm.open_costmap(folder, memory_gb=0.5)
+    start, goal = np.random.default_rng(seed).uniform((3.0, 3.0), (97.0, 67.0), size=(2, 2)).tolist()
+    ours, theirs = (ground.plan(start, goal, snap=True).energy_j for ground in (stored, whole))
+    assert ours == pytest.approx(theirs, rel=1e-9)
+
+
+def test_where_the_surroundings_are_too_large_only_the_corridor_of_the_grid_is_improved(folder, monkeypatch):
+    whole, stored = jm.open_costmap(folder), jm.open_costmap(folder, memory_gb=0.5)
+    monkeypatch.setattr(stored_planner, "SURROUNDINGS_CELLS", 1000)
+    ours, theirs = stored.plan(START, GOAL), whole.plan(START, GOAL)
+    assert theirs.energy_j * (1.0 - 1e-3) <= ours.energy_j <= theirs.energy_j * 1.02
+    assert ours.energy_j < ours.found.details["grid_energy_j"]
 
 
 def test_a_verdict_from_disk(folder):
