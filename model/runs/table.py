@@ -250,7 +250,9 @@ def not_a_number(name: str, column: str, entries: Sequence[str], first_row: int)
         With the place of the first such cell.
     """
     row = next(k for k, entry in enumerate(entries) if not _is_number(entry))
-    return _not_usable(name, column, first_row + row, entries[row][:80], "is not a number")
+    units = first_row + row == 0 and len(entries) > 1 and _is_number(entries[1])  # a second row of the header
+    advice = ": if this row holds the units of the columns, remove it" if units else ""
+    return _not_usable(name, column, first_row + row, entries[row][:80], f"is not a number{advice}")
 
 
 def usable(numbers: dict[str, FloatArray], name: str) -> dict[str, FloatArray]:

@@ -227,6 +227,8 @@ def _opened(source: str | Path | bytes, filename: str | None) -> SourceFile:
             url=str(source)[:200],
         )
     place = Path(source).resolve()
+    if place.is_dir():
+        raise HeightmapError(f"{source} is a folder: a heightmap is one file, such as dem.tif", path=str(source))
     if not place.is_file():
         raise HeightmapError(f"there is no file {source}", path=str(source))
     try:

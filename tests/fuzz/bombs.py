@@ -206,6 +206,13 @@ def ulog_that_holds_itself(rng: Rng) -> Sent:
 
 
 @hostile
+def ulog_of_nothing(rng: Rng) -> Sent:
+    message = [b"\0\0D", b"\2\0O\0\0", b"\2\0D\0\0"][int(rng.integers(3))]
+    out = b"ULog\x01\x12\x35\x01" + bytes(8) + b"\x28\0B" + bytes(40) + message * 10_000_000
+    return Sent("ULog of millions of empty messages", RUNS, out)
+
+
+@hostile
 def dataflash_of_any_format(rng: Rng) -> Sent:
     def _format(number: int, length: int, name: bytes, codes: bytes, columns: bytes) -> bytes:
         return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", number, length, name, codes, columns)

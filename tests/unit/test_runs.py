@@ -291,6 +291,7 @@ def test_stamps_before_zero_are_stamps_and_other_columns_may_hold_anything():
         (log(x=None, y=None), "neither 'x' and 'y' nor 'lat' and 'lon'"),
         (log(current=None), "neither a column 'current', nor any 'current_"),
         (log(current=["2.0"] * 7 + ["two"] + ["2.0"] * 52), "column 'current', row 9: 'two' is not a number"),
+        (log(current=["A"] + ["2.0"] * 59), "row 2: 'A' is not a number: if this row holds the units of the columns"),
         (log(current=[""] * 60), "60 of 60 cells are blank"),
         (log(n=3), "3 rows are too few"),
         (log(x=[""] * 60), "no usable position"),

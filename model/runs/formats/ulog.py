@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
@@ -18,7 +19,13 @@ from joulemap.model.source_file import SourceFile
 
 _MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES, _MESSAGE_HEAD = 16, struct.Struct("<Hc")
-_MESSAGE_KINDS = (b"A", b"B", b"C", b"D", b"F", b"I", b"L", b"M", b"O", b"P", b"Q", b"R", b"S")
+_LEAST_BYTES = {b"A": 3, b"B": 40, b"C": 11, b"D": 10, b"L": 9, b"S": 8} | dict.fromkeys(
+    [bytes([k]) for k in b"FIMOPQR"], 2
+)
+"""What a message of each kind holds at least: its number, its time and what else has no variable length
+(https://docs.px4.io/main/en/dev_log/ulog_file_format)."""
+_MANY, _LEAST_MEAN = 1_000_000, 8
+"""After so many messages of fewer bytes in the mean it is no log: one with a time and a value has 17 [bytes]."""
 _MOST_STEPS = 1_000_000
 """Bytes of no message in which the library may look for the next one [bytes]: it takes a second for so many."""
 _KINDS = (
@@ -86,9 +93,9 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
     broken, notes, formats = _skimmed(source)
     _check_formats(formats, limits, source.name)
     with reading("ULog", source.name, lambda: f"at byte {broken:,}"), source.open() as stream:
-        limited = FiniteStream(stream, end=broken if notes else None, most_steps=_MOST_STEPS)
+        limited = FiniteStream(stream, end=broken, most_steps=_MOST_STEPS)
         log = ULog(limited, [*_KINDS, *sorted(named - set(_KINDS))])
-        if log.file_corruption:
+        if log.file_corruption or (broken < source.size_bytes and not notes):
             raise RunsError(
                 f"run {source.name}: the ULog is corrupt at byte {broken:,} of {source.size_bytes:,} or before: it was "
                 f"read up to {max(log.last_timestamp, 0) * 1e-6:.3f} s, where something is no message",
@@ -118,7 +125,7 @@ def decode(source: SourceFile, *, mapping: Mapping[str, str], limits: TableLimit
 
 def _skimmed(source: SourceFile) -> tuple[int, list[str], list[str]]:
     """Where the messages end [bytes], a note where the last one is not whole, and the formats that are declared."""
-    size, at = source.size_bytes, _HEADER_BYTES
+    size, at, count = source.size_bytes, _HEADER_BYTES, 0
     formats: list[str] = []
     with source.open() as stream:
         while at < size:
@@ -126,7 +133,7 @@ def _skimmed(source: SourceFile) -> tuple[int, list[str], list[str]]:
             head = stream.read(_MESSAGE_HEAD.size)
             if len(head) == _MESSAGE_HEAD.size:
                 length, kind = _MESSAGE_HEAD.unpack(head)
-                if kind not in _MESSAGE_KINDS:
+                if length < _LEAST_BYTES.get(kind, math.inf):  # no message of that kind, or no such kind
                     with on_disk(source) as path:
                         return at, [filled("ULog", path, at)] if fill_at(path) <= at else [], formats
                 if kind == b"F":
@@ -134,6 +141,13 @@ def _skimmed(source: SourceFile) -> tuple[int, list[str], list[str]]:
             if len(head) < _MESSAGE_HEAD.size or at + _MESSAGE_HEAD.size + length > size:
                 return at, [cut_off("ULog", at, size)], formats
             at += _MESSAGE_HEAD.size + length
+            count += 1
+            if count == _MANY and at < _LEAST_MEAN * count:
+                raise RunsError(
+                    f"run {source.name}: the first {count:,} messages of the ULog have {at / count:.1f} bytes in the "
+                    f"mean, and those of a log at least {_LEAST_MEAN}",
+                    run=source.name,
+                )
     return at, [], formats
 
 

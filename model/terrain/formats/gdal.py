@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,8 @@ GDAL_OPTIONS = {
 """Settings of GDAL and PROJ under which every file and every CRS is read."""
 
 _STRIPE_CELLS = 4_000_000  # decoded at a time, so that a big map needs no second copy of itself
+_FUNCTION = re.compile(r"\b(TIFF|GTiff|JPEG|PNG|HFA|VSI|CPL|GDAL|OGR)\w*:\s*")
+"""Names of functions inside GDAL, which its messages begin with."""
 
 
 def is_gdal_error(error: Exception) -> bool:
@@ -90,7 +93,8 @@ def opened(source: Path | bytes, driver: str) -> Iterator[DatasetReader]:
                     f"the {name} asks for more memory than there is for one of its blocks: write it in smaller ones "
                     "(gdal_translate -co TILED=YES IN OUT)"
                 ) from error
-            raise HeightmapError(f"the {name} is truncated or corrupt: {str(cause)[:300]}") from error
+            words = _FUNCTION.sub("", str(cause))[:300]
+            raise HeightmapError(f"the {name} is truncated or corrupt: {words}") from error
 
 
 def read_band(dataset: DatasetReader, band: int, scaling: Scaling, rows: slice, cols: slice) -> NDArray[np.float32]:
