@@ -187,6 +187,9 @@ class Jobs:
         if lost or isinstance(error, (OperationalError, CancelledError)) or getattr(error, "errno", None) in _LATER:
             _LOG.warning("job %s waits and is tried again: %s", job_id, error)
             return
+        if job_id not in self._store.wanted():
+            _LOG.info("job %s was deleted while it was made: %s", job_id, error)
+            return
         problem = error.problem if isinstance(error, Refused) else problem_of(error, job_id)
         if problem["status"] >= 500:
             _LOG.error("job %s failed", job_id, exc_info=error)

@@ -15,10 +15,11 @@ from joulemap.planner import lattice_io
 from joulemap.planner import tiles as tiling
 from joulemap.planner.lattice_io import LatticeFolder
 from joulemap.service.jobs.costmaps import order_of
+from joulemap.service.jobs.engine import Jobs
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.store import Store
 from joulemap.service.work import tiles, vaulted
-from tests.service.conftest import hill
+from tests.service.conftest import hill, settings_for
 from tests.service.workers import asked, made_here
 
 STEPS = [
@@ -178,3 +179,16 @@ def test_who_works_on_after_a_cost_map_is_done_changes_nothing(tmp_path: Path) -
             order_of(store, wanted, tmp_path)
         assert {path: path.stat().st_mtime_ns for path in place.rglob("*")} == before
         assert list((tmp_path / "costmaps").iterdir()) == [place]
+
+
+def test_what_a_worker_says_of_a_job_that_was_deleted_is_no_error(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with opened(tmp_path) as store:
+        heightmap = store.add_heightmap(hill(), name="hill", stats={}).id
+        kept, deleted = asked(store, heightmap), asked(store, heightmap)
+        store.delete_costmap(deleted)
+        jobs = Jobs(store, settings_for(tmp_path))
+        for job_id in (deleted, kept):
+            jobs._failed(job_id, FileNotFoundError("the folder vanished"), lost=False)
+    assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == [f"job {kept} failed"]
