@@ -30,7 +30,7 @@ cells, and short detours take little time."""
 JOINT_CELLS = 12.0
 """Length that a detour has in common with the grid path of the best one at either end [cells], along which it leaves
 the improved path and joins it. With 6, six of 1,878 random tasks cost over 0.1 % more, and three less."""
-BENT_CELLS = 200.0
+BENT_DETOURS_CELLS = 200.0
 """Longest path whose detours are bent before they are compared [cells]; of longer ones the path is bent, with those
 that it takes. Of the detours that saved 0.1 % or more, 99 of 100 lagged by less than 0.06 cells before: a small share
 of such a path."""
@@ -111,7 +111,7 @@ def best_of_corridors(lattice: CostLattice, paths: Sequence[Points]) -> Points:
     """
     best = _improved(lattice, paths[0])
     detours = [detour for other in paths[1:] if (detour := _detour(lattice, best, other)) is not None]
-    stages = best.stages if path_length(best.points) <= BENT_CELLS else STAGES[:-1]
+    stages = best.stages if path_length(best.points) <= BENT_DETOURS_CELLS else STAGES[:-1]
 
     def _improve(detour: Detour) -> Detour | None:
         share = (detour.last - detour.first) / (len(best.vertices) - 1)
