@@ -17,7 +17,7 @@ from joulemap.planner.detours import best_of_corridors, largest_lag
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.refine import converged
+from joulemap.planner.refine import converged, path_length, refine_corners
 
 ANY_ANGLE_NEIGHBOURS = 32
 """The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
@@ -93,3 +93,26 @@ def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
         (row, col) polyline.
     """
     return converged(lattice, with_ways_beside(lattice, best_of_corridors(lattice, paths)))
+
+
+def shorter_of(lattice: CostLattice, distances: CostLattice, shortest: Points, points: Points) -> Points:
+    """Return the shortest path known: the route of least energy may know a passage that the moves of the grid miss.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    distances : CostLattice
+        The same limits at a price of 1 J/m.
+    shortest, points : ndarray of float, (n, 2)
+        (row, col) of the shortest path over the grid, improved, and of the route of least energy.
+
+    Returns
+    -------
+    ndarray of float, (n, 2)
+        `shortest`, or the other one with its corners cut where that is shorter.
+    """
+    if not path_length(points) < path_length(shortest):
+        return shortest
+    cut = refine_corners(distances, points)
+    return points if math.isnan(path_price(lattice, cut)) else cut

@@ -17,7 +17,7 @@ from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.avoid import Polygon, checked_polygons, window_of, without
-from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path
+from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path, shorter_of
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.edges import Points, leg_prices_between, path_price
 from joulemap.planner.fields import field_towards
@@ -253,6 +253,7 @@ class RoutePlanner:
         if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
             notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
         details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine, **found}
+        shortest = shorter_of(lattice, self._distances, shortest, points)
         details["from_shortest"] = path_price(lattice, shortest) < path_price(lattice, points)
         if details["from_shortest"]:  # the route never costs more than the shortest path
             points = best_of(lattice, [shortest, points]) if refine else shortest

@@ -99,7 +99,7 @@ class PowerLimited(RoutePlanner):
             return super().plan(start_xy, goal_xy, **options)
         except NoRouteError as error:
             raise NoRouteError(
-                f"{error.message} and at most {self.max_power_w:g} W", **error.context, max_power_w=self.max_power_w
+                f"with at most {self.max_power_w:g} W {error.message}", **error.context, max_power_w=self.max_power_w
             ) from error
 
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:

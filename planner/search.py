@@ -142,8 +142,8 @@ def no_route(robot: Robot, reached: int) -> NoRouteError:
     """
     return NoRouteError(
         f"no way leads from start to goal within the limits of {robot.name} (grade {robot.max_grade_deg:g} deg, "
-        f"cross slope {robot.max_cross_slope_deg:g} deg): only {reached:,} places can be reached from the start; move "
-        "the start or the goal",
+        f"cross slope {robot.max_cross_slope_deg:g} deg): {reached:,} places can be reached from the start, and the "
+        "goal is none of them; move the start or the goal",
         reached=reached,
     )
 

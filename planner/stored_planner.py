@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan, RoundTrip
 from joulemap.planner.avoid import checked_polygons
-from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path
+from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path, shorter_of
 from joulemap.planner.bound import quick_bound
 from joulemap.planner.coarse import CoarseLevel, coarse_level
 from joulemap.planner.edges import Points, path_price
@@ -206,6 +206,7 @@ class StoredPlanner:
         level = self._level(neighbours, report.part(0.1, half))[1]
         points, details = self._searched(start, goal, neighbours, level, refine, report.part(half, 1.0))
         details |= {"planner": planner, "neighbours": neighbours, "refined": refine, "tiled": True}
+        shortest = shorter_of(self.lattice, _of_distances(self.lattice), shortest, points)
         details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
         if details["from_shortest"]:
             self._strip.read_along(shortest, cells=MARGIN_CELLS if refine else 4)

@@ -47,7 +47,7 @@ def odds_along(routes: Sequence[Route]) -> EnergyOdds | None:
     by_metre = [np.diff(np.interp(marks, distance, along)) for along in (mean_j, std_j)]
     scale, freedom = spread.along(*by_metre)
     if freedom is not None:
-        freedom = np.interp(distance[1:], marks[1:], freedom) if freedom.size else np.zeros(0)
+        freedom = np.interp(distance[1:], marks[1:], freedom) if freedom.size else None  # nothing is driven
     scale_j = np.interp(distance[1:], marks, np.append(0.0, scale))
     return EnergyOdds(mean_j[1:], scale_j, freedom, spread.bias, spread.skew)
 

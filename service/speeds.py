@@ -168,7 +168,8 @@ def speeds_along(route: Route, lattice: CostLattice, ground: Ground, predictor: 
     Raises
     ------
     InputError
-        If the heightmap is another one, or the model does not know what speed costs.
+        If the heightmap or the model is another one, the route has no length, or the model does not know what speed
+        costs.
 
     Notes
     -----
@@ -178,6 +179,16 @@ def speeds_along(route: Route, lattice: CostLattice, ground: Ground, predictor: 
     made_of = lattice.provenance.get("heightmap", {}).get("hash")
     if made_of is not None and made_of != ground.data_hash:
         raise InputError("this is not the heightmap that the cost map was made of", expected=made_of)
+    made_by, asked = lattice.provenance.get("model"), predictor.provenance()
+    if made_by is not None and any(made_by.get(key) != asked.get(key) for key in ("kind", "version")):
+        raise InputError(
+            f"the cost map was made with the model {made_by.get('name')} (version {made_by.get('version')}), this is "
+            f"{asked['name']} (version {asked['version']}): name the cost map's own `model`",
+            expected=made_by.get("name"),
+            model=asked["name"],
+        )
+    if route.length_m == 0.0:
+        raise InputError("the route has no length: start and goal are the same place")
     robot = lattice.robot
     low, high, source = known_speeds(predictor, robot)
     if route.length_m > MOST_M:

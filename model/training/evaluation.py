@@ -183,6 +183,12 @@ def evaluate_on_sites(predictor: Predictor, sites: Sequence[Site], *, charge: bo
         covered = coverage(segments.energy_j[known], said.energy_j[known], said.std_j[known], predictor.spread)
     beyond = [warning for site in sites for warning in predictor.warnings(site.heightmap, site.robot)]
     seen, warnings = seen_runs(predictor.provenance(), runs)
+    if charge or not all(run.has_energy for run in runs):
+        volts = ", ".join(sorted({f"{site.robot.nominal_voltage_v:g}" for site in sites}))
+        warnings.append(f"energy is the logged charge times the robot's nominal voltage, {volts} V, and not measured")
+    outside = sorted(set(segments.runs) - {segments.runs[k] for k in np.unique(segments.run[known])})
+    if outside:
+        warnings.append(f"no metre of these runs lies on known ground of the map: {', '.join(outside)}")
     return {
         "model": predictor.name,
         **found,

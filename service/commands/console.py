@@ -132,7 +132,7 @@ class Output:
         rows : mapping of str to str
             Name -> value, plain text.
         """
-        width = max(len(name) for name in rows)
+        width = max(map(len, rows), default=0)
         for name, value in rows.items():
             self.say(value, head=f"  {name:<{width}} ", style="dim")
 

@@ -33,6 +33,9 @@ def field(
 ) -> None:
     """Write the **least energy** from a start to all cells, from all cells to a goal, or over each cell between both.
 
+    The energies are those of paths over grid moves, as of `joulemap path --no-refine`: mostly 1 to 3 % above a refined
+    path, and far more where only such a path fits through a passage.
+
     Examples:
 
     `joulemap field dem.zarr --goal 180,95 --out to_base.tif`

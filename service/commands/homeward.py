@@ -44,6 +44,8 @@ def point_of_no_return(
 ) -> None:
     """Say until where a robot may follow its path and **still come home**: the point of no return.
 
+    Ways home are counted over grid moves, as by `joulemap path --no-refine`: a refined path may need less energy.
+
     Examples:
 
     `joulemap return dem.zarr --path survey.geojson --home 12,40 --charge 0.5 --reserve 0.2`

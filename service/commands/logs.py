@@ -73,6 +73,8 @@ def import_logs(
     if len(set(stems)) < len(stems):
         stems = [_stem(name).replace(".", "_") for name in distinct_names(files)]
         stems = [f"{stem}_{file.suffix[1:]}" for stem, file in zip(stems, files, strict=True)]
+    if out is not None and out.is_file():
+        raise ConflictError(f"{out} is a file: give a folder for the CSV files", path=str(out))
     if out is not None and not overwrite:
         taken = next((out / f"{stem}.csv" for stem in stems if (out / f"{stem}.csv").exists()), None)
         if taken is not None:

@@ -22,6 +22,7 @@ from joulemap.service.commands.console import (
     write_file,
 )
 from joulemap.service.commands.options import (
+    DEFAULT_QUANTILE,
     Avoid,
     MaxPower,
     ModelName,
@@ -33,6 +34,7 @@ from joulemap.service.commands.options import (
     RobotFile,
     Snap,
     StateOfCharge,
+    png,
     reads_heightmap,
     refuse_to_replace,
     robot_of,
@@ -100,7 +102,7 @@ def costmap(
     ] = None,
     npz: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write a NumPy .npz.")] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw it, mean over headings (PNG).")
+        Path | None, typer.Option(metavar="FILE", callback=png, help="Also draw it, mean over headings (PNG).")
     ] = None,
     overwrite: Overwrite = False,
     scheduler: Scheduler = None,
@@ -277,16 +279,19 @@ def path(
         typer.Option(help="astar or dijkstra (exact on the grid); rrtstar, informed_rrtstar or bitstar (sampling)."),
     ] = "astar",
     neighbours: Annotated[
-        int, typer.Option(metavar="N", help="Directions of a step of the grid planners: 8, 16 or 32.")
+        int,
+        typer.Option(
+            metavar="N", help="Directions of a step with --no-refine: 8, 16 or 32. A refined path begins with 32."
+        ),
     ] = 16,
-    refine: Annotated[bool, typer.Option(help="Straighten the grid path to any angle.")] = True,
+    refine: Annotated[bool, typer.Option(help="Improve the grid path at any angle.")] = True,
     time_limit: Annotated[float, typer.Option(min=0.01, metavar="S", help="Time for the sampling planners [s].")] = 5.0,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the sampling planners.")] = 0,
     alternatives: Annotated[int, typer.Option(min=0, metavar="K", help="Most other good routes to look for.")] = 0,
     snap: Snap = False,
     avoid: Avoid = None,
     objective: ObjectiveName = "mean",
-    quantile: Quantile = 0.95,
+    quantile: Quantile = DEFAULT_QUANTILE,
     max_power: MaxPower = None,
     bound: Annotated[
         bool,
@@ -302,7 +307,9 @@ def path(
     picture: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Draw all paths, and the profiles of the energy-optimal and the shortest one (PNG)."
+            metavar="FILE",
+            callback=png,
+            help="Draw all paths, and the profiles of the energy-optimal and the shortest one (PNG).",
         ),
     ] = None,
     server: Server = None,
@@ -406,7 +413,7 @@ def feasibility(
     snap: Snap = False,
     avoid: Avoid = None,
     objective: ObjectiveName = "mean",
-    quantile: Quantile = 0.95,
+    quantile: Quantile = DEFAULT_QUANTILE,
     max_power: MaxPower = None,
     memory: Memory = None,
     capacity_wh: Annotated[

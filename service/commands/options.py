@@ -19,6 +19,29 @@ if TYPE_CHECKING:
     from joulemap.model.runs.sites import Site
 
 
+def png(path: Path | None) -> Path | None:
+    """Return the file that a picture is written to.
+
+    Parameters
+    ----------
+    path : Path, optional
+        As it was typed.
+
+    Returns
+    -------
+    Path or None
+        The same.
+
+    Raises
+    ------
+    typer.BadParameter
+        If its name says that it is no PNG.
+    """
+    if path is not None and path.suffix.lower() not in ("", ".png"):
+        raise typer.BadParameter(f"pictures are PNG, and {path} does not end in .png")
+    return path
+
+
 def there(path: Path | None) -> Path | None:
     """Return the file or folder that an option names.
 
@@ -143,6 +166,7 @@ ObjectiveName = Annotated[
         "exceed) or arrival (most likely to arrive with the reserve; in `joulemap feasibility`).",
     ),
 ]
+DEFAULT_QUANTILE = 0.95
 Quantile = Annotated[
     float, typer.Option(min=0.5, max=0.99, metavar="0..1", help="Share of drives for --objective quantile.")
 ]
@@ -317,7 +341,10 @@ def refuse_to_replace(out: Path, *, overwrite: bool, mark: str = "") -> None:
     """
     if not overwrite and (out / mark).exists():
         raise ConflictError(
-            f"{out} is there already: choose another folder, or replace it with --overwrite", path=str(out)
+            f"{out} is a file: give another name"
+            if out.is_file()
+            else f"{out} is there already: choose another folder, or replace it with --overwrite",
+            path=str(out),
         )
 
 
@@ -338,6 +365,10 @@ def weighed_options(objective: str, quantile: float, max_power_w: float | None) 
     dict
         Without what is as usual, so that older services understand it.
     """
+    if objective == "mean" and quantile != DEFAULT_QUANTILE:
+        raise typer.BadParameter(
+            f"a quantile of {quantile:g} counts with --objective quantile only: give both", param_hint="--quantile"
+        )
     chosen: dict[str, Any] = {} if objective == "mean" else {"objective": objective, "quantile": quantile}
     return chosen | ({} if max_power_w is None else {"max_power_w": max_power_w})
 

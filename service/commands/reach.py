@@ -56,7 +56,8 @@ def reach(
 ) -> None:
     """Show where the **battery lasts to**: one way, or there and back.
 
-    On the border, a route that `joulemap path` finds needs all of the charge above the reserve.
+    On the border, a route over grid moves (`joulemap path --no-refine`) needs all of the charge above the reserve. A
+    refined path may need less, so somewhat more can be reached than is shown.
 
     Examples:
 

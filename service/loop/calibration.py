@@ -34,6 +34,7 @@ from joulemap.service.models import CALIBRATED_FOLDER, load_model, model_name, p
 FloatArray = NDArray[np.float64]
 
 _LEAST_M = 1e-6  # of track: rounding
+_WORTH_DRIVING = 0.95  # most of an interval's width that a drive may leave
 BASE_FOLDER = "base"
 """Where a calibrated model's folder keeps its base model."""
 
@@ -205,9 +206,13 @@ def _next_drive(
     found: Calibration, predictor: Predictor, heightmap: Heightmap, runs: CalibrationRuns, seed: int
 ) -> dict[str, Any]:
     try:
-        return next_drive(found, predictor, heightmap, runs.robot, placed=runs.placed, seed=seed).as_dict()
+        drive = next_drive(found, predictor, heightmap, runs.robot, placed=runs.placed, seed=seed)
     except (InputError, InfeasibleError) as error:  # no effect was found, or no route fits
         return {"why_not": error.message}
+    share, title = drive.suggestion.shrinkage, drive.effect.title
+    if share > _WORTH_DRIVING:
+        return {"why_not": f"after the best drive found, the interval of {title} would be {share:.0%} as wide as now"}
+    return drive.as_dict()
 
 
 _READ, _CALIBRATED = 0.3, 0.8  # of the work

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -167,6 +168,56 @@ def test_a_percentage_is_answered_with_the_share_to_type(option: str, typed: str
     assert code == 2
     assert words in errors
     assert joulemap(*asked, option, "0.6")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        (["--quantile", "0.8"], 2, "a quantile of 0.8 counts with --objective quantile only"),
+        (["--picture", "path.jpg"], 2, "pictures are PNG, and path.jpg does not end in .png"),
+        (["--max-power", "25"], 4, "with at most 25 W no way leads from start to goal"),
+    ],
+)
+def test_an_option_that_would_change_nothing_or_cannot_be_met_is_refused(
+    more: list[str], code: int, words: str, costmap: Path
+) -> None:
+    found, _, errors = joulemap("path", costmap, "--start", "3.5,4.5", "--goal", "30.5,20.5", *more)
+    assert words in errors
+    assert found == code
+
+
+def test_evaluate_says_what_it_took_for_energy_and_which_runs_are_not_on_the_map(field: Path, tmp_path: Path) -> None:
+    for name, shift in (("near.csv", 0.0), ("far.csv", 9000.0)):
+        header, *rows = csv.reader(next(field.glob("**/*.csv")).read_text().splitlines())
+        kept = [k for k, column in enumerate(header) if column in ("t", "x", "y", "current")]
+        x = [header[k] for k in kept].index("x")
+        lines = [[row[k] for k in kept] for row in rows]
+        lines = [[*line[:x], str(float(line[x]) + shift), *line[x + 1 :]] for line in lines]
+        (tmp_path / name).write_text("\n".join(",".join(line) for line in [[header[k] for k in kept], *lines]))
+    code, words, errors = joulemap(
+        "evaluate",
+        "--heightmap",
+        field / "dem.tif",
+        "--model",
+        "physics",
+        "--runs",
+        tmp_path / "near.csv",
+        tmp_path / "far.csv",
+    )
+    assert code == 0, errors
+    assert "Model physics on 1 run" in words
+    assert "energy is the logged charge times the robot's nominal voltage, 28.8 V, and not measured" in errors
+    assert "no metre of these runs lies on known ground of the map: far.csv" in errors
+
+
+def test_a_file_is_no_folder_to_write_to(costmap: Path, field: Path, tmp_path: Path) -> None:
+    taken = tmp_path / "taken.csv"
+    taken.write_text("mine")
+    run = next(field.glob("**/*.csv"))
+    assert "is a file: give a folder for the CSV files" in joulemap("import", run, "--out", taken)[2]
+    made = joulemap("costmap", costmap.parent / "dem.tif", "--model", "physics", "--out", taken)
+    assert "is a file: give another name" in made[2]
+    assert taken.read_text() == "mine"
 
 
 def test_a_cost_map_too_large_is_refused_at_once(costmap: Path, tmp_path: Path) -> None:

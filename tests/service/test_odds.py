@@ -15,6 +15,7 @@ import joulemap as jm
 from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.physics import PhysicsPredictor
 from joulemap.model.energy.uncertainty import Spread
+from joulemap.model.errors import InputError
 from joulemap.model.loop.terms import Correction
 from joulemap.model.terrain.writers import write_geotiff
 from joulemap.planner.lattice_build import build_lattice
@@ -281,6 +282,36 @@ def test_routes_are_chosen_by_more_than_their_mean(
         refused = client.post(f"{place}/paths", json=ends | wrong)
         assert refused.status_code == 422
         assert words in refused.text
+
+
+def test_a_question_of_no_length_takes_no_energy(known: CostMap, client: TestClient, learned: tuple[str, Path]) -> None:
+    costmap_id, nowhere = learned[0], {"start": START, "goal": START}
+    path = ask(client, costmap_id, "paths", **nowhere)
+    assert [path[key] for key in ("energy_j", "length_m", "energy_std_j", "energy_p95_j")] == [0.0] * 4
+    for task in (nowhere | {"round_trip": True}, {"path": [START, START]}):
+        verdict = ask(client, costmap_id, "feasibility", **task, battery={"charge": 0.5})
+        assert (verdict["energy_j"], verdict["energy_p95_j"], verdict["feasible"]) == (0.0, 0.0, True)
+    assert ask(client, costmap_id, "tours", stops=[START, GOAL, GOAL])["energy_j"] > 0.0
+    refused = client.post(f"/v1/costmaps/{costmap_id}/speeds", json=nowhere)
+    assert refused.status_code == 422
+    assert "the route has no length" in refused.text
+    again = known.plan(START, START)
+    assert quantiles_of_route(again.route)["energy_p50_j"] == 0.0
+
+
+def test_speeds_are_those_of_the_model_of_the_cost_map() -> None:
+    ground = hill()
+    costs = CostMap(build_lattice(ground, jm.Robot(), PhysicsPredictor()))
+    with pytest.raises(InputError, match=r"made with the model physics \(version 1\), this is default"):
+        costs.speeds([START, GOAL], ground)
+
+
+def test_the_way_home_without_a_path_is_told(tmp_path: Path) -> None:
+    CostMap(build_lattice(hill(), jm.Robot(), PhysicsPredictor())).save(tmp_path / "hill.zarr")
+    ends = ["--position", "{},{}".format(*START), "--home", "{},{}".format(*GOAL)]
+    told = CliRunner().invoke(app, ["return", str(tmp_path / "hill.zarr"), *ends, "--charge", "0.5"])
+    assert told.exit_code == 0, told.output
+    assert "It still comes home from here" in told.output
 
 
 def steps(path: dict[str, Any]) -> list[float]:

@@ -8,9 +8,11 @@ import pytest
 from joulemap.model.battery import Battery
 from joulemap.model.errors import BlockedError, InputError, NegativeCycleError, NoRouteError, PointError
 from joulemap.model.robot import Robot
+from joulemap.planner.best import shorter_of
 from joulemap.planner.budget import judge
-from joulemap.planner.edges import price_world_path
-from joulemap.planner.plan import PLANNERS, RoutePlanner
+from joulemap.planner.edges import path_price, price_world_path
+from joulemap.planner.plan import PLANNERS, RoutePlanner, distance_lattice
+from joulemap.planner.refine import path_length
 from joulemap.planner.route import price_route
 from joulemap.planner.sampling import price_floor_per_m
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice, uniform_lattice
@@ -219,3 +221,15 @@ def test_a_verdict_is_energy_against_charge_above_the_reserve(energy_j, feasible
     assert verdict.feasible is feasible
     assert verdict.margin_j - verdict.shortfall_j == pytest.approx(margin)
     assert verdict.charge_at_end == pytest.approx(end)
+
+
+def test_the_shortest_path_is_never_longer_than_the_route():
+    lattice, _ = ascii_lattice(ROOM)
+    distances = distance_lattice(lattice)
+    around = np.array([(1.0, 1.0), (0.0, 2.0), (0.0, 6.0), (2.0, 8.0)])
+    further = np.array([(1.0, 1.0), (3.0, 2.0), (0.0, 2.0), (0.0, 6.0), (4.0, 7.0), (2.0, 8.0)])
+    assert shorter_of(lattice, distances, around, further) is around
+    found = shorter_of(lattice, distances, further, around)
+    assert path_length(found) <= path_length(around)
+    np.testing.assert_array_equal(found[[0, -1]], around[[0, -1]])
+    assert np.isfinite(path_price(lattice, found))
