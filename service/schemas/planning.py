@@ -207,7 +207,7 @@ class ShortestOut(ResponseModel):
 
     energy_j: float = Field(description="energy [J]")
     length_m: float = Field(description="horizontal length [m]")
-    path: list[Point3]
+    path: list[Point3] = Field(repr=False)
 
 
 class RouteOut(ResponseModel):
@@ -223,13 +223,13 @@ class RouteOut(ResponseModel):
     duration_s: float = Field(description="time at the robot's speed [s]", examples=[194.2])
     climb_m: float = Field(ge=0, description="sum of all ascents [m]", examples=[4.2])
     descent_m: float = Field(ge=0, description="sum of all descents [m]", examples=[1.1])
-    path: list[Point3]
+    path: list[Point3] = Field(repr=False)
 
 
 class PathOut(RouteOut):
     """The energy-optimal path, and the shortest path for comparison."""
 
-    profile: list[PieceOut] = Field(description="energy and height along the path")
+    profile: list[PieceOut] = Field(repr=False, description="energy and height along the path")
     shortest: ShortestOut
     alternatives: list[RouteOut] = Field(
         description="other good paths, the one of least energy first; empty unless asked for"
@@ -302,7 +302,8 @@ class FeasibilityOut(VerdictOut):
         description="what both ways were chosen by together; null for the least expected energy"
     )
     profile: list[BatteryPieceOut] | None = Field(
+        repr=False,
         description="charge and voltage along the way, of a plain lithium-ion pack where the battery does not say; "
-        "null unless asked for"
+        "null unless asked for",
     )
     warnings: list[str]

@@ -53,7 +53,7 @@ class SpeedsOut(ResponseModel):
     )
     source: str = Field(description="where the range of speeds comes from")
     length_m: float = Field(description="horizontal length of the route [m]")
-    path: list[Point3]
+    path: list[Point3] = Field(repr=False)
     warnings: list[str]
 
 

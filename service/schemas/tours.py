@@ -46,7 +46,7 @@ class TourOut(RouteOut):
     order: list[int] = Field(
         description="numbers of the stops in the order of the visit, 0 first", examples=[[0, 2, 1]]
     )
-    profile: list[PieceOut] = Field(description="energy and height along the whole tour")
+    profile: list[PieceOut] = Field(repr=False, description="energy and height along the whole tour")
     legs: list[RouteOut] = Field(description="from each stop to the next, and from the last back to the first")
     grid_energy_j: float = Field(description="energy of the tour along the grid, before `refine` [J]")
     bound_j: float = Field(description="lower bound of the energy of any order along the grid [J]")
