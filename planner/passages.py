@@ -20,9 +20,10 @@ from joulemap.planner.kernels import heading_memory, leg_energy_with
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 
-AROUND = 2
-"""How far beside the cells of nearly best grid paths, and beside closed moves, the points lie [cells]: on a real
-hillside no cheapest path between points at a quarter of the spacing was further away."""
+AROUND = 6
+"""How far beside the cells of nearly best grid paths, and beside closed moves, the points lie [cells]. With 2, nine of
+100 random tasks on a real hillside cost over 0.1 % more than with the best of 2, 3, 4 and 6, by up to 3.3 %; with 9 or
+12 none becomes cheaper on average."""
 
 
 def path_through_passages(
