@@ -188,7 +188,7 @@ class Jobs:
             _LOG.warning("job %s waits and is tried again: %s", job_id, error)
             return
         if job_id not in self._store.wanted():
-            _LOG.info("job %s was deleted while it was made: %s", job_id, error)
+            _LOG.info("job %s is not wanted any more, and its error does not count: %s", job_id, error)
             return
         problem = error.problem if isinstance(error, Refused) else problem_of(error, job_id)
         if problem["status"] >= 500:

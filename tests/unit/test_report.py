@@ -1,6 +1,7 @@
 """What a reader of a calibration's report sees: sentences, names in the field's terms, and honest colour scales."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,12 +17,13 @@ from joulemap.model.loop.terms import Term
 from joulemap.model.runs.words import count_words, quantity_name
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
+from joulemap.service.loop import calibration
 from joulemap.service.loop.base_words import base_name, base_words
 from joulemap.service.loop.calibration import Calibrated, campaigns_of
 from joulemap.service.loop.deprecated_keys import with_former_keys
 from joulemap.service.loop.effect_words import confounded_words, found_words
 from joulemap.service.loop.error_words import error_states, error_words, variation_words
-from joulemap.service.loop.next_drive import next_drive
+from joulemap.service.loop.next_drive import NextDrive, next_drive
 from joulemap.service.loop.next_words import NextStep, drive_words, likeliest
 from joulemap.service.loop.report_figures import LEAST_SPAN, change_scale
 from joulemap.service.loop.report_page import report_page
@@ -418,6 +420,18 @@ def suggested(monkeypatch):
 
 def drive_for(found, effect=None):
     return next_drive(found, PhysicsPredictor(), LEVEL, ROBOT, effect=effect).as_dict()
+
+
+@pytest.mark.parametrize(("share", "suggested"), [(0.4, True), (0.95, True), (0.96, False), (1.0, False)])
+def test_a_drive_that_tells_nothing_new_is_not_suggested(share, suggested, monkeypatch):
+    drive = Suggestion(np.zeros((2, 2)), "a square", "lag", (0.5,), share, 40.0)
+    found = NextDrive(drive, MeterLag(), (), 200.0, placed=True)
+    monkeypatch.setattr(calibration, "next_drive", lambda *_, **__: found)
+    told = calibration._next_drive(None, None, None, SimpleNamespace(robot=ROBOT, placed=True), 0)
+    if suggested:
+        assert told["expected_interval_share"] == share
+    else:
+        assert f"would be {share:.0%} as wide as now" in told["why_not"]
 
 
 def test_a_drive_is_suggested_for_an_effect_by_its_name_or_its_label(nothing, suggested):
