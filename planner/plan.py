@@ -52,8 +52,8 @@ def distance_lattice(lattice: CostLattice) -> CostLattice:
         The lattice of distances.
     """
     robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
-    unknown = np.isnan(lattice.traction_per_m).any(axis=2, keepdims=True)
-    flat = np.where(np.broadcast_to(unknown, (*lattice.frame.shape, 4)), np.float32(np.nan), np.float32(0.0))
+    known = np.einsum("ijk->ij", lattice.traction_per_m)  # NaN where one heading is
+    flat = np.where(np.isnan(known), np.float32(np.nan), np.float32(0.0))[:, :, None].repeat(4, axis=2)
     return replace(lattice, robot=robot, traction_per_m=flat, std_j=None)
 
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 from importlib.metadata import version
 
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
-from joulemap.model.errors import BusyError, JoulemapError
+from joulemap.model.errors import BusyError, JoulemapError, NotFoundError
 from joulemap.planner.plan import RoutePlanner
 from joulemap.service.http.health import NOT_YET, OK, Health
 from joulemap.service.http.job_events import JobEvents, look_into
@@ -64,7 +64,7 @@ class Service(SentFiles, Made):
         self.job_events = JobEvents(look_into(self.store))
         queues = [self.plans, self.prices]
         watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=queues)
-        self.jobs = Jobs(self.store, settings, on_done=self._open_made)
+        self.jobs = Jobs(self.store, settings, on_made=self._open_made)
         self.health.add("workers", self._check_workers)
         if settings.store is not None:
             self.health.add("object store", self.store.vault.check)
@@ -188,6 +188,10 @@ class Service(SentFiles, Made):
             with suppress(JoulemapError), self.maps.for_routes(job_id) as planner:
                 if isinstance(planner, RoutePlanner):
                     planner.prepare()
+            try:
+                self.store.costmap(job_id)
+            except NotFoundError:  # it was deleted before it could be noted as done
+                self.maps.forget(job_id)
             give_back_freed_memory()  # of the map that had to go
 
         async def _in_turn() -> None:

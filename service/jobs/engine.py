@@ -47,12 +47,12 @@ class Jobs:
         Open once `start` is called.
     settings : Settings
         Where the cluster is, and limits.
-    on_done : callable, optional
-        Is given the id of every job of this service that is done, on another thread.
+    on_made : callable, optional
+        Is given the id of every job whose result is there, on another thread, before the job is noted as done.
     """
 
-    def __init__(self, store: Store, settings: Settings, *, on_done: Callable[[str], object] | None = None) -> None:
-        self._store, self._settings, self._on_done = store, settings, on_done
+    def __init__(self, store: Store, settings: Settings, *, on_made: Callable[[str], object] | None = None) -> None:
+        self._store, self._settings, self._on_made = store, settings, on_made
         self._at_work = settings.scheduler is not None or settings.workers > 0
         self._failures: dict[str, int] = {}
         self._wake, self._stopping = asyncio.Event(), False
@@ -161,10 +161,10 @@ class Jobs:
 
     def _finish(self, job_id: str, summary: dict[str, Any]) -> None:
         """Note a job as done and remove what it needed; in one go, as a service may stop as soon as it is noted."""
-        done = self._store.finish(job_id, summary)
+        if self._on_made is not None:
+            self._on_made(job_id)  # first, because the checksums that are noted take a while
+        self._store.finish(job_id, summary)
         self._store.tidy(job_id)
-        if done and self._on_done is not None:
-            self._on_done(job_id)
 
     async def _made(self, client: Client, job_id: str, priority: float) -> dict[str, Any]:
         """Make a job; what came out. Its progress is reported now and then."""

@@ -41,3 +41,28 @@ def test_a_disk_that_fails_meanwhile_is_in_the_log(
         monkeypatch.undo()
         answer = client.post(f"/v1/costmaps/{made}/paths", json={"start": START, "goal": GOAL})
         assert answer.status_code == 200, answer.text
+
+
+def test_a_map_that_is_deleted_before_it_is_noted_as_done_does_not_stay_in_memory(
+    tmp_path: Path, hill_tif: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = create_app(settings_for(tmp_path))
+    opened: list[str] = []
+    with TestClient(app) as client:
+        service: Any = app.state.service
+        store_type, maps = type(service.store), service.maps
+        finish, forget = store_type.finish, maps.forget
+
+        def _deleted_first(store: Any, job_id: str, summary: dict[str, Any]) -> bool:
+            service.delete_costmap(job_id)
+            return bool(finish(store, job_id, summary))
+
+        monkeypatch.setattr(store_type, "finish", _deleted_first)
+        monkeypatch.setattr(maps, "forget", lambda job_id: (opened.append(job_id), forget(job_id)))
+        heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
+        made = client.post("/v1/costmaps", json={"heightmap_id": heightmap, "model": "physics"}).json()["id"]
+        until = time.monotonic() + 60.0
+        while opened != [made, made] and time.monotonic() < until:  # by the deletion, and by the opening that began
+            time.sleep(0.02)
+        assert opened == [made, made]
+        assert len(maps) == 0
