@@ -53,6 +53,7 @@ def main() -> None:
     only.add_argument("--objectives", action="store_true", help="set routes that weigh odds beside the cheapest ones")
     parser.add_argument("--tasks", type=int, default=10, help="random tasks a map: --quality, --beside, --reach, ...")
     parser.add_argument("--seed", type=int, default=11, help="of the random tasks of --quality and --beside")
+    parser.add_argument("--map", default="", metavar="NAME", help="only maps that have this in their name: --quality")
     parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
     parser.add_argument("--real", type=Path, help="a heightmap for --quality, --beside, --reach and --objectives")
     options = parser.parse_args()
@@ -61,7 +62,7 @@ def main() -> None:
         console.print(compare_planners(read_heightmap(options.heightmap)))
     elif options.quality:
         real = read_heightmap(options.real) if options.real else None
-        console.print(compare_options(real, options.tasks, options.sampling, options.seed))
+        console.print(compare_options(real, options.tasks, options.sampling, options.seed, options.map))
     elif options.beside:
         real = read_heightmap(options.real) if options.real else None
         console.print(compare_ways_beside(real, options.tasks, options.seed))

@@ -127,10 +127,11 @@ NOTICED = 0.001
 """Share of the energy that another option of ours may save."""
 
 
-def compare_options(heightmap: Heightmap | None, tasks: int, sampling_s: float, seed: int) -> Table:
+def compare_options(heightmap: Heightmap | None, tasks: int, sampling_s: float, seed: int, only: str = "") -> Table:
     """Random tasks on several maps: what other options of ours, a finer lattice and the bound say beside the default.
 
-    heightmap : a real one, or None; sampling_s : time of BIT* from the grid, 0 to leave it out; seed : of the tasks.
+    heightmap : a real one, or None; sampling_s : time of BIT* from the grid, 0 to leave it out; seed : of the tasks;
+    only : part of the names of the maps.
     """
     out = Table(title=f"energy of the default answer beside others, {tasks} random tasks a map")
     columns = ("map", "beside", "mean gap %", "95th percentile %", "worst %", "tasks above 0.1 %")
@@ -138,6 +139,8 @@ def compare_options(heightmap: Heightmap | None, tasks: int, sampling_s: float, 
         out.add_column(column, justify="left" if column in columns[:2] else "right")
     asked = cheaper = 0
     for name, lattice in quality_maps(heightmap):
+        if only not in name:
+            continue
         gaps, below, seconds_each = _gaps(lattice, tasks, sampling_s, seed)
         asked += tasks
         cheaper += int((np.array([gaps[option] for option in OPTIONS if option in gaps]) > NOTICED).any(axis=0).sum())
