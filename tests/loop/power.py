@@ -25,6 +25,7 @@ from tests.loop.parallel import Row, rows_of
 SIZES = (0.03, 0.06, 0.125, 0.25, 0.5, 1.0)
 RUNS = (4, 6, 8, 12, 16, 24)
 SPREADS = (0.02, 0.05, 0.10)
+_ALL = "all of them"
 
 
 def try_power(key: str) -> Row:
@@ -45,7 +46,8 @@ def try_power(key: str) -> Row:
 
 
 def curve(rows: Sequence[Row], place: int, head: str) -> str:
-    """Markdown: a line for each kind, spread and number of baseline runs; a column for each value of part `place`."""
+    """Markdown: a line for each kind, spread and number of baseline runs, and for all kinds together; a column for each
+    value of part `place`."""
     parts = [row["key"].split(":") for row in rows]
     values = sorted({part[place] for part in parts}, key=float)
     lines = [
@@ -53,21 +55,24 @@ def curve(rows: Sequence[Row], place: int, head: str) -> str:
         f"| {' | '.join(f'{head} {v}' for v in values)} |",
         "|---" * (5 + len(values)) + "|",
     ]
-    for group in sorted({(part[0], float(part[3]), int(part[4])) for part in parts}):
-        cells, counts, shares = [], [], []
-        for value in values:
-            mine = [
-                row
-                for row, part in zip(rows, parts, strict=True)
-                if (part[0], float(part[3]), int(part[4])) == group and part[place] == value and "error" not in row
-            ]
-            counts.append(len(mine))
-            shares += [row["share"] for row in mine]
-            cells.append(_share(mine))
-        lines.append(
-            f"| {group[0]} | {np.median(shares) if shares else 0.0:+.1%} | {group[1]:.0%} | {group[2]} "
-            f"| {min(counts)} to {max(counts)} | {' | '.join(cells)} |"
-        )
+    kinds = sorted({part[0] for part in parts})
+    for kind in [*kinds, _ALL] if len(kinds) > 1 else kinds:
+        of_kind = [(row, part) for row, part in zip(rows, parts, strict=True) if kind in (part[0], _ALL)]
+        for spread, base in sorted({(float(part[3]), int(part[4])) for _, part in of_kind}):
+            cells, counts, shares = [], [], []
+            for value in values:
+                mine = [
+                    row
+                    for row, part in of_kind
+                    if (float(part[3]), int(part[4])) == (spread, base) and part[place] == value and "error" not in row
+                ]
+                counts.append(len(mine))
+                shares += [row["share"] for row in mine]
+                cells.append(_share(mine))
+            lines.append(
+                f"| {kind} | {np.median(shares) if shares else 0.0:+.1%} | {spread:.0%} | {base} "
+                f"| {min(counts)} to {max(counts)} | {' | '.join(cells)} |"
+            )
     return "\n".join(lines)
 
 
@@ -86,6 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--sizes", default=",".join(map(str, SIZES)), help="of effects within runs")
     parser.add_argument("--runs", default=",".join(map(str, RUNS)), help="numbers of runs, for effects between runs")
     parser.add_argument("--spreads", default=",".join(map(str, SPREADS)), help="between runs, for effects between runs")
+    parser.add_argument(
+        "--between", type=float, default=1.0, metavar="SIZE", help="of effects between runs [default: 1]"
+    )
     parser.add_argument("--base", type=int, default=6, help="baseline runs; 0 for none [default: 6]")
     parser.add_argument("--cases", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
@@ -103,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for size in options.sizes.split(",")
     ]
     between = [
-        f"{kind}:1.0:{runs}:{spread}:{options.base}:{seed}"
+        f"{kind}:{options.between}:{runs}:{spread}:{options.base}:{seed}"
         for seed in seeds
         for kind in kinds
         if KINDS[kind].between
