@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import mmap
 import sys
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -33,9 +34,10 @@ def empty_in_small_pages(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray:
     16 ms, and 4.5 times as long as the same memory in small pages, and whatever waits for this processor or for the
     interpreter waits with it. For arrays that come and go, whose memory is used again, large pages are better.
     """
-    count = math.prod(shape) * np.dtype(dtype).itemsize
-    if sys.platform != "linux" or count < _LARGE_BYTES:
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if sys.platform != "linux" or size < _LARGE_BYTES:
         return np.empty(shape, dtype)
-    memory = mmap.mmap(-1, count, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    memory.madvise(mmap.MADV_NOHUGEPAGE)
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    with suppress(OSError):  # a kernel without large pages does not know the advice, and needs none
+        memory.madvise(mmap.MADV_NOHUGEPAGE)
     return np.frombuffer(memory, dtype).reshape(shape)

@@ -64,7 +64,8 @@ def path_through_passages(
 
     Notes
     -----
-    Points that are settled stay settled, so with negative prices the path may not be the cheapest.
+    Points that are settled stay settled, so with negative prices the path may not be the cheapest. A leg that cannot
+    make its end cheaper is not priced and counts as open.
     """
     rows, cols = lattice.frame.shape
     near = _around(usual, lattice.frame.shape)

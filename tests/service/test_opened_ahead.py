@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -47,22 +48,30 @@ def test_a_map_that_is_deleted_before_it_is_noted_as_done_does_not_stay_in_memor
     tmp_path: Path, hill_tif: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     app = create_app(settings_for(tmp_path))
-    opened: list[str] = []
+    forgotten: list[str] = []
+    deleted = threading.Event()
     with TestClient(app) as client:
         service: Any = app.state.service
         store_type, maps = type(service.store), service.maps
-        finish, forget = store_type.finish, maps.forget
+        finish, forget, for_routes = store_type.finish, maps.forget, maps.for_routes
 
         def _deleted_first(store: Any, job_id: str, summary: dict[str, Any]) -> bool:
             service.delete_costmap(job_id)
+            deleted.set()
             return bool(finish(store, job_id, summary))
 
         monkeypatch.setattr(store_type, "finish", _deleted_first)
-        monkeypatch.setattr(maps, "forget", lambda job_id: (opened.append(job_id), forget(job_id)))
+
+        def _forget(job_id: str) -> None:
+            forget(job_id)
+            forgotten.append(job_id)
+
+        monkeypatch.setattr(maps, "forget", _forget)
+        monkeypatch.setattr(maps, "for_routes", lambda job_id: deleted.wait(60.0) and for_routes(job_id))
         heightmap = client.post("/v1/heightmaps", content=hill_tif).json()["id"]
         made = client.post("/v1/costmaps", json={"heightmap_id": heightmap, "model": "physics"}).json()["id"]
         until = time.monotonic() + 60.0
-        while opened != [made, made] and time.monotonic() < until:  # by the deletion, and by the opening that began
+        while forgotten != [made, made] and time.monotonic() < until:  # by the deletion, and by the opening that began
             time.sleep(0.02)
-        assert opened == [made, made]
+        assert forgotten == [made, made]
         assert len(maps) == 0

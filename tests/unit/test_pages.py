@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import mmap
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ def test_an_array_of_any_size_can_be_written_and_read(shape: tuple[int, ...]) ->
     assert float(found.sum(dtype=np.float64)) == found.size * (found.size - 1) / 2
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the size of the pages")
+@pytest.mark.skipif(not Path("/sys/kernel/mm/transparent_hugepage").exists(), reason="a kernel without large pages")
 def test_a_large_array_has_no_huge_pages() -> None:
     found = empty_in_small_pages((4_000_000,), np.float64)
     found[...] = 1.0
@@ -34,3 +34,14 @@ def test_a_large_array_has_no_huge_pages() -> None:
             assert re.search(r"VmFlags:.* nh", part)
             return
     raise AssertionError("its memory is not in the list of the process")
+
+
+def test_a_kernel_without_large_pages_gives_the_array_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Refusing(mmap.mmap):
+        def madvise(self, *_: int) -> None:
+            raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(mmap, "mmap", Refusing)
+    found = empty_in_small_pages((2_000_000,), np.float64)
+    found[...] = 3.0
+    assert float(found.sum()) == 6_000_000.0

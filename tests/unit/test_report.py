@@ -423,15 +423,15 @@ def drive_for(found, effect=None):
 
 
 @pytest.mark.parametrize(("share", "suggested"), [(0.4, True), (0.95, True), (0.96, False), (1.0, False)])
-def test_a_drive_that_tells_nothing_new_is_not_suggested(share, suggested, monkeypatch):
+def test_a_drive_that_would_hardly_narrow_the_interval_is_not_suggested(share, suggested, monkeypatch):
     drive = Suggestion(np.zeros((2, 2)), "a square", "lag", (0.5,), share, 40.0)
     found = NextDrive(drive, MeterLag(), (), 200.0, placed=True)
     monkeypatch.setattr(calibration, "next_drive", lambda *_, **__: found)
-    told = calibration._next_drive(None, None, None, SimpleNamespace(robot=ROBOT, placed=True), 0)
+    answer = calibration._next_drive(None, None, None, SimpleNamespace(robot=ROBOT, placed=True), 0)
     if suggested:
-        assert told["expected_interval_share"] == share
+        assert answer["expected_interval_share"] == share
     else:
-        assert f"would be {share:.0%} as wide as now" in told["why_not"]
+        assert f"would be {share:.0%} as wide as now" in answer["why_not"]
 
 
 def test_a_drive_is_suggested_for_an_effect_by_its_name_or_its_label(nothing, suggested):
