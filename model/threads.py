@@ -14,11 +14,12 @@ from typing import TypeVar
 import numba
 
 Part = TypeVar("Part")
+Result = TypeVar("Result")
 First = TypeVar("First")
 Second = TypeVar("Second")
 
 
-def share_out(do: Callable[[Part], object], parts: Sequence[Part]) -> None:
+def share_out(do: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
     """Do every part, each in one of as many threads as numba may use, in no particular order.
 
     Parameters
@@ -27,16 +28,18 @@ def share_out(do: Callable[[Part], object], parts: Sequence[Part]) -> None:
         Takes one part. What it raises is raised here.
     parts : sequence
         The parts.
+
+    Returns
+    -------
+    list
+        What it returned for each part, in their order.
     """
     threads = min(numba.get_num_threads(), len(parts))
     if threads <= 1:
-        for part in parts:
-            do(part)
-        return
+        return [do(part) for part in parts]
     contexts = [copy_context() for _ in parts]  # context variables of the caller hold in the threads too
     with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(lambda context, part: context.run(do, part), contexts, parts):
-            pass
+        return list(pool.map(lambda context, part: context.run(do, part), contexts, parts))
 
 
 def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:

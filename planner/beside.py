@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain, product
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from joulemap.model.threads import share_out
 from joulemap.planner.detours import AFTER_JOINING, Detour, cell_energy, competed, with_detours
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
@@ -82,18 +84,22 @@ def _improved(lattice: CostLattice, points: Points, earlier: Points | None) -> P
     earlier : a path beside which ways were searched before; only where it is left they are searched again.
     """
     vertices, cell_j = subdivided(points, 0.5), cell_energy(lattice, points)
-    ways = []
-    for a, b in [(0, len(vertices))] if earlier is None else _changed(vertices, earlier):
-        for ribbon in RIBBONS:
-            for first, last, way in ways_beside(lattice, vertices[a:b], ribbon, slack_j=SLACK * cell_j):
-                replaced_j = path_price(lattice, vertices[a + first : a + last + 1])
-                ways.append(Detour(way, a + first, a + last, replaced_j, cell_j))
+    parts = [(0, len(vertices))] if earlier is None else _changed(vertices, earlier)
+
+    def _ways(where: tuple[tuple[int, int], Ribbon]) -> list[Detour]:
+        (a, b), ribbon = where
+        ways = ways_beside(lattice, vertices[a:b], ribbon, slack_j=SLACK * cell_j)
+        return [
+            Detour(way, a + first, a + last, path_price(lattice, vertices[a + first : a + last + 1]), cell_j)
+            for first, last, way in ways
+        ]
 
     def _settled(way: Detour) -> Detour | None:
         stages = path_stages(way.points)[AFTER_JOINING:]
         settled = competed(lattice, way, stages, [way.replaced_j + lag * way.unit_j for lag in LAGS])
         return None if settled is None else replace(settled, points=converged(lattice, settled.points))
 
+    ways = list(chain.from_iterable(share_out(_ways, list(product(parts, RIBBONS)))))
     return with_detours(lattice, points, vertices, _distinct(lattice, ways), _settled)
 
 

@@ -21,7 +21,6 @@ from zarr.codecs import BloscCodec, BytesCodec, Endian
 from zarr.storage import LocalStore
 
 from joulemap.model.errors import InputError
-from joulemap.model.pages import empty_in_small_pages
 from joulemap.model.threads import share_out
 from joulemap.planner.blosc_blocks import decoded_part
 
@@ -89,7 +88,7 @@ def read_array(of: zarr.Array[Any]) -> NDArray[Any]:
     InputError
         If a chunk is damaged.
     """
-    out = empty_in_small_pages(of.shape, of.dtype)
+    out = np.empty(of.shape, of.dtype)
     high, wide = of.chunks[:2]
 
     def _read(chunk: tuple[int, int]) -> None:

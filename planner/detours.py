@@ -142,7 +142,7 @@ def with_detours(
     vertices : ndarray of float, (m, 2)
         The same path with the vertices that the detours replace.
     detours : list of Detour
-        The detours; those that are improved are changed in the list.
+        The detours.
     improve : callable
         Returns an improved detour, or None where it cannot win.
 
@@ -151,15 +151,9 @@ def with_detours(
     ndarray of float, (k, 2)
         (row, col) polyline with at most the same energy. Of detours that overlap the one that saves most is taken.
     """
-    gains_j = np.zeros(len(detours))
-
-    def _improve(k: int) -> None:
-        if (detour := improve(detours[k])) is not None:
-            detours[k] = detour
-            gains_j[k] = detour.replaced_j - path_price(lattice, detour.points)
-
-    share_out(_improve, range(len(detours)))
-    taken = [detours[k] for k in np.argsort(-gains_j, kind="stable") if gains_j[k] > 0.0]
+    improved = [detour for detour in share_out(improve, detours) if detour is not None]
+    gains_j = np.array([detour.replaced_j - path_price(lattice, detour.points) for detour in improved])
+    taken = [improved[k] for k in np.argsort(-gains_j, kind="stable") if gains_j[k] > 0.0]
     if not taken:
         return points
     joined = _smoothed(lattice, _joined(vertices, taken))

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
 from joulemap.model.frames import heading_of, heading_vector
-from joulemap.model.pages import empty_in_small_pages
 from joulemap.model.threads import share_out
 from joulemap.planner.edges import interpolation_matrix
 from joulemap.planner.kernels import mean_response
@@ -135,7 +134,7 @@ class MovePrices:
             Energy of the move that leaves a cell [J]; NaN where it may not be driven, or leaves the lattice.
         """
         rows, cols = lattice.frame.shape
-        out = empty_in_small_pages((rows, cols, len(self.offsets)), np.float32)
+        out = np.empty((rows, cols, len(self.offsets)), np.float32)
 
         def _fill(part: slice) -> None:
             top = max(part.start - self.reach, 0)

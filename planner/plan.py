@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.model.pages import empty_in_small_pages
 from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.answers import Plan, RoundTrip
@@ -54,7 +53,7 @@ def distance_lattice(lattice: CostLattice) -> CostLattice:
     """
     robot = replace(lattice.robot, idle_power_w=1.0, speed_mps=1.0, regeneration=0.0, turn_j_per_rad=0.0)
     known = np.einsum("ijk->ij", lattice.traction_per_m)  # NaN where one heading is
-    flat = empty_in_small_pages((*lattice.frame.shape, 4), np.float32)
+    flat = np.empty((*lattice.frame.shape, 4), np.float32)
     flat[...] = np.where(np.isnan(known), np.nan, 0.0)[:, :, None]
     return replace(lattice, robot=robot, traction_per_m=flat, std_j=None)
 

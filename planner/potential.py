@@ -17,7 +17,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.errors import NegativeCycleError
-from joulemap.model.pages import empty_in_small_pages
 from joulemap.model.threads import pieces, share_out
 
 SWEEPS = 5
@@ -119,7 +118,7 @@ def _levelled(
     rows, cols, moves = energy.shape
     ways = min(moves // 2, 4)  # as many have their way back among the others
     steps = offsets[:: max(moves // 8, 1)][:ways]  # of more than eight moves, those between the eight say little new
-    rises = empty_in_small_pages((rows, cols, ways), np.float32)
+    rises = np.empty((rows, cols, ways), np.float32)
     share_out(lambda p: _rise_rows(energy, offsets, p.start, p.stop, rises), parts_of(rows, cols))
     for _ in range(SWEEPS):
         before, surface = surface, np.empty_like(surface)

@@ -181,13 +181,12 @@ class ReachField:
         """The improved routes to some cells, and back from them."""
         fields = [self.out] if self.back is None else [self.out, self.back]
         legs = [(cell, ways) for cell in cells for ways in fields]
-        routes: dict[int, Route] = {}
 
-        def _improve(k: int) -> None:
-            cell, ways = legs[k]
-            routes[k] = self._route(refine_path(self.lattice, _way(ways, cell), stages=_IMPROVED_BY))
+        def _improve(leg: tuple[NDArray[np.int64], EnergyField]) -> Route:
+            cell, ways = leg
+            return self._route(refine_path(self.lattice, _way(ways, cell), stages=_IMPROVED_BY))
 
-        share_out(_improve, range(len(legs)))
+        routes = share_out(_improve, legs)
         return [[routes[k + j] for j in range(len(fields))] for k in range(0, len(legs), len(fields))]
 
     def _route(self, points: Points) -> Route:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from importlib.metadata import version
 from typing import Annotated
 
@@ -53,6 +54,10 @@ app = typer.Typer(
 _NEW_OBJECTS = 50_000
 """After so many new objects cycles are looked for: what libraries make while they load stays, and to look through it
 time and again took a sixth of the start-up."""
+_SMALL_PAGES = "NUMPY_MADVISE_HUGEPAGE", "0"
+"""NumPy asks Linux for pages of 2 MB. A virtual machine may have to fetch such a page from its host, which takes 5 to
+16 ms, and 4.5 times as long as the same memory in small pages; whatever waits for this processor or for the interpreter
+waits with it."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -72,6 +77,7 @@ def joulemap(
     From a heightmap: a directional cost map, the energy-optimal path, and whether the battery lasts. From measured
     runs: a model of your robot, and what it lacks.
     """
+    os.environ.setdefault(*_SMALL_PAGES)  # NumPy reads it once, when a command imports it
     gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
 
 
