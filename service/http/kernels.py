@@ -15,8 +15,10 @@ from joulemap.service.warm_up import warm_up
 
 _LOG = logging.getLogger("joulemap.service")
 _WAIT_S, _LOOK_S = 120.0, 0.05
-_NEW_OBJECTS = 50_000
-"""Until the collector looks for cycles: with Python's 700, two thirds of the time to read a long path go into that."""
+_COLLECTED_AFTER = 2_000, 10, 100
+"""When cycles are looked for: after so many new objects among them, every tenth time among those that were left since,
+and every hundredth time of these among all. No other thread runs meanwhile: among 50,000 objects it takes 50 ms on a
+busy machine. Python's own numbers (700, 10, 10) double the time to read a long path."""
 
 
 class Kernels:
@@ -110,5 +112,5 @@ def _loaded() -> float:
     seconds = warm_up(models=())
     gc.collect()
     gc.freeze()  # a million objects of libraries that stay: to go over them again stalls everything for 0.5 s
-    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
+    gc.set_threshold(*_COLLECTED_AFTER)
     return seconds
