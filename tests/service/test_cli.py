@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -77,6 +78,18 @@ def test_help_answers_without_the_heavy_parts() -> None:
     heavy = ["torch", "numba", "numpy", "matplotlib", "fastapi", "ompl", "sqlalchemy", "zarr"]
     done = subprocess.run([sys.executable, "-c", script, *heavy], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize("given", [None, "1"])
+def test_commands_ask_for_no_large_pages_unless_it_is_wished(given: str | None) -> None:
+    script = (
+        "from joulemap.service.cli import app; app(['path', '--help'], standalone_mode=False); "
+        "from numpy._core import multiarray; print(multiarray._get_madvise_hugepage())"
+    )
+    around = {name: value for name, value in os.environ.items() if name != "NUMPY_MADVISE_HUGEPAGE"}
+    around |= {} if given is None else {"NUMPY_MADVISE_HUGEPAGE": given}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=around)
+    assert done.stdout.split()[-1] == str(given == "1")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
