@@ -2,7 +2,7 @@
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
 the best one as a whole, the others where they differ from it (`detours`); then ways beside it are looked for
-(`beside`). Where limits close moves, the path through `passages` is one of them.
+(`beside`). Where limits close moves, the paths through `passages` are among them.
 """
 
 from __future__ import annotations
@@ -72,8 +72,7 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
         If the goal cannot be reached.
     """
     found, through = corridor_paths(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
-    paths = [path.points for path in found] + ([] if through is None else [through])
-    points = best_of(lattice, paths)
+    points = best_of(lattice, [path.points for path in found] + through)
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 
 

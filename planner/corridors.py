@@ -21,7 +21,7 @@ from joulemap.planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_bef
 from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.passages import mark_around, path_through_passages
+from joulemap.planner.passages import mark_around, paths_through_passages
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals, without_repeats
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
@@ -42,7 +42,7 @@ def corridor_paths(
     *,
     margin: float = 0.01,
     count: int = COUNT,
-) -> tuple[list[GridPath], Points | None]:
+) -> tuple[list[GridPath], list[Points]]:
     """Return the cheapest path over grid moves, and the best of every other corridor that is nearly as good.
 
     Parameters
@@ -62,8 +62,9 @@ def corridor_paths(
     -------
     paths : list of GridPath
         The paths, cheapest first; the first is that of `search.grid_search`.
-    through : ndarray of float, (n, 2), or None
-        (row, col) of the cheapest path between half-cell points, where limits close moves, see `passages`.
+    through : list of ndarray of float, (n, 2)
+        (row, col) of the cheapest paths between points of half and of a quarter of a cell, where limits close moves,
+        see `passages`.
 
     Raises
     ------
@@ -86,13 +87,13 @@ def corridor_paths(
     last, total, expanded = run_search(ahead, table, np.unique(cells), guide, targets, rest, margin=margin)
     direct = direct_energy(lattice, start, goal)
     if direct < math.inf and direct <= total:
-        return [GridPath(np.vstack([start, goal]), direct, expanded)], None
+        return [GridPath(np.vstack([start, goal]), direct, expanded)], []
     if last == _NONE:
         raise no_route(lattice.robot, expanded)
     first = ahead.trace(table, last)[::-1] // layers
     found = [GridPath(joined_points(lattice, start, first, goal), float(total), expanded)]
     if count == 1:
-        return found, None
+        return found, []
     most = float(total) + margin * abs(float(total))
     behind = _back(ahead, table, targets, rest, most)
     reached = np.flatnonzero(behind.energy_j < math.inf)
@@ -117,10 +118,8 @@ def corridor_paths(
         if len(found) == count:
             break
     usual = reached if layers == 1 else np.unique(reached // layers)
-    through = path_through_passages(lattice, table, usual, (cells, cost.min(axis=1)), (targets, rest.min(axis=1)))
-    if through is None:
-        return found, None
-    return found, without_repeats(np.vstack([start, through, goal]))
+    through = paths_through_passages(lattice, table, usual, (cells, cost.min(axis=1)), (targets, rest.min(axis=1)))
+    return found, [without_repeats(np.vstack([start, way, goal])) for way in through]
 
 
 def _back(

@@ -86,8 +86,8 @@ class MovePrices:
         self._east, self._north = (part.astype(np.float32) for part in heading_vector(headings))
         self._matrix = interpolation_matrix(headings, bins).astype(np.float32)  # (N, K)
         self._matrix[np.abs(self._matrix) < 1e-6] = 0.0  # rounding, at headings that are a bin
-        pieces = [_pieces(int(r), int(c)) for r, c in self.offsets]
-        self._stencils = _stack_stencils(self.offsets, pieces)
+        pieces = [_pieces(0.0, 0.0, float(r), float(c)) for r, c in self.offsets]
+        self._stencils = _stack_stencils(pieces)
         self._pieces = _stack_pieces(pieces)
 
     def lengths_m(self, spacing_m: float) -> NDArray[np.float64]:
@@ -281,42 +281,63 @@ def _kinked(traction, n, i, j, part, corners, corner, blend, regeneration):
     return mean
 
 
-def _pieces(drow: int, dcol: int) -> list[tuple[float, NDArray[np.int64], NDArray[np.float64]]]:
-    """A move from (0, 0), cut where it crosses lines of cell centres.
+def _pieces(
+    row: float, col: float, drow: float, dcol: float
+) -> list[tuple[float, NDArray[np.int64], NDArray[np.float64]]]:
+    """A leg from (row, col), cut where it crosses lines of cell centres.
 
-    Each piece: its share of the move, its four cells (4, 2), and their bilinear weights at start, middle, end (3, 4).
+    Each piece: its share of the leg, its four cells (4, 2), and their bilinear weights at start, middle, end (3, 4).
     """
     cuts = {0.0, 1.0}
-    for span in (drow, dcol):
-        cuts |= {k / abs(span) for k in range(1, abs(span))}
+    for at, span in ((row, drow), (col, dcol)):
+        first, last = sorted((at, at + span))
+        cuts |= {(line - at) / span for line in range(math.floor(first) + 1, math.ceil(last))}
     edges = sorted(cuts)
     out = []
     for t0, t1 in zip(edges[:-1], edges[1:], strict=True):
         middle = 0.5 * (t0 + t1)
-        i, j = math.floor(middle * drow), math.floor(middle * dcol)
+        i, j = math.floor(row + middle * drow), math.floor(col + middle * dcol)
         cells = np.array([(i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1)], dtype=np.int64)
         blend = np.empty((3, 4))
         for k, t in enumerate((t0, middle, t1)):
-            u, v = t * drow - i, t * dcol - j
+            u, v = row + t * drow - i, col + t * dcol - j
             blend[k] = (1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v
         out.append((t1 - t0, cells, blend))
     return out
 
 
-def _stack_stencils(offsets, pieces):
-    """Per move, the cells it touches (N, S, 2) and their shares of the mean traction (N, S); padded with share -1."""
+def leg_stencils(legs: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the cells that straight legs touch, and what each of them adds to the mean traction.
+
+    Parameters
+    ----------
+    legs : ndarray of float, (n, 4)
+        row, col of the start, and the step to the end [cells].
+
+    Returns
+    -------
+    cells : ndarray of int64, (n, S, 2)
+        (row, col) of each cell.
+    shares : ndarray of float64, (n, S)
+        Its share of the mean of the traction along the leg; -1 where a leg touches fewer cells.
+    """
+    return _stack_stencils([_pieces(*leg) for leg in legs.tolist()])
+
+
+def _stack_stencils(pieces):
+    """Per leg, the cells it touches (N, S, 2) and their shares of the mean traction (N, S); padded with share -1."""
     stencils = []
-    for move in pieces:
+    for leg in pieces:
         total: dict[tuple[int, int], float] = {}
-        for share, cells, blend in move:
+        for share, cells, blend in leg:
             simpson = share * (blend[0] + 4.0 * blend[1] + blend[2]) / 6.0
             for cell, weight, touched in zip(cells.tolist(), simpson, blend.max(axis=0), strict=True):
                 if touched > 1e-9:
                     total[tuple(cell)] = total.get(tuple(cell), 0.0) + weight
         stencils.append(total)
     width = max(len(s) for s in stencils)
-    cells = np.zeros((len(offsets), width, 2), dtype=np.int64)
-    shares = np.full((len(offsets), width), -1.0)
+    cells = np.zeros((len(stencils), width, 2), dtype=np.int64)
+    shares = np.full((len(stencils), width), -1.0)
     for n, stencil in enumerate(stencils):
         for k, (cell, share) in enumerate(stencil.items()):
             cells[n, k] = cell
