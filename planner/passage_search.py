@@ -276,21 +276,17 @@ def cheapest_way(
                 price = (hotel + regeneration * mean) * length * spacing
             else:
                 limit = most if least_per_cell >= 0.0 else np.inf
-                price = leg_energy_with(
-                    memory,
-                    traction,
-                    gradient,
-                    blocked,
-                    terms,
-                    down / PER_CELL,
-                    right / PER_CELL,
-                    a / PER_CELL,
-                    b / PER_CELL,
-                    limit,
-                )
+                r0, c0, r1, c1 = down / PER_CELL, right / PER_CELL, a / PER_CELL, b / PER_CELL
+                price = leg_energy_with(memory, traction, gradient, blocked, terms, r0, c0, r1, c1, limit)
             if price < most:
                 label[other], came[other] = so_far + price, point
                 heapq.heappush(heap, (so_far + price, other))
+    return _way_to(last, came, cells, cols)
+
+
+@njit(cache=True)
+def _way_to(last, came, cells, cols):
+    """The points by which the search came to one, (k, 2) as `cheapest_way` returns them."""
     count = 0
     at = last
     while at >= 0:
@@ -299,10 +295,8 @@ def cheapest_way(
     place = np.empty((count, 2))
     at = last
     for k in range(count - 1, -1, -1):
-        cell, part = cells[at // each], at % each
-        place[k, 0], place[k, 1] = (
-            PER_CELL * (cell // cols) + part // PER_CELL,
-            PER_CELL * (cell % cols) + part % PER_CELL,
-        )
+        cell, part = cells[at // PER_CELL**2], at % PER_CELL**2
+        place[k, 0] = PER_CELL * (cell // cols) + part // PER_CELL
+        place[k, 1] = PER_CELL * (cell % cols) + part % PER_CELL
         at = came[at]
     return place

@@ -56,7 +56,7 @@ def paths_through_passages(
     Notes
     -----
     Points that are settled stay settled, so with negative prices the paths may not be the cheapest. A leg that cannot
-    make its end cheaper is not priced and counts as open.
+    make its end cheaper is not priced and counts as open; one that touches a cell which takes no part counts as closed.
     """
     rows, cols = lattice.frame.shape
     near = _around(usual, near=AROUND, shape=(rows, cols))

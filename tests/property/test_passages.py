@@ -1,17 +1,21 @@
-"""Passages between half-cell points: paths are as cheap as those of networkx, and lead where no move does."""
+"""Passages between points within cells: paths are as cheap as those of networkx, and lead where no move does."""
 
 import math
+from dataclasses import replace
 
 import networkx as nx
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from joulemap.model.errors import JoulemapError
-from joulemap.planner import corridors
+from joulemap.planner import corridors, passages
 from joulemap.planner.edges import leg_prices_between, path_price
+from joulemap.planner.move_prices import leg_stencils, move_offsets
 from joulemap.planner.moves import move_table
-from joulemap.planner.passages import AROUND, LONGEST_LEG, path_through_passages
+from joulemap.planner.passage_search import LONGEST_LEG, PER_CELL, SHORT_LEGS
+from joulemap.planner.passages import AROUND, paths_through_passages
 from joulemap.planner.plan import RoutePlanner
 from tests.reference.lattices import random_lattice
 
@@ -67,9 +71,9 @@ def random_task(seed, limit):
     return lattice, move_table(lattice, neighbours=32), start, goal
 
 
-def found_path(lattice, table, start, goal):
+def found_paths(lattice, table, start, goal):
     seeds, targets = ((np.array([int(p @ [COLS, 1])]), np.zeros(1)) for p in (start, goal))
-    return path_through_passages(lattice, table, np.arange(ROWS * COLS), seeds, targets)
+    return paths_through_passages(lattice, table, np.arange(ROWS * COLS), seeds, targets)
 
 
 def least_energy(graph, start, goal):
@@ -86,26 +90,81 @@ def least_energy(graph, start, goal):
 @given(seed=st.integers(0, 10**6), limit=st.sampled_from([8.0, 12.0, 20.0]))
 def test_the_path_is_at_least_as_cheap_as_by_short_legs_and_no_cheaper_than_by_all(seed, limit):
     lattice, table, start, goal = random_task(seed, limit)
-    found = found_path(lattice, table, start, goal)
+    found = found_paths(lattice, table, start, goal)
     graphs = [half_cell_graph(lattice, table, long=long) for long in (True, False)]
     least, most = (least_energy(graph, start, goal) for graph in graphs)
     if graphs[0] is None:
-        assert found is None
-    elif found is None:
+        assert found == []
+    elif not found:
         assert math.isinf(most)
     else:
-        price = path_price(lattice, found)
+        price = path_price(lattice, found[0])
         assert least - 1e-6 * (1.0 + abs(least)) <= price <= most + 1e-6 * (1.0 + abs(most))
+
+
+def quarter_cell_energy(lattice, start, goal):
+    """Least energy over every short leg between points at a quarter of a cell [J], by networkx."""
+    size = np.array([PER_CELL * (ROWS - 1) + 1, PER_CELL * (COLS - 1) + 1])
+    points = np.array(list(np.ndindex(*size)))
+    graph = nx.DiGraph()
+    graph.add_nodes_from(range(len(points)))
+    for step in move_offsets(SHORT_LEGS):
+        ends = points + step
+        there = ((ends >= 0) & (ends < size)).all(axis=1)
+        prices = leg_prices_between(lattice, points[there] / PER_CELL, ends[there] / PER_CELL)
+        numbers = np.flatnonzero(there), ends[there] @ [size[1], 1]
+        graph.add_weighted_edges_from(
+            (a, b, price)
+            for a, b, price in zip(*(n.tolist() for n in numbers), prices.tolist(), strict=True)
+            if price >= 0
+        )
+    first, last = (int(PER_CELL * end @ [size[1], 1]) for end in (start, goal))
+    return nx.dijkstra_path_length(graph, first, last) if nx.has_path(graph, first, last) else math.inf
+
+
+def test_the_path_between_quarters_is_no_dearer_than_that_between_halves_or_any_by_short_legs(monkeypatch):
+    monkeypatch.setattr(passages, "BESIDE", max(ROWS, COLS))
+    compared, cheaper = 0, 0
+    for seed in range(25):
+        lattice, table, start, goal = random_task(seed, 9.0)
+        found = found_paths(lattice, table, start, goal)
+        if not found or (start == goal).all():
+            continue
+        halves, quarters = (path_price(lattice, path) for path in found)
+        assert quarters <= halves + 1e-6 * (1.0 + halves)
+        cheaper += quarters < 0.99 * halves
+        if np.isnan(table.energy).any(axis=2).all():  # all points take part
+            compared += 1
+            assert quarters <= quarter_cell_energy(lattice, start, goal) * (1.0 + 1e-6)
+    assert compared > 3
+    assert cheaper > 1
+
+
+def test_what_a_leg_touches_gives_its_mean_traction():
+    """On ground where the traction is positive everywhere, the price of a leg is linear in that of its cells."""
+    rng = np.random.default_rng(4)
+    lattice = random_lattice(rng, 9, 9, max_grade_deg=60.0, max_cross_slope_deg=60.0)
+    lattice = replace(lattice, traction_per_m=np.abs(lattice.traction_per_m[:, :, :1]) + np.ones(8, dtype=np.float32))
+    lattice.blocked[:] = 0
+    starts = 4 + rng.integers(0, 4, (50, 2)) / 4
+    steps = move_offsets(32)[rng.integers(32, size=50)] / rng.choice([1, 2, 4], (50, 1))
+    cells, shares = leg_stencils(np.hstack([starts, steps]))
+    assert np.where(shares > 0.0, shares, 0.0).sum(axis=1) == pytest.approx(np.ones(50))
+    traction = lattice.traction_per_m[cells[..., 0], cells[..., 1], 0]
+    mean = np.where(shares >= 0.0, shares * traction, 0.0).sum(axis=1)
+    length = np.hypot(*steps.T) * lattice.frame.resolution_m
+    expected = (lattice.robot.hotel_per_m + mean) * length
+    np.testing.assert_allclose(leg_prices_between(lattice, starts, starts + steps), expected, rtol=1e-6)
 
 
 def test_a_passage_is_found_that_is_open_between_two_short_headings_only():
     cheaper = 0
     for seed in range(60):
         lattice, table, start, goal = random_task(seed, 9.0)
-        found = found_path(lattice, table, start, goal)
-        if found is not None:
+        found = found_paths(lattice, table, start, goal)
+        if found:
             most = least_energy(half_cell_graph(lattice, table, long=False), start, goal)
-            cheaper += path_price(lattice, found) < most - 0.02 * abs(most)
+            cheaper += path_price(lattice, found[0]) < most - 0.02 * abs(most)
     assert cheaper > 0
 
 
@@ -124,7 +183,7 @@ def test_a_route_is_no_dearer_than_without_passages(monkeypatch):
         except JoulemapError:
             continue
         with monkeypatch.context() as patched:
-            patched.setattr(corridors, "path_through_passages", lambda *_: None)
+            patched.setattr(corridors, "paths_through_passages", lambda *_: [])
             before = planner.plan(*ends).route.energy_j
         ratios.append(now / before)
     assert max(ratios) <= 1.0 + 1e-4
