@@ -165,9 +165,13 @@ def cheapest_way(
         Weights of the heading bins at the headings of the short legs.
     region : Region
         The cells that take part.
-    begins, ends : ndarray of int, (A,) and (B,)
-        Numbers of the cells that are joined to the start and to the goal.
-    cost, rest : ndarray of float64, (A,) and (B,)
+    begins : ndarray of int, (A,)
+        Numbers of the cells that are joined to the start.
+    cost : ndarray of float64, (A,)
+        Energy of joining each [J].
+    ends : ndarray of int, (B,)
+        Numbers of the cells that are joined to the goal.
+    rest : ndarray of float64, (B,)
         Energy of joining each [J].
     least_per_cell : float
         What a way of one cell costs at least [J]; below 0 where prices may be negative.
