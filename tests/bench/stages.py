@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
+import httpx
 import numpy as np
 import torch
-from fastapi.testclient import TestClient
 
 from joulemap.model.energy.architectures.resnet18 import ResNetEnergy
 from joulemap.model.energy.predictor import load_predictor
@@ -20,11 +21,10 @@ from joulemap.planner.moves import move_table
 from joulemap.planner.plan import RoutePlanner
 from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
-from joulemap.service.http.app import create_app
-from joulemap.service.settings import Settings
 from tests.bench.maps import CORNERS, ROBOT, free_corner, physics_lattice, terrain
 from tests.bench.searches import search_rows
 from tests.bench.timing import Row, seconds
+from tests.load import Server
 
 RESNET_PATCHES = 16
 
@@ -74,14 +74,15 @@ def bench(cells: int, resolution_m: float) -> list[Row]:
 
 
 def request_seconds(heightmap: Heightmap, start: list[float], goal: list[float], model: str) -> dict[str, float]:
-    """Seconds of the three requests of the main job, through the whole application in this process."""
+    """Seconds of the three requests of the main job, to a service in a process of its own."""
     body = write_geotiff(None, heightmap)
     out: dict[str, float] = {}
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        TestClient(create_app(Settings(data_dir=Path(folder))), base_url="http://localhost") as client,
-    ):
-        while client.get("/readyz").status_code != 200:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as ends:
+        server = Server(Path(folder), {})
+        ends.callback(server.stop)
+        client = ends.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{server.port}", timeout=300.0))
+        while not _is_ready(client):
+            assert server.process.poll() is None, "the service has ended"
             time.sleep(0.1)
         began = time.perf_counter()
         uploaded = client.post("/v1/heightmaps", content=body, headers={"Content-Type": "image/tiff"}).json()
@@ -99,6 +100,13 @@ def request_seconds(heightmap: Heightmap, start: list[float], goal: list[float],
             assert answer.status_code == 200, answer.text
             out[name] = time.perf_counter() - began
     return out
+
+
+def _is_ready(client: httpx.Client) -> bool:
+    try:
+        return client.get("/readyz").status_code == 200
+    except httpx.ConnectError:
+        return False
 
 
 def resnet_seconds_per_patch(heightmap: Heightmap) -> float:
