@@ -21,7 +21,7 @@ from joulemap.planner.headings import SEED, TURNED_LEFT, TURNED_RIGHT, state_bef
 from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.passages import mark_around, paths_through_passages
+from joulemap.planner.passages import beside_closed_moves, mark_around, paths_through_passages
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals, without_repeats
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
@@ -31,6 +31,10 @@ PLATEAU = 0.03
 """Least share of the energy that a path has in common with both searches."""
 APART = 0.02
 """Least distance between the middles of two corridors, as a share of the length of the best path."""
+WIDER = 3.0
+"""Times the margin, where moves are closed beside the best path: a way that is much dearer over grid moves may be cheaper
+through a passage between them (`passages`). Of 240 random tasks on a real hillside it made two cheaper by over 0.1 %,
+by 0.5 and 3.4 %, and none dearer, for a twentieth of the time of an answer."""
 _NONE = -1
 
 
@@ -82,9 +86,13 @@ def corridor_paths(
         rest.min(axis=1),
         lattice.frame.resolution_m,
     )
-    ahead = new_search(table, layers, cells, cost, backward=False)
     margin = margin if count > 1 else 0.0
-    last, total, expanded = run_search(ahead, table, np.unique(cells), guide, targets, rest, margin=margin)
+
+    def _ahead(margin: float) -> tuple[Search, int, float, int]:
+        search = new_search(table, layers, cells, cost, backward=False)
+        return search, *run_search(search, table, np.unique(cells), guide, targets, rest, margin=margin)
+
+    ahead, last, total, expanded = _ahead(margin)
     direct = direct_energy(lattice, start, goal)
     if direct < math.inf and direct <= total:
         return [GridPath(np.vstack([start, goal]), direct, expanded)], []
@@ -94,8 +102,11 @@ def corridor_paths(
     found = [GridPath(joined_points(lattice, start, first, goal), float(total), expanded)]
     if count == 1:
         return found, []
-    most = float(total) + margin * abs(float(total))
-    behind = _back(ahead, table, targets, rest, most)
+    most = wider = total + margin * abs(total)
+    if beside_closed_moves(table, first):
+        wider = total + WIDER * margin * abs(total)
+        ahead, *_ = _ahead(WIDER * margin)
+    behind = _back(ahead, table, targets, rest, wider)
     reached = np.flatnonzero(behind.energy_j < math.inf)
     states, via, length, middle = plateaus(ahead, behind, table, reached)
     good = (length >= PLATEAU * abs(total)) & (via <= most)

@@ -19,7 +19,7 @@ from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.refine import STAGES, Stage, path_length, path_stages, subdivided
 
-LAGS = (0.2, 0.15, 0.1, 0.03, 0.01, 0.0)
+LAGS = (0.15, 0.12, 0.08, 0.03, 0.01, 0.0)
 """By how much a detour that wins in the end may lag behind before the stages and after each, as a share of the mean
 energy of a cell, times the root of its length [cells]: what a stage gains is a sum along the path, so its spread grows
 with that root. Measured on the five maps of `tests/bench/quality.py`, 400 random tasks each: of the detours that saved

@@ -91,6 +91,25 @@ def paths_through_passages(
     return [first, _search(near & _around(along, near=BESIDE, shape=(rows, cols)), quarters=True)]
 
 
+def beside_closed_moves(table: MoveTable, cells: NDArray[np.int64]) -> bool:
+    """Return whether moves are closed near some cells.
+
+    Parameters
+    ----------
+    table : MoveTable
+        Priced moves.
+    cells : ndarray of int64, (n,)
+        Flat indices.
+
+    Returns
+    -------
+    bool
+        True where a move from a cell within `AROUND` of them is closed that does not leave the map.
+    """
+    near = np.flatnonzero(_around(cells, near=AROUND, shape=table.energy.shape[:2]))
+    return bool(_closed(table.energy, table.offsets, near).size)
+
+
 def _around(cells: NDArray[np.int64], *, near: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
     out = np.zeros(shape, dtype=np.bool_)
     mark_around(out, cells, shape[1], near)

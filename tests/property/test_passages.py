@@ -11,13 +11,15 @@ from hypothesis import strategies as st
 
 from joulemap.model.errors import JoulemapError
 from joulemap.planner import corridors, passages
+from joulemap.planner.best import best_path
 from joulemap.planner.edges import leg_prices_between, path_price
+from joulemap.planner.lattice import Blocked
 from joulemap.planner.move_prices import leg_stencils, move_offsets
 from joulemap.planner.moves import move_table
 from joulemap.planner.passage_search import LONGEST_LEG, PER_CELL, SHORT_LEGS
 from joulemap.planner.passages import AROUND, paths_through_passages
 from joulemap.planner.plan import RoutePlanner
-from tests.reference.lattices import random_lattice
+from tests.reference.lattices import random_lattice, uniform_lattice
 
 ROWS, COLS = 6, 7
 
@@ -166,6 +168,22 @@ def test_a_passage_is_found_that_is_open_between_two_short_headings_only():
             most = least_energy(half_cell_graph(lattice, table, long=False), start, goal)
             cheaper += path_price(lattice, found[0]) < most - 0.02 * abs(most)
     assert cheaper > 0
+
+
+def test_a_passage_is_found_far_from_the_best_path_over_grid_moves(monkeypatch):
+    """A wall whose passage may be driven at 11 degrees only, between the headings of moves; the way around its end costs
+    a tenth more, and lies beyond the cells near the passage."""
+    lattice = uniform_lattice(31, 60, lambda heading: 1.0)
+    lattice = replace(lattice, robot=replace(lattice.robot, max_cross_slope_deg=0.9, max_grade_deg=40.0))
+    lattice.blocked[15, :32] = Blocked.STEP
+    passage, heading = (15, slice(10, 12)), math.atan2(1.0, 5.0)
+    lattice.blocked[passage] = Blocked.FREE
+    lattice.gradient[passage] = 0.4 * math.sin(heading), 0.4 * math.cos(heading)
+    task = lattice, move_table(lattice, neighbours=32), np.array([28.0, 20.0]), np.array([2.0, 20.0])
+    found = best_path(*task)
+    assert found.energy_j < 0.91 * found.grid_energy_j
+    monkeypatch.setattr(corridors, "WIDER", 1.0)
+    assert best_path(*task).energy_j > 0.99 * found.grid_energy_j
 
 
 def test_a_route_is_no_dearer_than_without_passages(monkeypatch):
