@@ -19,7 +19,7 @@ from joulemap.planner.edges import Points, path_price
 from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.refine import refine_path, subdivided
+from joulemap.planner.refine import path_length, refine_path, subdivided
 from joulemap.planner.search import GridPath, grid_search, joined_points
 
 STRETCH = 1.3
@@ -141,7 +141,7 @@ def improved_ways(lattice: CostLattice, best: Points, others: Sequence[Points]) 
 
 def _separation_m(lattice: CostLattice, best: Points) -> float:
     """A twentieth of the best path's length, at least three cells [m]."""
-    return lattice.frame.resolution_m * max(3.0, 0.05 * float(np.hypot(*np.diff(best, axis=0).T).sum()))
+    return lattice.frame.resolution_m * max(3.0, 0.05 * path_length(best))
 
 
 def _cells(lattice: CostLattice, points: Points) -> NDArray[np.int64]:

@@ -22,6 +22,7 @@ from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_t
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.passages import beside_closed_moves, mark_around, paths_through_passages
+from joulemap.planner.refine import path_length
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals, without_repeats
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
@@ -32,9 +33,9 @@ PLATEAU = 0.03
 APART = 0.02
 """Least distance between the middles of two corridors, as a share of the length of the best path."""
 WIDER = 3.0
-"""Times the margin, where moves are closed beside the best path: a way that is much dearer over grid moves may be cheaper
-through a passage between them (`passages`). Of 240 random tasks on a real hillside it made two cheaper by over 0.1 %,
-by 0.5 and 3.4 %, and none dearer, for a twentieth of the time of an answer."""
+"""Times the margin, where moves are closed beside the best path: a way that is much dearer over grid moves may be
+cheaper through a passage between them (`passages`). Of 240 random tasks on a real hillside it made two cheaper by over
+0.1 %, by 0.5 and 3.4 %, and none dearer, for a twentieth of the time of an answer."""
 _NONE = -1
 
 
@@ -113,7 +114,7 @@ def corridor_paths(
     states, via, middle = states[good], via[good], middle[good]
     cols = lattice.frame.cols
     taken = np.zeros(lattice.frame.shape, dtype=np.bool_)
-    apart = max(2, round(APART * float(np.hypot(*np.diff(found[0].points, axis=0).T).sum())))
+    apart = max(2, round(APART * path_length(found[0].points)))
     mark_around(taken, first, cols, apart)
     for k in np.argsort(via, kind="stable"):
         state = int(states[k])

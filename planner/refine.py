@@ -238,7 +238,7 @@ def path_length(points: Points) -> float:
     float
         Length [cells].
     """
-    return float(np.hypot(*np.diff(points, axis=0).T).sum())
+    return _length(np.ascontiguousarray(points, dtype=np.float64))
 
 
 def _fixed(lattice: CostLattice, points: Points) -> bool:
@@ -300,12 +300,7 @@ def subdivided(points: Points, leg_cells: float) -> Points:
     ndarray of float, (m, 2)
         (row, col) polyline.
     """
-    length = np.hypot(*np.diff(points, axis=0).T)
-    count = np.maximum(np.ceil(length / leg_cells), 1.0).astype(np.int64)
-    leg = np.repeat(np.arange(count.size), count)
-    share = (np.arange(leg.size) - np.repeat(np.cumsum(count) - count, count) + 1.0) / count[leg]
-    cuts = (1.0 - share)[:, None] * points[leg] + share[:, None] * points[leg + 1]  # exactly the vertex at its end
-    return np.ascontiguousarray(np.vstack([points[:1], cuts]))
+    return _cut(np.ascontiguousarray(points, dtype=np.float64), leg_cells)
 
 
 def shortcuts(lattice: CostLattice, points: Points) -> Points:
@@ -329,6 +324,32 @@ def shortcuts(lattice: CostLattice, points: Points) -> Points:
 
 STAGES = (shortcuts, refine_coarsely, refine_finely, refine_last, refine_bent)
 """The stages of `refine_path`: each costs more time than the one before, and gains less."""
+
+
+@njit(cache=True, nogil=True)
+def _length(points):
+    total = 0.0
+    for k in range(points.shape[0] - 1):
+        total += math.hypot(points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1])
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _cut(points, leg_cells):
+    """The polyline with every leg cut into equal parts of at most `leg_cells`."""
+    parts = np.empty(points.shape[0] - 1, dtype=np.int64)
+    for k in range(parts.size):
+        length = math.hypot(points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1])
+        parts[k] = max(math.ceil(length / leg_cells), 1)
+    out = np.empty((parts.sum() + 1, 2))
+    out[0], at = points[0], 1
+    for k in range(parts.size):
+        for part in range(1, parts[k] + 1):
+            share = part / parts[k]  # at the end 1, which gives exactly the vertex
+            for axis in range(2):
+                out[at, axis] = (1.0 - share) * points[k, axis] + share * points[k + 1, axis]
+            at += 1
+    return out
 
 
 @njit(cache=True, nogil=True)

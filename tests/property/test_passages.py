@@ -171,8 +171,8 @@ def test_a_passage_is_found_that_is_open_between_two_short_headings_only():
 
 
 def test_a_passage_is_found_far_from_the_best_path_over_grid_moves(monkeypatch):
-    """A wall whose passage may be driven at 11 degrees only, between the headings of moves; the way around its end costs
-    a tenth more, and lies beyond the cells near the passage."""
+    """A wall whose passage may be driven at 11 degrees only, between the headings of moves; the way around its end
+    costs a tenth more, and lies beyond the cells near the passage."""
     lattice = uniform_lattice(31, 60, lambda heading: 1.0)
     lattice = replace(lattice, robot=replace(lattice.robot, max_cross_slope_deg=0.9, max_grade_deg=40.0))
     lattice.blocked[15, :32] = Blocked.STEP
