@@ -19,7 +19,8 @@ from joulemap.planner.edges import Points, path_price
 from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.refine import path_length, refine_path, subdivided
+from joulemap.planner.polylines import path_length, subdivided
+from joulemap.planner.refine import refine_path
 from joulemap.planner.search import GridPath, grid_search, joined_points
 
 STRETCH = 1.3

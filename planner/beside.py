@@ -19,7 +19,8 @@ from joulemap.model.threads import share_out
 from joulemap.planner.detours import AFTER_JOINING, Detour, cell_energy, competed, with_detours
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.refine import converged, path_length, path_stages, subdivided
+from joulemap.planner.polylines import path_length, subdivided
+from joulemap.planner.refine import converged, path_stages
 from joulemap.planner.ribbon import Ribbon, stretches, ways_beside
 
 MOST_CELLS = 200.0

@@ -13,6 +13,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from joulemap.model.threads import share_out
 from joulemap.planner.beside import MOST_CELLS, with_ways_beside
 from joulemap.planner.corridors import corridor_paths
@@ -20,7 +22,8 @@ from joulemap.planner.detours import best_of_corridors, largest_lag
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.refine import converged, path_length, refine_corners
+from joulemap.planner.polylines import path_length
+from joulemap.planner.refine import converged, refine_corners
 
 ANY_ANGLE_NEIGHBOURS = 32
 """The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
@@ -75,10 +78,12 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
         If the goal cannot be reached.
     """
     found, through = corridor_paths(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
-    orders = [[path.points for path in found] + through]
-    if through and path_length(through[0]) <= MOST_CELLS:
-        orders.append(sorted(orders[0], key=lambda path: path_price(lattice, path)))
-    answers = share_out(lambda paths: best_of(lattice, paths), orders)
+    paths = [path.points for path in found] + through
+    starts = [paths]
+    cheapest = int(np.nanargmin([path_price(lattice, path) for path in paths]))
+    if cheapest > 0 and through and path_length(paths[cheapest]) <= MOST_CELLS:
+        starts.append([paths[cheapest], *paths[:cheapest], *paths[cheapest + 1 :]])
+    answers = share_out(lambda paths: best_of(lattice, paths), starts)
     points = min(answers, key=lambda path: path_price(lattice, path))
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 

@@ -22,7 +22,7 @@ from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_t
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.passages import beside_closed_moves, mark_around, paths_through_passages
-from joulemap.planner.refine import path_length
+from joulemap.planner.polylines import path_length
 from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals, without_repeats
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
@@ -30,7 +30,7 @@ COUNT = 24
 """Most corridors."""
 PLATEAU = 0.03
 """Least share of the energy that a path has in common with both searches."""
-APART = 0.02
+SEPARATION = 0.02
 """Least distance between the middles of two corridors, as a share of the length of the best path."""
 WIDER = 3.0
 """Times the margin, where moves are closed beside the best path: a way that is much dearer over grid moves may be
@@ -114,8 +114,8 @@ def corridor_paths(
     states, via, middle = states[good], via[good], middle[good]
     cols = lattice.frame.cols
     taken = np.zeros(lattice.frame.shape, dtype=np.bool_)
-    apart = max(2, round(APART * path_length(found[0].points)))
-    mark_around(taken, first, cols, apart)
+    separation = max(2, round(SEPARATION * path_length(found[0].points)))
+    mark_around(taken, first, cols, separation)
     for k in np.argsort(via, kind="stable"):
         state = int(states[k])
         if taken.ravel()[middle[k]]:
@@ -123,7 +123,7 @@ def corridor_paths(
         into = ahead.trace(table, state)[::-1] // layers
         way = np.append(into, behind.trace(table, state)[1:] // layers)
         way = way[np.append(True, np.diff(way) != 0)]  # turns on the spot
-        mark_around(taken, way, cols, apart)
+        mark_around(taken, way, cols, separation)
         if np.unique(way).size < way.size:
             continue
         found.append(GridPath(joined_points(lattice, start, way, goal), float(via[k]), 0))

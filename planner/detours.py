@@ -17,7 +17,8 @@ import numpy as np
 from joulemap.model.threads import share_out
 from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.refine import STAGES, Stage, path_length, path_stages, subdivided
+from joulemap.planner.polylines import path_length, subdivided
+from joulemap.planner.refine import STAGES, Stage, path_stages
 
 LAGS = (0.15, 0.12, 0.08, 0.03, 0.01, 0.0)
 """By how much a detour that wins in the end may lag behind before the stages and after each, as a share of the mean

@@ -20,6 +20,7 @@ from joulemap.planner.deform import bent
 from joulemap.planner.edges import Points, path_price, price_arrays
 from joulemap.planner.kernels import heading_memory, leg_energy_with, path_energy, turn_angle
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.polylines import distinct, path_length, subdivided
 from joulemap.planner.settle import settled
 from joulemap.planner.stopping import check_stop
 
@@ -116,7 +117,7 @@ def refine_coarsely(lattice: CostLattice, points: Points) -> Points:
     ndarray of float, (m, 2)
         (row, col) polyline with the same ends and at most the same energy.
     """
-    best = _distinct(np.ascontiguousarray(points, dtype=np.float64))
+    best = distinct(np.ascontiguousarray(points, dtype=np.float64))
     if _fixed(lattice, best):
         return best
     best = subdivided(shortcuts(lattice, best), 4.0)
@@ -225,22 +226,6 @@ def path_stages(points: Points) -> tuple[Stage, ...]:
     return STAGES if path_length(points) <= BENT_CELLS else STAGES[:-1]
 
 
-def path_length(points: Points) -> float:
-    """Return the length of a polyline.
-
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    float
-        Length [cells].
-    """
-    return _length(np.ascontiguousarray(points, dtype=np.float64))
-
-
 def _fixed(lattice: CostLattice, points: Points) -> bool:
     """Whether there is nothing to be moved. A straight leg is no reason: it may pay to leave it."""
     return path_length(points) == 0.0 or math.isnan(path_price(lattice, points))
@@ -276,33 +261,6 @@ def _bent(
     return points
 
 
-def _distinct(points: Points) -> Points:
-    """Without vertices that repeat their predecessor; both ends stay."""
-    keep = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)
-    if not keep[-1]:
-        keep[-2], keep[-1] = False, True
-    keep[0] = True
-    return np.ascontiguousarray(points[keep])
-
-
-def subdivided(points: Points, leg_cells: float) -> Points:
-    """Return the same polyline with no leg longer than a limit.
-
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-    leg_cells : float
-        Longest leg [cells].
-
-    Returns
-    -------
-    ndarray of float, (m, 2)
-        (row, col) polyline.
-    """
-    return _cut(np.ascontiguousarray(points, dtype=np.float64), leg_cells)
-
-
 def shortcuts(lattice: CostLattice, points: Points) -> Points:
     """Return the path after its vertices were left out wherever a straight leg costs at most the same.
 
@@ -324,32 +282,6 @@ def shortcuts(lattice: CostLattice, points: Points) -> Points:
 
 STAGES = (shortcuts, refine_coarsely, refine_finely, refine_last, refine_bent)
 """The stages of `refine_path`: each costs more time than the one before, and gains less."""
-
-
-@njit(cache=True, nogil=True)
-def _length(points):
-    total = 0.0
-    for k in range(points.shape[0] - 1):
-        total += math.hypot(points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1])
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _cut(points, leg_cells):
-    """The polyline with every leg cut into equal parts of at most `leg_cells`."""
-    parts = np.empty(points.shape[0] - 1, dtype=np.int64)
-    for k in range(parts.size):
-        length = math.hypot(points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1])
-        parts[k] = max(math.ceil(length / leg_cells), 1)
-    out = np.empty((parts.sum() + 1, 2))
-    out[0], at = points[0], 1
-    for k in range(parts.size):
-        for part in range(1, parts[k] + 1):
-            share = part / parts[k]  # at the end 1, which gives exactly the vertex
-            for axis in range(2):
-                out[at, axis] = (1.0 - share) * points[k, axis] + share * points[k + 1, axis]
-            at += 1
-    return out
 
 
 @njit(cache=True, nogil=True)

@@ -30,7 +30,7 @@ from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.kernels import leg_energy
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
-from joulemap.planner.refine import subdivided
+from joulemap.planner.polylines import subdivided
 
 MAX_TIME_LIMIT_S = 120.0
 _HEADINGS_PER_BIN = 8

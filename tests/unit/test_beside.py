@@ -9,7 +9,7 @@ from joulemap.planner import beside
 from joulemap.planner.beside import MOST_CELLS, with_ways_beside
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.refine import subdivided
+from joulemap.planner.polylines import subdivided
 from joulemap.planner.ribbon import Ribbon, stretches
 from tests.reference.lattices import ascii_lattice
 

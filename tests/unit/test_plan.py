@@ -12,7 +12,7 @@ from joulemap.planner.best import shorter_of
 from joulemap.planner.budget import judge
 from joulemap.planner.edges import path_price, price_world_path
 from joulemap.planner.plan import PLANNERS, RoutePlanner, distance_lattice
-from joulemap.planner.refine import path_length
+from joulemap.planner.polylines import path_length
 from joulemap.planner.route import price_route
 from joulemap.planner.sampling import price_floor_per_m
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice, uniform_lattice

@@ -8,7 +8,8 @@ import pytest
 from joulemap.planner.best import best_of
 from joulemap.planner.edges import leg_prices, path_price
 from joulemap.planner.lattice import Blocked
-from joulemap.planner.refine import refine_path, subdivided
+from joulemap.planner.polylines import subdivided
+from joulemap.planner.refine import refine_path
 from joulemap.planner.ribbon import Ribbon, ways_beside
 from tests.reference.lattices import ascii_lattice
 
