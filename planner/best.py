@@ -80,9 +80,9 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
     found, through = corridor_paths(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
     paths = [path.points for path in found] + through
     starts = [paths]
-    cheapest = int(np.nanargmin([path_price(lattice, path) for path in paths]))
-    if cheapest > 0 and through and path_length(paths[cheapest]) <= MOST_CELLS:
-        starts.append([paths[cheapest], *paths[:cheapest], *paths[cheapest + 1 :]])
+    if through and path_length(through[0]) <= MOST_CELLS:
+        order = np.argsort([path_price(lattice, path) for path in paths], kind="stable")
+        starts.append([paths[k] for k in order])
     answers = share_out(lambda paths: best_of(lattice, paths), starts)
     points = min(answers, key=lambda path: path_price(lattice, path))
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
