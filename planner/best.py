@@ -4,7 +4,8 @@ The grid path of every corridor within the grid's error of the best (`corridors`
 the best one as a whole, the others where they differ from it (`detours`); then ways beside it are looked for
 (`beside`). Where limits close moves, the paths through `passages` are among them. There many local optima lie close to
 each other, so a path that is not long is improved twice: compared with the best grid path, and with the cheapest of
-all. Of 400 random tasks on a real hillside, 13 instead of 35 cost over 0.1 % more than the best of twenty variants.
+all. Of 400 random tasks on a real hillside, 22 instead of 35 cost over 0.1 % more than the best of twenty variants;
+without a limit of the length, 13.
 """
 
 from __future__ import annotations
