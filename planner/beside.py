@@ -101,7 +101,7 @@ def _improved(lattice: CostLattice, points: Points, earlier: Points | None) -> P
         return None if settled is None else replace(settled, points=converged(lattice, settled.points))
 
     ways = list(chain.from_iterable(share_out(_ways, list(product(parts, RIBBONS)))))
-    return with_detours(lattice, points, vertices, _distinct(lattice, ways), _settled)
+    return with_detours(lattice, points, _distinct(lattice, ways), _settled)
 
 
 def _changed(vertices: Points, earlier: Points) -> list[tuple[int, int]]:

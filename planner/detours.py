@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from joulemap.model.threads import share_out
+from joulemap.planner.crossovers import with_crossovers
 from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.polylines import path_length, subdivided
@@ -122,13 +123,12 @@ def best_of_corridors(lattice: CostLattice, paths: Sequence[Points]) -> Points:
         ]
         return competed(lattice, detour, stages, most_j)
 
-    return with_detours(lattice, best.points, best.vertices, detours, _improve)
+    return with_detours(lattice, best.points, detours, _improve)
 
 
 def with_detours(
     lattice: CostLattice,
     points: Points,
-    vertices: Points,
     detours: list[Detour],
     improve: Callable[[Detour], Detour | None],
 ) -> Points:
@@ -140,8 +140,6 @@ def with_detours(
         Prices and limits.
     points : ndarray of float, (n, 2)
         (row, col) polyline.
-    vertices : ndarray of float, (m, 2)
-        The same path with the vertices that the detours replace.
     detours : list of Detour
         The detours.
     improve : callable
@@ -150,22 +148,15 @@ def with_detours(
     Returns
     -------
     ndarray of float, (k, 2)
-        (row, col) polyline with at most the same energy. Of detours that overlap the one that saves most is taken.
+        (row, col) polyline with at most the same energy.
     """
-    improved = [detour for detour in share_out(improve, detours) if detour is not None]
-    gains_j = np.array([detour.replaced_j - path_price(lattice, detour.points) for detour in improved])
-    taken = [improved[k] for k in np.argsort(-gains_j, kind="stable") if gains_j[k] > 0.0]
-    if not taken:
+    improved = [detour.points for detour in share_out(improve, detours) if detour is not None]
+    crossed = with_crossovers(lattice, points, improved)
+    if crossed is points:
         return points
-    joined = _smoothed(lattice, _joined(vertices, taken))
-    return joined if path_price(lattice, joined) < path_price(lattice, points) else points
-
-
-def _smoothed(lattice: CostLattice, points: Points) -> Points:
-    """The path without the corners where detours begin and end."""
-    for stage in path_stages(points)[AFTER_JOINING:]:
-        points = stage(lattice, points)
-    return points
+    for stage in path_stages(points)[AFTER_JOINING:]:  # without the corners where it changes between them
+        crossed = stage(lattice, crossed)
+    return crossed
 
 
 def _improved(lattice: CostLattice, grid: Points) -> _Improved:
@@ -248,16 +239,3 @@ def competed(lattice: CostLattice, detour: Detour, stages: Sequence[Stage], most
         if not path_price(lattice, points) <= most:
             return None
     return replace(detour, points=points)
-
-
-def _joined(vertices: Points, detours: Sequence[Detour]) -> Points:
-    """The path with those detours that replace vertices which none before them replaces."""
-    free = np.ones(len(vertices), dtype=np.bool_)
-    chosen = []
-    for detour in detours:
-        if free[detour.first : detour.last + 1].all():
-            free[detour.first : detour.last + 1] = False
-            chosen.append(detour)
-    for detour in sorted(chosen, key=lambda detour: -detour.first):  # from the end, so that indices stay
-        vertices = np.vstack([vertices[: detour.first], detour.points, vertices[detour.last + 1 :]])
-    return vertices

@@ -1,0 +1,101 @@
+"""The cheapest way over several polylines that changes between them wherever they are near each other.
+
+Improved on its own, each of several paths is the best in some stretches. Their vertices, joined by straight legs where
+they are near each other, are a small graph. Its cheapest path (Dijkstra 1959) is the best choice of all stretches at
+once, whatever overlaps.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from scipy.sparse import coo_array
+from scipy.spatial import KDTree
+
+from joulemap.planner.edges import Points, path_price, price_arrays
+from joulemap.planner.kernels import heading_memory, leg_energy_with, turn_angle
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.polylines import distinct, subdivided
+
+SPACING = 0.5
+"""Longest distance of the vertices along a polyline [cells]."""
+NEAR = 1.0
+"""Longest leg between two vertices [cells]."""
+
+
+def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Points]) -> Points:
+    """Return the cheapest way over a path and other polylines.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline that may be driven.
+    others : sequence of ndarray of float, (m, 2)
+        (row, col) polylines; they need not begin and end on the path.
+
+    Returns
+    -------
+    ndarray of float, (k, 2)
+        (row, col) polyline with the ends of `points` and at most the same energy.
+
+    Notes
+    -----
+    Vertices that are settled stay settled, and a turn counts from the best way to its vertex; so where turning costs or
+    prices are negative, the way may not be the cheapest.
+    """
+    if not others:
+        return points
+    lines = [subdivided(line, SPACING) for line in (points, *others)]
+    places = np.vstack(lines)
+    pairs = KDTree(places).query_pairs(NEAR, output_type="ndarray")
+    ones, (a, b) = np.ones(2 * len(pairs), dtype=np.bool_), np.vstack([pairs, pairs[:, ::-1]]).T
+    graph = coo_array((ones, (a, b)), shape=(len(places), len(places))).tocsr()
+    never_pays = lattice.robot.regeneration == 0.0
+    turn, last = lattice.robot.turn_j_per_rad, len(lines[0]) - 1
+    way = _cheapest(*price_arrays(lattice), turn, places, graph.indptr, graph.indices, last, never_pays)
+    found = distinct(places[way])
+    return found if path_price(lattice, found) < path_price(lattice, points) else points
+
+
+@njit(cache=True, nogil=True)
+def _cheapest(traction, gradient, blocked, terms, turn_j_per_rad, places, begins, near, last, never_pays):
+    """The vertices of the cheapest way from the first one to another.
+
+    Of vertex i, those within reach are near[begins[i] : begins[i + 1]]. never_pays : no price is negative.
+    """
+    memory = heading_memory(traction.shape[2])
+    label, came = np.full(len(places), np.inf), np.full(len(places), -1)
+    settled = np.zeros(len(places), dtype=np.bool_)
+    label[0] = 0.0
+    heap = [(0.0, 0)]
+    while not settled[last]:
+        so_far, i = heapq.heappop(heap)
+        if settled[i]:
+            continue
+        settled[i] = True
+        row, col = places[i]
+        for j in near[begins[i] : begins[i + 1]]:
+            if settled[j]:
+                continue
+            energy = so_far
+            if turn_j_per_rad > 0.0 and i > 0:
+                before = came[i]
+                energy += turn_j_per_rad * turn_angle(
+                    places[before, 0], places[before, 1], row, col, places[j, 0], places[j, 1]
+                )
+            most = label[j] - energy if never_pays else np.inf
+            energy += leg_energy_with(
+                memory, traction, gradient, blocked, terms, row, col, places[j, 0], places[j, 1], most
+            )
+            if energy < label[j]:
+                label[j], came[j] = energy, i
+                heapq.heappush(heap, (energy, j))
+    way = [last]
+    while way[-1] > 0:
+        way.append(came[way[-1]])
+    return np.array(way[::-1])
