@@ -8,12 +8,11 @@ once, whatever overlaps.
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from scipy.sparse import coo_array
-from scipy.spatial import KDTree
 
 from joulemap.planner.edges import Points, path_price, price_arrays
 from joulemap.planner.kernels import heading_memory, leg_energy_with, turn_angle
@@ -52,21 +51,24 @@ def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Point
         return points
     lines = [subdivided(line, SPACING) for line in (points, *others)]
     places = np.vstack(lines)
-    pairs = KDTree(places).query_pairs(NEAR, output_type="ndarray")
-    ones, (a, b) = np.ones(2 * len(pairs), dtype=np.bool_), np.vstack([pairs, pairs[:, ::-1]]).T
-    graph = coo_array((ones, (a, b)), shape=(len(places), len(places))).tocsr()
-    never_pays = lattice.robot.regeneration == 0.0
-    turn, last = lattice.robot.turn_j_per_rad, len(lines[0]) - 1
-    way = _cheapest(*price_arrays(lattice), turn, places, graph.indptr, graph.indices, last, never_pays)
+    row, col = np.floor(places / NEAR).astype(np.int64).T
+    square = row * (lattice.frame.cols + 2) + col
+    order = np.argsort(square, kind="stable")
+    turn, never_pays = lattice.robot.turn_j_per_rad, lattice.robot.regeneration == 0.0
+    arrays = (*price_arrays(lattice), turn, places, square, order, square[order], lattice.frame.cols + 2)
+    way = _cheapest(*arrays, len(lines[0]) - 1, never_pays)
     found = distinct(places[way])
     return found if path_price(lattice, found) < path_price(lattice, points) else points
 
 
 @njit(cache=True, nogil=True)
-def _cheapest(traction, gradient, blocked, terms, turn_j_per_rad, places, begins, near, last, never_pays):
+def _cheapest(
+    traction, gradient, blocked, terms, turn_j_per_rad, places, square, order, in_order, next_row, last, never_pays
+):
     """The vertices of the cheapest way from the first one to another.
 
-    Of vertex i, those within reach are near[begins[i] : begins[i + 1]]. never_pays : no price is negative.
+    square : number of the square of the side `NEAR` in which each vertex lies, by `next_row` more than of that above
+    it; order, in_order : vertices by their squares, and these; never_pays : no price is negative.
     """
     memory = heading_memory(traction.shape[2])
     label, came = np.full(len(places), np.inf), np.full(len(places), -1)
@@ -79,22 +81,22 @@ def _cheapest(traction, gradient, blocked, terms, turn_j_per_rad, places, begins
             continue
         settled[i] = True
         row, col = places[i]
-        for j in near[begins[i] : begins[i + 1]]:
-            if settled[j]:
-                continue
-            energy = so_far
-            if turn_j_per_rad > 0.0 and i > 0:
-                before = came[i]
-                energy += turn_j_per_rad * turn_angle(
-                    places[before, 0], places[before, 1], row, col, places[j, 0], places[j, 1]
+        for middle in range(square[i] - next_row, square[i] + 2 * next_row, next_row):
+            begin, end = np.searchsorted(in_order, middle - 1), np.searchsorted(in_order, middle + 2)
+            for j in order[begin:end]:
+                if settled[j] or math.hypot(places[j, 0] - row, places[j, 1] - col) > NEAR:
+                    continue
+                energy = so_far
+                if turn_j_per_rad > 0.0 and i > 0:
+                    before = places[came[i]]
+                    energy += turn_j_per_rad * turn_angle(before[0], before[1], row, col, places[j, 0], places[j, 1])
+                most = label[j] - energy if never_pays else np.inf
+                energy += leg_energy_with(
+                    memory, traction, gradient, blocked, terms, row, col, places[j, 0], places[j, 1], most
                 )
-            most = label[j] - energy if never_pays else np.inf
-            energy += leg_energy_with(
-                memory, traction, gradient, blocked, terms, row, col, places[j, 0], places[j, 1], most
-            )
-            if energy < label[j]:
-                label[j], came[j] = energy, i
-                heapq.heappush(heap, (energy, j))
+                if energy < label[j]:
+                    label[j], came[j] = energy, i
+                    heapq.heappush(heap, (energy, j))
     way = [last]
     while way[-1] > 0:
         way.append(came[way[-1]])
