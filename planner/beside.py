@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import chain, product
 
 import numpy as np
@@ -16,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.threads import share_out
-from joulemap.planner.detours import AFTER_JOINING, Detour, cell_energy, competed, with_detours
+from joulemap.planner.detours import AFTER_JOINING, Detour, cell_energy, combined, competed
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.polylines import path_length, subdivided
@@ -95,13 +94,14 @@ def _improved(lattice: CostLattice, points: Points, earlier: Points | None) -> P
             for first, last, way in ways
         ]
 
-    def _settled(way: Detour) -> Detour | None:
+    def _settled(way: Detour) -> Points | None:
         stages = path_stages(way.points)[AFTER_JOINING:]
         settled = competed(lattice, way, stages, [way.replaced_j + lag * way.unit_j for lag in LAGS])
-        return None if settled is None else replace(settled, points=converged(lattice, settled.points))
+        return None if settled is None else converged(lattice, settled)
 
     ways = list(chain.from_iterable(share_out(_ways, list(product(parts, RIBBONS)))))
-    return with_detours(lattice, points, _distinct(lattice, ways), _settled)
+    settled = [way for way in share_out(_settled, _distinct(lattice, ways)) if way is not None]
+    return combined(lattice, points, settled)
 
 
 def _changed(vertices: Points, earlier: Points) -> list[tuple[int, int]]:

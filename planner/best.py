@@ -3,8 +3,7 @@
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
 the best one as a whole, the others where they differ from it (`detours`); then ways beside it are looked for
 (`beside`). Where limits close moves, the paths through `passages` are among them. There many local optima lie close to
-each other, so where the path is not long, each of these is improved as a whole in its turn, and the cheapest way over
-the answers is taken (`crossovers`).
+each other, so where the path is not long, each of these is improved as a whole too, and the best is `shaken`.
 """
 
 from __future__ import annotations
@@ -13,16 +12,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from joulemap.model.threads import share_out
 from joulemap.planner.beside import MOST_CELLS, with_ways_beside
 from joulemap.planner.corridors import corridor_paths
-from joulemap.planner.crossovers import with_crossovers
 from joulemap.planner.detours import best_of_corridors, largest_lag
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.polylines import path_length
 from joulemap.planner.refine import converged, refine_corners
+from joulemap.planner.shaken import shaken
 
 ANY_ANGLE_NEIGHBOURS = 32
 """The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
@@ -77,32 +75,32 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
         If the goal cannot be reached.
     """
     found, through = corridor_paths(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
-    paths = [path.points for path in found] + through
-    firsts = [0]
-    if through and path_length(through[0]) <= MOST_CELLS:
-        firsts += [k for k in range(len(found), len(paths)) if not math.isnan(path_price(lattice, paths[k]))]
-    points = best_of(lattice, [[paths[k], *paths[:k], *paths[k + 1 :]] for k in firsts])
+    hard = bool(through) and path_length(through[0]) <= MOST_CELLS
+    paths = [found[0].points, *through, *(path.points for path in found[1:])]
+    points = best_of(lattice, paths, whole=1 + len(through) if hard else 1)
+    if hard:
+        points = converged(lattice, shaken(lattice, points))
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 
 
-def best_of(lattice: CostLattice, starts: Sequence[Sequence[Points]]) -> Points:
+def best_of(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) -> Points:
     """Return the best of what the any-angle step makes of some paths, with ways beside it.
 
     Parameters
     ----------
     lattice : CostLattice
         Prices and limits.
-    starts : sequence of sequence of ndarray of float, (n, 2)
-        One or more lists of (row, col) polylines as for `detours.best_of_corridors`.
+    paths : sequence of ndarray of float, (n, 2)
+        As for `detours.best_of_corridors`, like `whole`.
+    whole : int, default 1
+        How many of the first are improved as a whole.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline.
     """
-    found = share_out(lambda paths: converged(lattice, best_of_corridors(lattice, paths)), starts)
-    found.sort(key=lambda points: path_price(lattice, points))
-    points = with_crossovers(lattice, found[0], found[1:])
+    points = converged(lattice, best_of_corridors(lattice, paths, whole=whole))
     return converged(lattice, with_ways_beside(lattice, points))
 
 

@@ -9,8 +9,8 @@ all be taken.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -95,7 +95,7 @@ def largest_lag(cells: float) -> float:
     return LAGS[0] * math.sqrt(max(cells, LEAST_CELLS)) / cells
 
 
-def best_of_corridors(lattice: CostLattice, paths: Sequence[Points]) -> Points:
+def best_of_corridors(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) -> Points:
     """Return the best of what the any-angle step makes of some paths.
 
     Parameters
@@ -105,17 +105,19 @@ def best_of_corridors(lattice: CostLattice, paths: Sequence[Points]) -> Points:
     paths : sequence of ndarray of float, (n, 2)
         (row, col) polylines with the same ends that may be driven, at least one. The others are compared with the
         first, so that it should be the best known.
+    whole : int, default 1
+        How many of the first are improved as a whole, though they may cost more.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline.
     """
-    best = _improved(lattice, paths[0])
-    detours = [detour for other in paths[1:] if (detour := _detour(lattice, best, other)) is not None]
+    best, *others = share_out(lambda path: _improved(lattice, path), paths[:whole])
+    detours = [detour for other in paths[whole:] if (detour := _detour(lattice, best, other)) is not None]
     stages = best.stages if path_length(best.points) <= BENT_DETOURS_CELLS else STAGES[:-1]
 
-    def _improve(detour: Detour) -> Detour | None:
+    def _improve(detour: Detour) -> Points | None:
         share = (detour.last - detour.first) / (len(best.vertices) - 1)
         most_j = [
             detour.replaced_j + share * (usual_j - best.prices_j[-1]) + lag * detour.unit_j
@@ -123,16 +125,13 @@ def best_of_corridors(lattice: CostLattice, paths: Sequence[Points]) -> Points:
         ]
         return competed(lattice, detour, stages, most_j)
 
-    return with_detours(lattice, best.points, detours, _improve)
+    won = [points for points in share_out(_improve, detours) if points is not None]
+    cheapest, *rest = sorted((best, *others), key=lambda path: path.prices_j[-1])
+    return combined(lattice, cheapest.points, [*(path.points for path in rest), *won])
 
 
-def with_detours(
-    lattice: CostLattice,
-    points: Points,
-    detours: list[Detour],
-    improve: Callable[[Detour], Detour | None],
-) -> Points:
-    """Return a path after the detours that pay were taken.
+def combined(lattice: CostLattice, points: Points, others: Sequence[Points]) -> Points:
+    """Return the cheapest way over a path and others, without the corners where it changes between them.
 
     Parameters
     ----------
@@ -140,23 +139,20 @@ def with_detours(
         Prices and limits.
     points : ndarray of float, (n, 2)
         (row, col) polyline.
-    detours : list of Detour
-        The detours.
-    improve : callable
-        Returns an improved detour, or None where it cannot win.
+    others : sequence of ndarray of float, (m, 2)
+        As for `with_crossovers`.
 
     Returns
     -------
     ndarray of float, (k, 2)
-        (row, col) polyline with at most the same energy.
+        (row, col) polyline with the ends of `points` and at most the same energy.
     """
-    improved = [detour.points for detour in share_out(improve, detours) if detour is not None]
-    crossed = with_crossovers(lattice, points, improved)
-    if crossed is points:
+    way = with_crossovers(lattice, points, others)
+    if way is points:
         return points
-    for stage in path_stages(points)[AFTER_JOINING:]:  # without the corners where it changes between them
-        crossed = stage(lattice, crossed)
-    return crossed
+    for stage in path_stages(points)[AFTER_JOINING:]:
+        way = stage(lattice, way)
+    return way
 
 
 def _improved(lattice: CostLattice, grid: Points) -> _Improved:
@@ -214,7 +210,7 @@ def _nearest(vertices: Points, place: Points) -> int:
     return int(np.argmin(((vertices - place) ** 2).sum(axis=1)))
 
 
-def competed(lattice: CostLattice, detour: Detour, stages: Sequence[Stage], most_j: Sequence[float]) -> Detour | None:
+def competed(lattice: CostLattice, detour: Detour, stages: Sequence[Stage], most_j: Sequence[float]) -> Points | None:
     """Return a detour after some stages of the any-angle step.
 
     Parameters
@@ -230,12 +226,12 @@ def competed(lattice: CostLattice, detour: Detour, stages: Sequence[Stage], most
 
     Returns
     -------
-    Detour or None
-        The detour, None where it costs more after a stage than it may.
+    ndarray of float, (n, 2), or None
+        (row, col) polyline; None where it costs more after a stage than it may.
     """
     points = detour.points
     for stage, most in zip(stages, most_j, strict=False):
         points = stage(lattice, points)
         if not path_price(lattice, points) <= most:
             return None
-    return replace(detour, points=points)
+    return points

@@ -257,7 +257,7 @@ class RoutePlanner:
         shortest = shorter_of(lattice, self._distances, shortest, points)
         details["from_shortest"] = path_price(lattice, shortest) < path_price(lattice, points)
         if details["from_shortest"]:  # the route never costs more than the shortest path
-            points = best_of(lattice, [[shortest, points]]) if refine else shortest
+            points = best_of(lattice, [shortest, points]) if refine else shortest
         ways = [points]
         if alternatives > 0:
             table = self._table(neighbours, distance=False)

@@ -210,7 +210,7 @@ class StoredPlanner:
         details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
         if details["from_shortest"]:
             self._strip.read_along(shortest, cells=MARGIN_CELLS if refine else 4)
-            points = best_of(self.lattice, [[shortest, points]]) if refine else shortest
+            points = best_of(self.lattice, [shortest, points]) if refine else shortest
         details["grid_gap"] = _gap(details["grid_energy_j"], details["grid_bound_j"])
         details["seconds"] = time.perf_counter() - began
         least = quick_bound(self.lattice, start, goal)

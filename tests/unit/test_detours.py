@@ -33,13 +33,13 @@ def test_both_stretches_are_replaced_though_no_other_path_has_both():
     lattice = walls()
     usual, one, other = through(LOW, LOW), through(HIGH, LOW), through(LOW, HIGH)
     alone, some, best = (
-        path_price(lattice, best_of(lattice, [paths])) for paths in ([usual], [usual, one], [usual, one, other])
+        path_price(lattice, best_of(lattice, paths)) for paths in ([usual], [usual, one], [usual, one, other])
     )
     assert best < some < alone
-    assert best == pytest.approx(path_price(lattice, best_of(lattice, [[through(HIGH, HIGH)]])), rel=1e-3)
+    assert best == pytest.approx(path_price(lattice, best_of(lattice, [through(HIGH, HIGH)])), rel=1e-3)
 
 
 def test_a_detour_that_costs_more_is_not_taken():
     lattice = walls()
     short, long = through(HIGH, HIGH), through(LOW, HIGH)
-    np.testing.assert_array_equal(best_of(lattice, [[short, long]]), best_of(lattice, [[short]]))
+    np.testing.assert_array_equal(best_of(lattice, [short, long]), best_of(lattice, [short]))

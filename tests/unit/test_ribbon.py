@@ -51,7 +51,7 @@ def test_a_cheap_channel_behind_a_ridge_is_found_and_shifts_alone_do_not_find_it
     assert path_price(lattice, way) < path_price(lattice, path[first : last + 1])
     shifted = path_price(lattice, refine_path(lattice, path))
     assert shifted <= usual
-    assert path_price(lattice, best_of(lattice, [[path]])) < 0.9 * shifted
+    assert path_price(lattice, best_of(lattice, [path])) < 0.9 * shifted
 
 
 def test_two_channels_are_two_ways():

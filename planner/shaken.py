@@ -1,0 +1,72 @@
+"""Ways out of local optima: a path is shaken, and what settles anew competes with it.
+
+Beside closed moves, vertices settle into one of many local optima that lie within a cell of each other. Iterated local
+search (Lourenço, Martin & Stützle 2003): all vertices are moved at random by about a cell, as far as the path can still
+be driven, and settle once more. The cheapest way over the path and several of these (`crossovers`) takes from each the
+stretches in which it is better.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from joulemap.model.threads import share_out
+from joulemap.planner.crossovers import with_crossovers
+from joulemap.planner.detours import AFTER_JOINING
+from joulemap.planner.edges import Points, leg_prices
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.polylines import path_length, subdivided
+from joulemap.planner.refine import path_stages
+
+ROUNDS, COPIES = 2, 4
+"""How often a path is shaken, and how many copies of it each time."""
+SHIFT_CELLS = 0.7
+"""Standard deviation of the shifts in row and in column [cells]."""
+KNOT_CELLS = 3.0
+"""Distance of the vertices whose shifts are drawn; between them the shifts change evenly [cells]."""
+
+
+def shaken(lattice: CostLattice, points: Points) -> Points:
+    """Return a path after several random changes competed with it.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline that went through all stages of `refine`.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy: the same for the same path.
+    """
+    random = np.random.default_rng(0)
+
+    def _settled(copy: Points) -> Points:
+        for stage in path_stages(points)[AFTER_JOINING:]:
+            copy = stage(lattice, copy)
+        return copy
+
+    for _ in range(ROUNDS):
+        copies = [_moved(lattice, points, random) for _ in range(COPIES)]
+        points = with_crossovers(lattice, points, share_out(_settled, copies))
+    return points
+
+
+def _moved(lattice: CostLattice, points: Points, random: np.random.Generator) -> Points:
+    """The path with its vertices shifted at random; those stay where a leg could not be driven."""
+    vertices = subdivided(points, 1.0)
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(vertices, axis=0).T)))
+    knots = np.linspace(0.0, along[-1], max(round(path_length(points) / KNOT_CELLS), 1) + 1)
+    shifts = random.normal(0.0, SHIFT_CELLS, (len(knots), 2))
+    shifts[0] = shifts[-1] = 0.0
+    shifted = vertices + np.column_stack([np.interp(along, knots, shift) for shift in shifts.T])
+    moves = np.ones((len(vertices), 1), dtype=np.bool_)
+    while moves.any():
+        copy = np.where(moves, shifted, vertices)
+        closed = np.isnan(leg_prices(lattice, copy))
+        if not closed.any():
+            return copy
+        moves[:-1][closed] = moves[1:][closed] = False
+    return vertices
