@@ -1,9 +1,9 @@
 """The best route that we find between two places: one function, which every question goes through.
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
-the best one as a whole, the others where they differ from it (`detours`); then ways beside it are looked for
-(`beside`). Where limits close moves, the paths through `passages` are among them. There many local optima lie close to
-each other, so where the path is not long, each of these is improved as a whole too, and the best is `shaken`.
+the best one as a whole, the others where they differ from it (`detours`). Where limits close moves, the paths through
+`passages` are among them, and each is improved as a whole where it is not long, because many local optima lie close to
+each other there. Then ways beside the best path are looked for (`beside`), and it is `shaken`.
 """
 
 from __future__ import annotations
@@ -75,16 +75,14 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
         If the goal cannot be reached.
     """
     found, through = corridor_paths(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
-    hard = bool(through) and path_length(through[0]) <= MOST_CELLS
     paths = [found[0].points, *through, *(path.points for path in found[1:])]
-    points = best_of(lattice, paths, whole=1 + len(through) if hard else 1)
-    if hard:
-        points = converged(lattice, shaken(lattice, points))
+    whole = 1 + len(through) if through and path_length(through[0]) <= MOST_CELLS else 1
+    points = best_of(lattice, paths, whole=whole)
     return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
 
 
 def best_of(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) -> Points:
-    """Return the best of what the any-angle step makes of some paths, with ways beside it.
+    """Return the best of what the any-angle step makes of some paths, with ways beside it, and shaken.
 
     Parameters
     ----------
@@ -101,7 +99,9 @@ def best_of(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) ->
         (row, col) polyline.
     """
     points = converged(lattice, best_of_corridors(lattice, paths, whole=whole))
-    return converged(lattice, with_ways_beside(lattice, points))
+    for improved in (with_ways_beside, shaken):
+        points = converged(lattice, improved(lattice, points))
+    return points
 
 
 def shorter_of(lattice: CostLattice, distances: CostLattice, shortest: Points, points: Points) -> Points:

@@ -1,9 +1,9 @@
-"""Ways out of local optima: a path is shaken, and what settles anew competes with it.
+"""Ways out of local optima: copies of a path are shaken, settle anew, and compete with it.
 
-Beside closed moves, vertices settle into one of many local optima that lie within a cell of each other. Iterated local
-search (Lourenço, Martin & Stützle 2003): all vertices are moved at random by about a cell, as far as the path can still
-be driven, and settle once more. The cheapest way over the path and several of these (`crossovers`) takes from each the
-stretches in which it is better.
+Vertices settle into local optima, of which there are many within a cell of each other where limits close moves. In
+iterated local search (Lourenço, Martin & Stützle 2003) they are moved at random by about a cell, as far as the path can
+still be driven, and settle once more. The cheapest way over the path and several such copies (`crossovers`) takes from
+each the stretches in which it is better.
 """
 
 from __future__ import annotations
@@ -11,18 +11,20 @@ from __future__ import annotations
 import numpy as np
 
 from joulemap.model.threads import share_out
+from joulemap.planner.beside import MOST_CELLS
 from joulemap.planner.crossovers import with_crossovers
-from joulemap.planner.detours import AFTER_JOINING
-from joulemap.planner.edges import Points, leg_prices
+from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.polylines import path_length, subdivided
-from joulemap.planner.refine import path_stages
+from joulemap.planner.refine import STAGES
 
-ROUNDS, COPIES = 2, 4
-"""How often a path is shaken, and how many copies of it each time."""
+COPIES = 6
+"""How many copies of a path are shaken in a round."""
+ROUNDS, LEAST_GAIN = 6, 1e-4
+"""Most rounds, and the gain of one, as a share of the energy, for which another one follows."""
 SHIFT_CELLS = 0.7
 """Standard deviation of the shifts in row and in column [cells]."""
-KNOT_CELLS = 3.0
+KNOT_CELLS = 2.0
 """Distance of the vertices whose shifts are drawn; between them the shifts change evenly [cells]."""
 
 
@@ -39,18 +41,25 @@ def shaken(lattice: CostLattice, points: Points) -> Points:
     Returns
     -------
     ndarray of float, (m, 2)
-        (row, col) polyline with the same ends and at most the same energy: the same for the same path.
+        (row, col) polyline with the same ends and at most the same energy, the same for the same path; `points` where
+        it is longer than `beside.MOST_CELLS`.
     """
+    if path_length(points) > MOST_CELLS:
+        return points
     random = np.random.default_rng(0)
 
     def _settled(copy: Points) -> Points:
-        for stage in path_stages(points)[AFTER_JOINING:]:
+        for stage in STAGES[-2:]:
             copy = stage(lattice, copy)
         return copy
 
+    energy = path_price(lattice, points)
     for _ in range(ROUNDS):
         copies = [_moved(lattice, points, random) for _ in range(COPIES)]
         points = with_crossovers(lattice, points, share_out(_settled, copies))
+        before, energy = energy, path_price(lattice, points)
+        if not before - energy > LEAST_GAIN * abs(energy):
+            break
     return points
 
 
