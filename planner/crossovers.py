@@ -22,10 +22,10 @@ from joulemap.planner.polylines import distinct, subdivided
 SPACING = 0.5
 """Longest distance of the vertices along a polyline [cells]."""
 NEAR = 1.0
-"""Longest leg between two vertices [cells]."""
+"""Longest leg between two vertices, where nothing else is said [cells]."""
 
 
-def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Points]) -> Points:
+def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Points], *, near: float = NEAR) -> Points:
     """Return the cheapest way over a path and other polylines.
 
     Parameters
@@ -35,7 +35,9 @@ def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Point
     points : ndarray of float, (n, 2)
         (row, col) polyline that may be driven.
     others : sequence of ndarray of float, (m, 2)
-        (row, col) polylines; they need not begin and end on the path.
+        (row, col) polylines, or places (m = 1); they need not begin and end on the path.
+    near : float, default 1
+        Longest leg between two vertices [cells].
 
     Returns
     -------
@@ -51,25 +53,25 @@ def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Point
         return points
     lines = [subdivided(line, SPACING) for line in (points, *others)]
     places = np.vstack(lines)
-    row, col = np.floor(places / NEAR).astype(np.int64).T
+    row, col = np.floor(places / near).astype(np.int64).T
     square = row * (lattice.frame.cols + 2) + col
     order = np.argsort(square, kind="stable")
     turn, never_pays = lattice.robot.turn_j_per_rad, lattice.robot.regeneration == 0.0
-    arrays = (*price_arrays(lattice), turn, places, square, order, square[order], lattice.frame.cols + 2)
-    way = _cheapest(*arrays, len(lines[0]) - 1, never_pays)
+    squares = square, order, square[order], lattice.frame.cols + 2
+    way = _cheapest(*price_arrays(lattice), turn, places, squares, near, len(lines[0]) - 1, never_pays)
     found = distinct(places[way])
     return found if path_price(lattice, found) < path_price(lattice, points) else points
 
 
 @njit(cache=True, nogil=True)
-def _cheapest(
-    traction, gradient, blocked, terms, turn_j_per_rad, places, square, order, in_order, next_row, last, never_pays
-):
+def _cheapest(traction, gradient, blocked, terms, turn_j_per_rad, places, squares, near, last, never_pays):
     """The vertices of the cheapest way from the first one to another.
 
-    square : number of the square of the side `NEAR` in which each vertex lies, by `next_row` more than of that above
-    it; order, in_order : vertices by their squares, and these; never_pays : no price is negative.
+    squares : number of the square of the side `near` in which each vertex lies; the vertices in the order of these; the
+    numbers in that order; by how much the number of a square is larger than that of the one above it.
+    never_pays : no price is negative.
     """
+    square, order, in_order, next_row = squares
     memory = heading_memory(traction.shape[2])
     label, came = np.full(len(places), np.inf), np.full(len(places), -1)
     settled = np.zeros(len(places), dtype=np.bool_)
@@ -84,7 +86,7 @@ def _cheapest(
         for middle in range(square[i] - next_row, square[i] + 2 * next_row, next_row):
             begin, end = np.searchsorted(in_order, middle - 1), np.searchsorted(in_order, middle + 2)
             for j in order[begin:end]:
-                if settled[j] or math.hypot(places[j, 0] - row, places[j, 1] - col) > NEAR:
+                if settled[j] or math.hypot(places[j, 0] - row, places[j, 1] - col) > near:
                     continue
                 energy = so_far
                 if turn_j_per_rad > 0.0 and i > 0:

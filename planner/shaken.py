@@ -8,6 +8,8 @@ each the stretches in which it is better.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from joulemap.model.threads import share_out
@@ -17,6 +19,7 @@ from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.polylines import path_length, subdivided
 from joulemap.planner.refine import STAGES
+from joulemap.planner.scattered import with_scattered
 
 COPIES = 6
 """How many copies of a path are shaken in a round."""
@@ -47,20 +50,24 @@ def shaken(lattice: CostLattice, points: Points) -> Points:
     if path_length(points) > MOST_CELLS:
         return points
     random = np.random.default_rng(0)
-
-    def _settled(copy: Points) -> Points:
-        for stage in STAGES[-2:]:
-            copy = stage(lattice, copy)
-        return copy
-
     energy = path_price(lattice, points)
     for _ in range(ROUNDS):
-        copies = [_moved(lattice, points, random) for _ in range(COPIES)]
-        points = with_crossovers(lattice, points, share_out(_settled, copies))
+        first, *draws = random.spawn(1 + COPIES)
+        tasks = [partial(with_scattered, lattice, points, first)]
+        tasks += [partial(_settled_copy, lattice, points, draw) for draw in draws]
+        points = with_crossovers(lattice, points, share_out(lambda task: task(), tasks))
         before, energy = energy, path_price(lattice, points)
         if not before - energy > LEAST_GAIN * abs(energy):
             break
     return points
+
+
+def _settled_copy(lattice: CostLattice, points: Points, random: np.random.Generator) -> Points:
+    """The path after its vertices were moved at random and settled."""
+    copy = _moved(lattice, points, random)
+    for stage in STAGES[-2:]:
+        copy = stage(lattice, copy)
+    return copy
 
 
 def _moved(lattice: CostLattice, points: Points, random: np.random.Generator) -> Points:

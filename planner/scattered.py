@@ -1,0 +1,52 @@
+"""Ways through narrow passages that no leg of a path points through: random places around it, joined by straight legs.
+
+Near ground that limits close, a passage may be open to long legs of few headings only, which neither the searches nor
+shifts of vertices hit. A probabilistic roadmap (Kavraki et al. 1996) of places around such vertices, with the path
+itself in it, offers many.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from joulemap.planner.crossovers import with_crossovers
+from joulemap.planner.edges import Points, leg_prices_between
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.polylines import subdivided
+
+PER_VERTEX, SPREAD_CELLS = 8, 0.5
+"""Places around every cell of the path, and their standard deviation from it in row and in column [cells]."""
+LONGEST_CELLS = 3.0
+"""Longest leg [cells]."""
+_FEELERS = 1.5 * np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4.0])
+"""Legs from a vertex by which closed ground is noticed [cells]."""
+
+
+def with_scattered(lattice: CostLattice, points: Points, random: np.random.Generator) -> Points:
+    """Return the cheapest way over a path and random places around it, where limits are near.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline that may be driven.
+    random : Generator
+        Draws the places.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline with the same ends and at most the same energy.
+    """
+    vertices = subdivided(points, 1.0)
+    starts = np.repeat(vertices, len(_FEELERS), axis=0)
+    closed = np.isnan(leg_prices_between(lattice, starts, starts + np.tile(_FEELERS, (len(vertices), 1))))
+    beside = vertices[closed.reshape(len(vertices), -1).any(axis=1)]
+    around = np.repeat(beside, PER_VERTEX, axis=0)
+    places = around + random.normal(0.0, SPREAD_CELLS, around.shape)
+    row, col = np.rint(places).astype(np.int64).T
+    rows, cols = lattice.frame.shape
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    free = places[inside][lattice.blocked[row[inside], col[inside]] == 0]
+    return with_crossovers(lattice, points, list(free[:, None]), near=LONGEST_CELLS)
