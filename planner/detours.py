@@ -2,8 +2,8 @@
 
 Paths of two corridors mostly begin and end over the same cells. The part in between is a *detour*: it leaves the best
 path, runs through the other corridor, and joins the path again. It competes with the stretch of the best path that it
-would replace, and is given up after a stage that leaves it too far behind. Detours that replace different stretches may
-all be taken.
+would replace, and is given up after a stage that leaves it too far behind. The cheapest way over the path and all
+detours that are left is taken (`crossovers`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""What ways beside a path save: the same random tasks with several settings of `joulemap.planner.beside`."""
+"""What the last steps of a short path save: the same random tasks with several settings of `joulemap.planner`."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
+from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
@@ -12,24 +14,28 @@ from rich.table import Table
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner import beside
+from joulemap.planner import beside, best, scattered, shaken
 from joulemap.planner.plan import RoutePlanner
 from tests.bench.quality import NOTICED, quality_maps
 
-SETTINGS: Mapping[str, Mapping[str, Any]] = {
-    "none": {"MOST_CELLS": 0.0},
-    "without the widest ribbon": {"RIBBONS": beside.RIBBONS[:-1]},
-    "one round": {"ROUNDS": 1},
+Setting = Mapping[ModuleType, Mapping[str, Any]]
+SETTINGS: Mapping[str, Setting] = {
+    "none of these": {beside: {"MOST_CELLS": 0.0}, shaken: {"ROUNDS": 0}, best: {"MOST_CELLS": 0.0}},
+    "passages only where they differ": {best: {"MOST_CELLS": 0.0}},
+    "no ways beside a path": {beside: {"MOST_CELLS": 0.0}},
+    "not shaken": {shaken: {"ROUNDS": 0}},
+    "shaken once": {shaken: {"ROUNDS": 1}},
+    "no places at random": {scattered: {"PER_VERTEX": 0}},
     "as it is": {},
-    "each round beside the whole path": {"AROUND_CELLS": 1e6},
-    "all that are found": {"SAME_CELLS": 0.0},
-    "on paths of up to 300 cells": {"MOST_CELLS": 300.0},
+    "twice as many copies": {shaken: {"COPIES": 2 * shaken.COPIES}},
+    "twice as many places": {scattered: {"PER_VERTEX": 2 * scattered.PER_VERTEX}},
+    "up to 300 cells": {module: {"MOST_CELLS": 300.0} for module in (best, beside, shaken)},
 }
-"""Constants of `joulemap.planner.beside` that differ."""
+"""Constants that differ, by module."""
 
 
-def compare_ways_beside(
-    heightmap: Heightmap | None, tasks: int, seed: int, settings: Mapping[str, Mapping[str, Any]] = SETTINGS
+def compare_last_steps(
+    heightmap: Heightmap | None, tasks: int, seed: int, settings: Mapping[str, Setting] = SETTINGS
 ) -> Table:
     """How much dearer than the best of all settings the answer of each is, and its processor time."""
     gaps: dict[str, list[float]] = {name: [] for name in settings}
@@ -48,7 +54,9 @@ def compare_ways_beside(
             energies = {}
             try:
                 for name, changed in settings.items():
-                    with patch.dict(vars(beside), changed):
+                    with ExitStack() as stack:
+                        for module, constants in changed.items():
+                            stack.enter_context(patch.dict(vars(module), constants))
                         began = time.process_time()
                         energies[name] = planner.plan(*ends).route.energy_j
                         spent[name] += time.process_time() - began
@@ -59,9 +67,9 @@ def compare_ways_beside(
             for name, energy in energies.items():
                 gaps[name].append(energy / min(energies.values()) - 1.0)
     count = len(next(iter(gaps.values())))
-    out = Table(title=f"ways beside a path, {count} random tasks of up to {longest:.0f} cells")
-    for column in ("ways", "tasks above 0.1 %", "mean gap %", "worst %", "processor ms an answer"):
-        out.add_column(column, justify="left" if column == "ways" else "right")
+    out = Table(title=f"last steps of a short path, {count} random tasks of up to {longest:.0f} cells")
+    for column in ("settings", "tasks above 0.1 %", "mean gap %", "worst %", "processor ms an answer"):
+        out.add_column(column, justify="left" if column == "settings" else "right")
     for name, values in gaps.items():
         share = 100.0 * np.array(values)
         out.add_row(
