@@ -276,14 +276,15 @@ def sample_along(
                 places=corridor(lattice, centre, half_width),
             )
         except NoRouteError:
-            continue
-        details["sampling_seconds"] += found["sampling_seconds"]
-        details["legs_priced"] += found["legs_priced"]
-        details["history"] += [
-            (round(stage * share + second, 3), energy) for second, energy in found["history"] if energy < least
-        ]
-        if found["sampled_energy_j"] < least:
-            best, least = centre, found["sampled_energy_j"]
+            found = None  # in so short a time; the next corridor is narrower
+        if found is not None:
+            details["sampling_seconds"] += found["sampling_seconds"]
+            details["legs_priced"] += found["legs_priced"]
+            details["history"] += [
+                (round(stage * share + second, 3), energy) for second, energy in found["history"] if energy < least
+            ]
+            if found["sampled_energy_j"] < least:
+                best, least = centre, found["sampled_energy_j"]
         if progress is not None:
             progress((stage + 1) / len(CORRIDORS_CELLS))
     if best is None:
