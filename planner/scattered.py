@@ -1,8 +1,8 @@
 """Ways through narrow passages that no leg of a path points through: random places around it, joined by straight legs.
 
 Near ground that limits close, a passage may be open to long legs of few headings only, which neither the searches nor
-shifts of vertices hit. A probabilistic roadmap (Kavraki et al. 1996) of places around such vertices, with the path
-itself in it, offers many.
+shifts of single vertices hit. A probabilistic roadmap (Kavraki et al. 1996) of places around such vertices, with the
+path itself in it, offers many.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from joulemap.planner.edges import Points, leg_prices_between
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.polylines import subdivided
 
-PER_VERTEX, SPREAD_CELLS = 8, 0.5
-"""Places around every cell of the path, and their standard deviation from it in row and in column [cells]."""
+SPREADS_CELLS = np.geomspace(0.8, 0.05, 12)
+"""Standard deviation, in row and in column, of each of the places around a cell of the path [cells]: the far ones find
+other passages, the near ones the best way through the same."""
 LONGEST_CELLS = 3.0
 """Longest leg [cells]."""
 _FEELERS = 1.5 * np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4.0])
@@ -43,8 +44,8 @@ def with_scattered(lattice: CostLattice, points: Points, random: np.random.Gener
     starts = np.repeat(vertices, len(_FEELERS), axis=0)
     closed = np.isnan(leg_prices_between(lattice, starts, starts + np.tile(_FEELERS, (len(vertices), 1))))
     beside = vertices[closed.reshape(len(vertices), -1).any(axis=1)]
-    around = np.repeat(beside, PER_VERTEX, axis=0)
-    places = around + random.normal(0.0, SPREAD_CELLS, around.shape)
+    around = np.repeat(beside, len(SPREADS_CELLS), axis=0)
+    places = around + random.normal(0.0, np.tile(SPREADS_CELLS, len(beside))[:, None], around.shape)
     row, col = np.rint(places).astype(np.int64).T
     rows, cols = lattice.frame.shape
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)

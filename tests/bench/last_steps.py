@@ -25,10 +25,10 @@ SETTINGS: Mapping[str, Setting] = {
     "no ways beside a path": {beside: {"MOST_CELLS": 0.0}},
     "not shaken": {shaken: {"ROUNDS": 0}},
     "shaken once": {shaken: {"ROUNDS": 1}},
-    "no places at random": {scattered: {"PER_VERTEX": 0}},
+    "no places at random": {scattered: {"SPREADS_CELLS": np.zeros(0)}},
     "as it is": {},
     "twice as many copies": {shaken: {"COPIES": 2 * shaken.COPIES}},
-    "twice as many places": {scattered: {"PER_VERTEX": 2 * scattered.PER_VERTEX}},
+    "twice as many places": {scattered: {"SPREADS_CELLS": np.repeat(scattered.SPREADS_CELLS, 2)}},
     "up to 300 cells": {module: {"MOST_CELLS": 300.0} for module in (best, beside, shaken)},
 }
 """Constants that differ, by module."""
