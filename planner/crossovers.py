@@ -59,13 +59,15 @@ def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Point
     turn, never_pays = lattice.robot.turn_j_per_rad, lattice.robot.regeneration == 0.0
     squares = square, order, square[order], lattice.frame.cols + 2
     way = _cheapest(*price_arrays(lattice), turn, places, squares, near, len(lines[0]) - 1, never_pays)
+    if way.size == 0:
+        return points
     found = distinct(places[way])
     return found if path_price(lattice, found) < path_price(lattice, points) else points
 
 
 @njit(cache=True, nogil=True)
 def _cheapest(traction, gradient, blocked, terms, turn_j_per_rad, places, squares, near, last, never_pays):
-    """The vertices of the cheapest way from the first one to another.
+    """The vertices of the cheapest way from the first one to another; none where there is no way.
 
     squares : number of the square of the side `near` in which each vertex lies; the vertices in the order of these; the
     numbers in that order; by how much the number of a square is larger than that of the one above it.
@@ -77,7 +79,7 @@ def _cheapest(traction, gradient, blocked, terms, turn_j_per_rad, places, square
     settled = np.zeros(len(places), dtype=np.bool_)
     label[0] = 0.0
     heap = [(0.0, 0)]
-    while not settled[last]:
+    while len(heap) > 0 and not settled[last]:
         so_far, i = heapq.heappop(heap)
         if settled[i]:
             continue
@@ -100,6 +102,8 @@ def _cheapest(traction, gradient, blocked, terms, turn_j_per_rad, places, square
                     label[j], came[j] = energy, i
                     heapq.heappush(heap, (energy, j))
     way = [last]
+    if not settled[last]:  # a limit that the whole leg keeps within rounding, and a part of it does not
+        return np.zeros(0, dtype=np.int64)
     while way[-1] > 0:
         way.append(came[way[-1]])
     return np.array(way[::-1])

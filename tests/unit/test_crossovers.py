@@ -84,3 +84,9 @@ def test_with_nothing_else_it_is_the_path_itself():
     lattice = ascii_lattice("\n".join(["." * 10] * 10))[0]
     path = np.array([(1.0, 1.0), (8.0, 8.0)])
     assert with_crossovers(lattice, path, []) is path
+
+
+def test_a_path_that_may_not_be_driven_stays_as_it_is():
+    lattice = ascii_lattice("\n".join(["." * 20] * 3 + ["#" * 20] + ["." * 20] * 3))[0]
+    path = np.array([(1.0, 1.0), (5.0, 18.0)])
+    assert with_crossovers(lattice, path, [path + 0.25]) is path
