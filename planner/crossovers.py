@@ -17,7 +17,7 @@ from numba import njit
 from joulemap.planner.edges import Points, path_price, price_arrays
 from joulemap.planner.kernels import heading_memory, leg_energy_with, turn_angle
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import distinct, subdivided
+from joulemap.planner.polylines import corners, distinct, subdivided
 
 SPACING = 0.5
 """Longest distance of the vertices along a polyline [cells]."""
@@ -61,7 +61,7 @@ def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Point
     way = _cheapest(*price_arrays(lattice), turn, places, squares, near, len(lines[0]) - 1, never_pays)
     if way.size == 0:
         return points
-    found = distinct(places[way])
+    found = subdivided(corners(distinct(places[way])), SPACING)
     return found if path_price(lattice, found) < path_price(lattice, points) else points
 
 

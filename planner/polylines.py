@@ -46,6 +46,26 @@ def distinct(points: Points) -> Points:
     return np.ascontiguousarray(points[keep])
 
 
+def corners(points: Points) -> Points:
+    """Return the same polyline without the vertices at which it does not turn; both ends stay.
+
+    Parameters
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline, each vertex distinct from the one before.
+
+    Returns
+    -------
+    ndarray of float, (m, 2)
+        (row, col) polyline.
+    """
+    legs = np.diff(points, axis=0)
+    (row, col), (next_row, next_col) = legs[:-1].T, legs[1:].T
+    area, along = row * next_col - col * next_row, row * next_row + col * next_col
+    turns = (np.abs(area) > 1e-9) | (along < 0.0)
+    return np.ascontiguousarray(points[np.concatenate([[True], turns, [True]])])
+
+
 def subdivided(points: Points, leg_cells: float) -> Points:
     """Return the same polyline with no leg longer than a limit.
 

@@ -49,7 +49,7 @@ def test_between_random_places_a_route_from_disk_is_that_of_the_map_in_memory(fo
     start, goal = np.random.default_rng(seed).uniform((3.0, 3.0), (97.0, 67.0), size=(2, 2)).tolist()
     ours, theirs = (ground.plan(start, goal, snap=True).energy_j for ground in (stored, whole))
     assert ours == pytest.approx(
-        theirs, rel=5e-4
+        theirs, rel=1e-9
     )  # in a window they may settle into other optima, also where nothing is shaken
 
 
