@@ -18,9 +18,9 @@ from joulemap.model.threads import share_out
 from joulemap.planner.detours import AFTER_JOINING, Detour, cell_energy, combined, competed
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import path_length, subdivided
+from joulemap.planner.polylines import path_length, stretches_around, subdivided
 from joulemap.planner.refine import converged, path_stages
-from joulemap.planner.ribbon import Ribbon, stretches, ways_beside
+from joulemap.planner.ribbon import Ribbon, ways_beside
 
 MOST_CELLS = 200.0
 """Longest path for which this is done [cells]: a way saves the energy of a few cells, which is a smaller share of a
@@ -28,9 +28,6 @@ longer path and takes more time there. Of 70 random paths of 200 to 290 cells wa
 RIBBONS = (
     Ribbon(spacing=12, half_width=12.0, step=0.5, slope=1.0),
     Ribbon(spacing=4, half_width=4.0, step=0.25, slope=0.75),
-    Ribbon(spacing=6, half_width=6.0, step=0.25, slope=1.0),
-    Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
-    Ribbon(spacing=3, half_width=3.0, step=0.25, slope=1.0),
     Ribbon(spacing=16, half_width=16.0, step=0.5, slope=1.0),
 )
 """Ribbons in which ways are searched; a leg of the path is at most half a cell long. Each ribbon finds ways that the
@@ -109,12 +106,8 @@ def _changed(vertices: Points, earlier: Points) -> list[tuple[int, int]]:
 
     They do not overlap.
     """
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(vertices, axis=0).T)))
     new = ~_near(vertices, _legs([earlier]), MOVED_CELLS, False)
-    around = np.zeros(len(vertices), dtype=np.bool_)
-    for first, after in stretches(new):
-        around[(along >= along[first] - AROUND_CELLS) & (along <= along[after - 1] + AROUND_CELLS)] = True
-    return stretches(around)
+    return stretches_around(vertices, new, AROUND_CELLS)
 
 
 def _distinct(lattice: CostLattice, ways: list[Detour]) -> list[Detour]:

@@ -18,6 +18,9 @@ from joulemap.planner.kernels import heading_memory, leg_energy_with, turn_angle
 
 TOLERANCE = 1e-5
 """Relative gain of a sweep below which the next step is tried."""
+ROUNDING = 1e-9
+"""Relative difference within which two combinations cost the same, and the first one is taken: crossings of a leg that
+are nearer to each other count as one (`kernels`)."""
 
 
 @njit(cache=True, nogil=True)
@@ -184,7 +187,7 @@ def _choose(cost, chosen):
         for b in range(shifts):
             for a in range(shifts):
                 total = least[a] + cost[k, a, b]
-                if total < ahead[b] - 1e-12 * abs(total):
+                if total < ahead[b] - ROUNDING * abs(total):
                     ahead[b] = total
                     came[k, b] = a
         least = ahead
@@ -219,7 +222,7 @@ def _choose_with_turns(turn_j_per_rad, points, side, controls, step, cost, chose
                     r2, c2 = _shifted(points, side, here + 1, here, after, b, c, step)
                     turn = turn_j_per_rad * turn_angle(r0, c0, r1, c1, r2, c2)
                     total = least[a, b] + turn + cost[k, b, c]
-                    if total < ahead[b, c] - 1e-12 * abs(total):
+                    if total < ahead[b, c] - ROUNDING * abs(total):
                         ahead[b, c] = total
                         came[k, b, c] = a
                     if a == 0 and b == 0 and c == 0:

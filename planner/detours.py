@@ -18,7 +18,7 @@ from joulemap.model.threads import share_out
 from joulemap.planner.crossovers import with_crossovers
 from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import path_length, subdivided
+from joulemap.planner.polylines import distances_along, path_length, subdivided
 from joulemap.planner.refine import STAGES, Stage, path_stages
 
 LAGS = (0.15, 0.12, 0.08, 0.03, 0.01, 0.0)
@@ -196,7 +196,7 @@ def _detour(lattice: CostLattice, best: _Improved, other: Points) -> Detour | No
     unit_j = best.j_per_cell * math.sqrt(max(path_length(part), path_length(instead), LEAST_CELLS))
     if not path_price(lattice, part) - path_price(lattice, instead) <= LAGS[0] * unit_j:
         return None
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(other, axis=0).T)))
+    along = distances_along(other)
     a = max(int(np.searchsorted(along, along[a] - JOINT_CELLS)) - 1, 0)
     b = min(int(np.searchsorted(along, along[b] + JOINT_CELLS)), len(other) - 1)
     first, last = _nearest(best.vertices, other[a]), _nearest(best.vertices, other[b])

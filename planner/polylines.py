@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from joulemap.planner.edges import Points
 
@@ -24,6 +25,22 @@ def path_length(points: Points) -> float:
         Length [cells].
     """
     return _length(np.ascontiguousarray(points, dtype=np.float64))
+
+
+def distances_along(points: Points) -> NDArray[np.float64]:
+    """Return how far along a polyline its vertices are.
+
+    Parameters
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Distance from its beginning [cells].
+    """
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
 
 
 def distinct(points: Points) -> Points:
@@ -84,6 +101,46 @@ def subdivided(points: Points, leg_cells: float) -> Points:
     return _cut(np.ascontiguousarray(points, dtype=np.float64), leg_cells)
 
 
+def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return where some flags are set.
+
+    Parameters
+    ----------
+    flags : ndarray of bool, (n,)
+        The flags.
+
+    Returns
+    -------
+    list of (int, int)
+        The first index of each stretch, and that after its last.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def stretches_around(points: Points, flags: NDArray[np.bool_], cells: float) -> list[tuple[int, int]]:
+    """Return the parts of a polyline that are near flagged vertices along it.
+
+    Parameters
+    ----------
+    points : ndarray of float, (n, 2)
+        (row, col) polyline.
+    flags : ndarray of bool, (n,)
+        Which of its vertices are flagged.
+    cells : float
+        How far before and after such a vertex a part begins and ends [cells].
+
+    Returns
+    -------
+    list of (int, int)
+        The first vertex of each part, and that after its last; they do not overlap.
+    """
+    along, around = distances_along(points), np.zeros(len(points), dtype=np.bool_)
+    for first, after in stretches(flags):
+        around[(along >= along[first] - cells) & (along <= along[after - 1] + cells)] = True
+    return stretches(around)
+
+
 @njit(cache=True, nogil=True)
 def _length(points):
     total = 0.0
@@ -98,7 +155,7 @@ def _cut(points, leg_cells):
     parts = np.empty(points.shape[0] - 1, dtype=np.int64)
     for k in range(parts.size):
         length = math.hypot(points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1])
-        parts[k] = max(math.ceil(length / leg_cells), 1)
+        parts[k] = max(math.ceil(length / leg_cells - 1e-9), 1)  # not one more where only rounding asks for it
     out = np.empty((parts.sum() + 1, 2))
     out[0], at = points[0], 1
     for k in range(parts.size):

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from joulemap.planner.deform import turn_sides
 from joulemap.planner.edges import Points, price_arrays
 from joulemap.planner.kernels import heading_memory, leg_energy_with
 from joulemap.planner.lattice import CostLattice
+from joulemap.planner.polylines import stretches
 
 CHAINS = 10
 """Most chains through a ribbon: the cheapest, and those through the lowest valleys."""
@@ -95,23 +95,6 @@ def ways_beside(
             way = stations[part] + (shift[part] * ribbon.step)[:, None] * side[part]
             ways[int(places[first - 1]), int(places[after]), shift[part].tobytes()] = way
     return [(first, last, way) for (first, last, _), way in ways.items()]
-
-
-def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return where some flags are set.
-
-    Parameters
-    ----------
-    flags : ndarray of bool, (n,)
-        The flags.
-
-    Returns
-    -------
-    list of (int, int)
-        The first index of each stretch, and that after its last.
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 @njit(cache=True, nogil=True)

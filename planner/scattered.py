@@ -8,6 +8,7 @@ path itself in it, offers many.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from joulemap.planner.crossovers import with_crossovers
 from joulemap.planner.edges import Points, leg_prices_between
@@ -41,9 +42,7 @@ def with_scattered(lattice: CostLattice, points: Points, random: np.random.Gener
         (row, col) polyline with the same ends and at most the same energy.
     """
     vertices = subdivided(points, 1.0)
-    starts = np.repeat(vertices, len(_FEELERS), axis=0)
-    closed = np.isnan(leg_prices_between(lattice, starts, starts + np.tile(_FEELERS, (len(vertices), 1))))
-    beside = vertices[closed.reshape(len(vertices), -1).any(axis=1)]
+    beside = vertices[beside_closed_ground(lattice, vertices)]
     around = np.repeat(beside, len(SPREADS_CELLS), axis=0)
     places = around + random.normal(0.0, np.tile(SPREADS_CELLS, len(beside))[:, None], around.shape)
     row, col = np.rint(places).astype(np.int64).T
@@ -51,3 +50,24 @@ def with_scattered(lattice: CostLattice, points: Points, random: np.random.Gener
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     free = places[inside][lattice.blocked[row[inside], col[inside]] == 0]
     return with_crossovers(lattice, points, list(free[:, None]), near=LONGEST_CELLS)
+
+
+def beside_closed_ground(lattice: CostLattice, places: Points) -> NDArray[np.bool_]:
+    """Return which places have ground close by that limits close in some direction.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    places : ndarray of float, (n, 2)
+        (row, col) of the places.
+
+    Returns
+    -------
+    ndarray of bool, (n,)
+        Whether one of eight legs of 1.5 cells from the place may not be driven.
+    """
+    starts = np.repeat(places, len(_FEELERS), axis=0)
+    closed = np.isnan(leg_prices_between(lattice, starts, starts + np.tile(_FEELERS, (len(places), 1))))
+    beside: NDArray[np.bool_] = np.logical_or.reduce(closed.reshape(len(places), -1), axis=1)
+    return beside

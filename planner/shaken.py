@@ -1,13 +1,15 @@
-"""Ways out of local optima: copies of a path are shaken, settle anew, and compete with it.
+"""Ways out of local optima: a path is changed at random, and its changed copies compete with it.
 
-Vertices settle into local optima, of which there are many within a cell of each other where limits close moves. In
-iterated local search (Lourenço, Martin & Stützle 2003) they are moved at random by about a cell, as far as the path can
-still be driven, and settle once more. The cheapest way over the path and several such copies (`crossovers`) takes from
-each the stretches in which it is better.
+Vertices settle into local optima, of which there are many within a cell of each other. In iterated local search
+(Lourenço, Martin & Stützle 2003) copies of the path, whose vertices are moved at random by about a cell, settle once
+more, and the cheapest way over the path and all copies (`crossovers`) is the next path. Beside ground that limits
+close there are more optima: stretches of the path there go through further rounds of their own, in which random places
+are `scattered` around them too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -17,14 +19,19 @@ from joulemap.planner.beside import MOST_CELLS
 from joulemap.planner.crossovers import with_crossovers
 from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import path_length, subdivided
+from joulemap.planner.polylines import distances_along, path_length, stretches_around, subdivided
 from joulemap.planner.refine import STAGES
-from joulemap.planner.scattered import with_scattered
+from joulemap.planner.scattered import beside_closed_ground, with_scattered
 
 COPIES = 6
-"""How many copies of a path are shaken in a round."""
-ROUNDS, LEAST_GAIN = 6, 1e-4
-"""Most rounds, and the gain of one, as a share of the energy, for which another one follows."""
+"""How many copies of the path are shaken in a round; there are rounds until one gains nothing."""
+AROUND_CELLS = 6.0
+"""How far before and after closed ground a stretch begins and ends [cells]."""
+STRETCH_COPIES, STRETCH_PATIENCE = 2, 3
+"""How many copies of a stretch are shaken in a round, and after how many rounds without gain there is no further one:
+many rounds of few changes find more than few rounds of many."""
+ROUNDS, LEAST_GAIN = 15, 1e-4
+"""Most rounds, and the least gain that counts, as a share of the energy of the path."""
 SHIFT_CELLS = 0.7
 """Standard deviation of the shifts in row and in column [cells]."""
 KNOT_CELLS = 2.0
@@ -32,7 +39,7 @@ KNOT_CELLS = 2.0
 
 
 def shaken(lattice: CostLattice, points: Points) -> Points:
-    """Return a path after several random changes competed with it.
+    """Return a path after random changes of its stretches beside closed ground competed with it.
 
     Parameters
     ----------
@@ -50,16 +57,54 @@ def shaken(lattice: CostLattice, points: Points) -> Points:
     if path_length(points) > MOST_CELLS:
         return points
     random = np.random.default_rng(0)
-    energy = path_price(lattice, points)
+    least_j = LEAST_GAIN * abs(path_price(lattice, points))
+    whole = partial(_changed, lattice, copies=COPIES, scatter=False)
+    points = _until_idle(lattice, points, random, whole, patience=1, least_j=least_j)
+    part = partial(_changed, lattice, copies=STRETCH_COPIES, scatter=True)
+
+    def _improved(stretch: tuple[Points, np.random.Generator]) -> Points:
+        return _until_idle(lattice, *stretch, part, patience=STRETCH_PATIENCE, least_j=least_j)
+
+    closed = _beside_closed_ground(lattice, points)
+    draws = random.spawn(len(closed))
+    return with_crossovers(lattice, points, share_out(_improved, list(zip(closed, draws, strict=True))))
+
+
+def _beside_closed_ground(lattice: CostLattice, points: Points) -> list[Points]:
+    """The stretches beside closed ground, which do not overlap."""
+    vertices = subdivided(points, 1.0)
+    closed = beside_closed_ground(lattice, vertices)
+    return [vertices[a:b] for a, b in stretches_around(vertices, closed, AROUND_CELLS) if b - a > 2]
+
+
+def _until_idle(
+    lattice: CostLattice,
+    points: Points,
+    random: np.random.Generator,
+    changed: Callable[[Points, np.random.Generator], Points],
+    *,
+    patience: int,
+    least_j: float,
+) -> Points:
+    """A path after rounds of changes, until so many in succession gained less than `least_j`."""
+    idle, energy = 0, path_price(lattice, points)
     for _ in range(ROUNDS):
-        first, *draws = random.spawn(1 + COPIES)
-        tasks = [partial(with_scattered, lattice, points, first)]
-        tasks += [partial(_settled_copy, lattice, points, draw) for draw in draws]
-        points = with_crossovers(lattice, points, share_out(lambda task: task(), tasks))
+        points = changed(points, random)
         before, energy = energy, path_price(lattice, points)
-        if not before - energy > LEAST_GAIN * abs(energy):
+        idle = 0 if before - energy > least_j else idle + 1
+        if idle == patience:
             break
     return points
+
+
+def _changed(
+    lattice: CostLattice, points: Points, random: np.random.Generator, *, copies: int, scatter: bool
+) -> Points:
+    """The cheapest way over a path and copies of it that were shaken."""
+    first, *draws = random.spawn(1 + copies)
+    tasks = [partial(with_scattered, lattice, points, first)] if scatter else []
+    tasks += [partial(_settled_copy, lattice, points, draw) for draw in draws]
+    return with_crossovers(lattice, points, share_out(lambda task: task(), tasks))
 
 
 def _settled_copy(lattice: CostLattice, points: Points, random: np.random.Generator) -> Points:
@@ -73,8 +118,8 @@ def _settled_copy(lattice: CostLattice, points: Points, random: np.random.Genera
 def _moved(lattice: CostLattice, points: Points, random: np.random.Generator) -> Points:
     """The path with its vertices shifted at random; those stay where a leg could not be driven."""
     vertices = subdivided(points, 1.0)
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(vertices, axis=0).T)))
-    knots = np.linspace(0.0, along[-1], max(round(path_length(points) / KNOT_CELLS), 1) + 1)
+    along = distances_along(vertices)
+    knots = np.linspace(0.0, along[-1], max(round(along[-1] / KNOT_CELLS), 1) + 1)
     shifts = random.normal(0.0, SHIFT_CELLS, (len(knots), 2))
     shifts[0] = shifts[-1] = 0.0
     shifted = vertices + np.column_stack([np.interp(along, knots, shift) for shift in shifts.T])

@@ -9,8 +9,8 @@ from joulemap.planner import beside
 from joulemap.planner.beside import MOST_CELLS, with_ways_beside
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import subdivided
-from joulemap.planner.ribbon import Ribbon, stretches
+from joulemap.planner.polylines import stretches, subdivided
+from joulemap.planner.ribbon import Ribbon
 from tests.reference.lattices import ascii_lattice
 
 ROWS, LINE = 41, 20
