@@ -43,14 +43,12 @@ def test_a_route_from_disk_is_that_of_the_map_in_memory(folder):
     assert stored.at(50.0, 20.0).energy_per_m == pytest.approx(whole.at(50.0, 20.0).energy_per_m, nan_ok=True)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(10))
 def test_between_random_places_a_route_from_disk_is_that_of_the_map_in_memory(folder, seed):
     whole, stored = jm.open_costmap(folder), jm.open_costmap(folder, memory_gb=0.5)
     start, goal = np.random.default_rng(seed).uniform((3.0, 3.0), (97.0, 67.0), size=(2, 2)).tolist()
     ours, theirs = (ground.plan(start, goal, snap=True).energy_j for ground in (stored, whole))
-    assert ours == pytest.approx(
-        theirs, rel=1e-9
-    )  # in a window they may settle into other optima, also where nothing is shaken
+    assert ours == pytest.approx(theirs, rel=1e-9)
 
 
 def test_where_the_surroundings_are_too_large_only_the_corridor_of_the_grid_is_improved(folder, monkeypatch):

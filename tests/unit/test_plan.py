@@ -11,10 +11,10 @@ from joulemap.model.robot import Robot
 from joulemap.planner.best import shorter_of
 from joulemap.planner.budget import judge
 from joulemap.planner.edges import path_price, price_world_path
+from joulemap.planner.ompl_problem import price_floor_per_m
 from joulemap.planner.plan import PLANNERS, RoutePlanner, distance_lattice
 from joulemap.planner.polylines import path_length
 from joulemap.planner.route import price_route
-from joulemap.planner.sampling import price_floor_per_m
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice, uniform_lattice
 
 ROOM = """
