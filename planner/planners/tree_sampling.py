@@ -53,8 +53,8 @@ def _from_grid(
     details: dict[str, Any] = {"grid_energy_j": grid.energy_j}
     try:
         points, found = improve(grid)
-    except NoRouteError:
-        return grid.points, details
+    except NoRouteError:  # in so short a time: no path is in its history
+        return grid.points, details | {"history": []}
     better = path_price(lattice, points) < path_price(lattice, grid.points)
     return points if better else grid.points, details | found
 
