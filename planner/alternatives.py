@@ -146,7 +146,8 @@ def _separation_m(lattice: CostLattice, best: Points) -> float:
 
 
 def _cells(lattice: CostLattice, points: Points) -> NDArray[np.int64]:
-    row, col = np.rint(points).astype(np.int64).T
+    """Flat indices of the cells under some places; a place on the border of the map is in the outermost cell."""
+    row, col = np.clip(np.rint(points).astype(np.int64), 0, np.array(lattice.frame.shape) - 1).T
     return np.asarray(row * lattice.frame.cols + col)
 
 

@@ -28,8 +28,8 @@ COPIES = 6
 AROUND_CELLS = 6.0
 """How far before and after closed ground a stretch begins and ends [cells]."""
 STRETCH_COPIES, STRETCH_PATIENCE = 2, 3
-"""How many copies of a stretch are shaken in a round, and after how many rounds without gain there is no further one:
-many rounds of few changes find more than few rounds of many."""
+"""How many copies of a stretch are shaken in a round, and after how many rounds without gain in succession there is no
+further one."""
 ROUNDS, LEAST_GAIN = 15, 1e-4
 """Most rounds, and the least gain that counts, as a share of the energy of the path."""
 SHIFT_CELLS = 0.7
@@ -39,7 +39,7 @@ KNOT_CELLS = 2.0
 
 
 def shaken(lattice: CostLattice, points: Points) -> Points:
-    """Return a path after random changes of its stretches beside closed ground competed with it.
+    """Return a path with what random changes of it gain.
 
     Parameters
     ----------

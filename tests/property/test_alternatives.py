@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from joulemap.model.errors import InputError, NoRouteError
 from joulemap.model.robot import Robot
-from joulemap.planner.alternatives import alternative_paths
+from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.edges import path_price
 from joulemap.planner.moves import move_table
 from joulemap.planner.plan import RoutePlanner
@@ -83,3 +83,13 @@ def test_what_cannot_be_asked_is_refused():
     ends = [np.array(lattice.frame.rowcol(*at[name])) for name in "ab"]
     with pytest.raises(InputError, match=r"stretch 0\.5"):
         alternative_paths(lattice, move_table(lattice), *ends, stretch=0.5)
+
+
+@pytest.mark.parametrize("border", [-0.5, 19.5])
+def test_a_path_along_the_border_of_the_map_has_alternatives_too(border):
+    lattice, _ = ascii_lattice("\n".join(["." * 40] * 9 + ["." * 12 + "#" * 16 + "." * 12] * 2 + ["." * 40] * 9))
+    along = np.array([(border, 1.5), (border, 38.5)])
+    inside = 4.0 if border > 10.0 else 15.0
+    other = np.array([along[0], (inside, 12.0), (inside, 28.0), along[1]])
+    ways = improved_ways(lattice, along, [other])
+    assert all(path_price(lattice, way) >= path_price(lattice, along) for way in ways)
