@@ -28,6 +28,9 @@ longer path and takes more time there. Of 70 random paths of 200 to 290 cells wa
 RIBBONS = (
     Ribbon(spacing=12, half_width=12.0, step=0.5, slope=1.0),
     Ribbon(spacing=4, half_width=4.0, step=0.25, slope=0.75),
+    Ribbon(spacing=6, half_width=6.0, step=0.25, slope=1.0),
+    Ribbon(spacing=8, half_width=8.0, step=0.25, slope=1.0),
+    Ribbon(spacing=3, half_width=3.0, step=0.25, slope=1.0),
     Ribbon(spacing=16, half_width=16.0, step=0.5, slope=1.0),
 )
 """Ribbons in which ways are searched; a leg of the path is at most half a cell long. Each ribbon finds ways that the
