@@ -23,7 +23,7 @@ SETTINGS: Mapping[str, Setting] = {
     "none of these": {beside: {"MOST_CELLS": 0.0}, shaken: {"ROUNDS": 0}, best: {"MOST_CELLS": 0.0}},
     "passages only where they differ": {best: {"MOST_CELLS": 0.0}},
     "no ways beside a path": {beside: {"MOST_CELLS": 0.0}},
-    "half of the ribbons": {beside: {"RIBBONS": [ribbon for ribbon in beside.RIBBONS if ribbon.spacing % 4 == 0]}},
+    "three of six ribbons": {beside: {"RIBBONS": [part for part in beside.RIBBONS if part.spacing in (4, 12, 16)]}},
     "not shaken": {shaken: {"ROUNDS": 0}},
     "no further rounds beside closed ground": {shaken: {"_beside_closed_ground": lambda *_: []}},
     "no places at random": {scattered: {"SPREADS_CELLS": np.zeros(0)}},
