@@ -65,12 +65,12 @@ def shaken(lattice: CostLattice, points: Points) -> Points:
     def _improved(stretch: tuple[Points, np.random.Generator]) -> Points:
         return _until_idle(lattice, *stretch, part, patience=STRETCH_PATIENCE, least_j=least_j)
 
-    closed = _beside_closed_ground(lattice, points)
+    closed = _closed_stretches(lattice, points)
     draws = random.spawn(len(closed))
     return with_crossovers(lattice, points, share_out(_improved, list(zip(closed, draws, strict=True))))
 
 
-def _beside_closed_ground(lattice: CostLattice, points: Points) -> list[Points]:
+def _closed_stretches(lattice: CostLattice, points: Points) -> list[Points]:
     """The stretches beside closed ground, which do not overlap."""
     vertices = subdivided(points, 1.0)
     closed = beside_closed_ground(lattice, vertices)

@@ -25,7 +25,7 @@ SETTINGS: Mapping[str, Setting] = {
     "no ways beside a path": {beside: {"MOST_CELLS": 0.0}},
     "three of six ribbons": {beside: {"RIBBONS": [part for part in beside.RIBBONS if part.spacing in (4, 12, 16)]}},
     "not shaken": {shaken: {"ROUNDS": 0}},
-    "no further rounds beside closed ground": {shaken: {"_beside_closed_ground": lambda *_: []}},
+    "no further rounds beside closed ground": {shaken: {"_closed_stretches": lambda *_: []}},
     "no places at random": {scattered: {"SPREADS_CELLS": np.zeros(0)}},
     "as it is": {},
     "twice as many copies": {shaken: {name: 2 * vars(shaken)[name] for name in ("COPIES", "STRETCH_COPIES")}},
