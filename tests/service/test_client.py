@@ -376,8 +376,11 @@ def zipped(**files: bytes) -> bytes:
     return held.getvalue()
 
 
+# named here: an archive holds the time it was made, and every process of a parallel run must call a test the same
 @pytest.mark.parametrize(
-    "sent", [b"<html>log in</html>", zipped(**{"m/a": b"1"})[:-9], zipped(**{"m/a": b"1", "../b": b"2"})]
+    "sent",
+    [b"<html>log in</html>", zipped(**{"m/a": b"1"})[:-9], zipped(**{"m/a": b"1", "../b": b"2"})],
+    ids=["a page", "cut short", "a file outside the folder"],
 )
 def test_what_is_no_cost_map_replaces_none(tmp_path: Path, local: jm.CostMap, sent: bytes) -> None:
     place = local.save(tmp_path / "good.zarr")
