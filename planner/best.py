@@ -100,7 +100,8 @@ def best_of(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) ->
     """
     points = converged(lattice, best_of_corridors(lattice, paths, whole=whole))
     for improved in (with_ways_beside, shaken):
-        points = converged(lattice, improved(lattice, points))
+        changed = improved(lattice, points)
+        points = points if changed is points else converged(lattice, changed)
     return points
 
 

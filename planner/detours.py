@@ -19,7 +19,7 @@ from joulemap.planner.crossovers import with_crossovers
 from joulemap.planner.edges import Points, leg_prices, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.polylines import distances_along, path_length, subdivided
-from joulemap.planner.refine import STAGES, Stage, path_stages
+from joulemap.planner.refine import STAGES, Stage, path_stages, shortcuts
 
 LAGS = (0.15, 0.12, 0.08, 0.03, 0.01, 0.0)
 """By how much a detour that wins in the end may lag behind before the stages and after each, as a share of the mean
@@ -150,6 +150,7 @@ def combined(lattice: CostLattice, points: Points, others: Sequence[Points]) -> 
     way = with_crossovers(lattice, points, others)
     if way is points:
         return points
+    way = shortcuts(lattice, way)
     for stage in path_stages(points)[AFTER_JOINING:]:
         way = stage(lattice, way)
     return way
