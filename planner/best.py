@@ -12,9 +12,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from joulemap.model.threads import both, share_out
 from joulemap.planner.beside import MOST_CELLS, with_ways_beside
-from joulemap.planner.corridors import corridor_paths
-from joulemap.planner.detours import best_of_corridors, largest_lag
+from joulemap.planner.corridors import Corridors
+from joulemap.planner.detours import Improved, best_of_corridors, improved, largest_lag
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
@@ -74,14 +75,19 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
     NoRouteError
         If the goal cannot be reached.
     """
-    found, through = corridor_paths(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
-    paths = [found[0].points, *through, *(path.points for path in found[1:])]
-    whole = 1 + len(through) if through and path_length(through[0]) <= MOST_CELLS else 1
-    points = best_of(lattice, paths, whole=whole)
-    return BestPath(points, path_price(lattice, points), found[0].energy_j, found[0].expanded, len(found))
+    corridors = Corridors(lattice, table, start, goal, margin=largest_lag(math.dist(start, goal)))
+    grid = corridors.first
+    first, (others, through) = both(lambda: improved(lattice, grid.points), corridors.others)
+    whole, parts = [first], [path.points for path in others]
+    if through and path_length(through[0]) <= MOST_CELLS:
+        whole += share_out(lambda path: improved(lattice, path), through)
+    else:
+        parts = [*through, *parts]
+    points = _best(lattice, whole, parts)
+    return BestPath(points, path_price(lattice, points), grid.energy_j, grid.expanded, 1 + len(others))
 
 
-def best_of(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) -> Points:
+def best_of(lattice: CostLattice, paths: Sequence[Points]) -> Points:
     """Return the best of what the any-angle step makes of some paths, with ways beside it, and shaken.
 
     Parameters
@@ -89,18 +95,22 @@ def best_of(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) ->
     lattice : CostLattice
         Prices and limits.
     paths : sequence of ndarray of float, (n, 2)
-        As for `detours.best_of_corridors`, like `whole`.
-    whole : int, default 1
-        How many of the first are improved as a whole.
+        (row, col) polylines with the same ends that may be driven, at least one; the first is improved as a whole, so
+        that it should be the best known.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline.
     """
-    points = converged(lattice, best_of_corridors(lattice, paths, whole=whole))
-    for improved in (with_ways_beside, shaken):
-        changed = improved(lattice, points)
+    return _best(lattice, [improved(lattice, paths[0])], paths[1:])
+
+
+def _best(lattice: CostLattice, whole: Sequence[Improved], others: Sequence[Points]) -> Points:
+    """As `best_of`; whole : paths that were improved as a whole."""
+    points = converged(lattice, best_of_corridors(lattice, whole, others))
+    for step in (with_ways_beside, shaken):
+        changed = step(lattice, points)
         points = points if changed is points else converged(lattice, changed)
     return points
 

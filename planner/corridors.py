@@ -39,16 +39,8 @@ cheaper through a passage between them (`passages`). Of 240 random tasks on a re
 _NONE = -1
 
 
-def corridor_paths(
-    lattice: CostLattice,
-    table: MoveTable,
-    start: Points,
-    goal: Points,
-    *,
-    margin: float = 0.01,
-    count: int = COUNT,
-) -> tuple[list[GridPath], list[Points]]:
-    """Return the cheapest path over grid moves, and the best of every other corridor that is nearly as good.
+class Corridors:
+    """The cheapest path over grid moves, and on request the best of every other corridor that is nearly as good.
 
     Parameters
     ----------
@@ -59,79 +51,95 @@ def corridor_paths(
     start, goal : ndarray of float, (2,)
         Fractional (row, col).
     margin : float, default 0.01
-        Most energy beyond that of the best, as a share of it.
-    count : int, default 24
-        Most paths.
+        Most energy of a path beyond that of the cheapest, as a share of it.
 
-    Returns
-    -------
-    paths : list of GridPath
-        The paths, cheapest first; the first is that of `search.grid_search`.
-    through : list of ndarray of float, (n, 2)
-        (row, col) of the cheapest paths between points of half and of a quarter of a cell, where limits close moves,
-        see `passages`.
+    Attributes
+    ----------
+    first : GridPath
+        The cheapest path, that of `search.grid_search`.
 
     Raises
     ------
     NoRouteError
         If the goal cannot be reached.
     """
-    layers = layer_count(lattice, table)
-    cells, cost = terminals(lattice, table, start, layers, outward=True)
-    targets, rest = terminals(lattice, table, goal, layers, outward=False)
-    guide = guide_towards(
-        table,
-        energy_bounds(table),
-        goal,
-        targets,
-        rest.min(axis=1),
-        lattice.frame.resolution_m,
-    )
-    margin = margin if count > 1 else 0.0
 
-    def _ahead(margin: float) -> tuple[Search, int, float, int]:
-        search = new_search(table, layers, cells, cost, backward=False)
-        return search, *run_search(search, table, np.unique(cells), guide, targets, rest, margin=margin)
+    def __init__(
+        self, lattice: CostLattice, table: MoveTable, start: Points, goal: Points, *, margin: float = 0.01
+    ) -> None:
+        self._lattice, self._table, self._start, self._goal, self._margin = lattice, table, start, goal, margin
+        layers = layer_count(lattice, table)
+        self._seeds, self._cost = terminals(lattice, table, start, layers, outward=True)
+        self._targets, self._rest = terminals(lattice, table, goal, layers, outward=False)
+        self._guide = guide_towards(
+            table, energy_bounds(table), goal, self._targets, self._rest.min(axis=1), lattice.frame.resolution_m
+        )
+        self._ahead, last, total, expanded = self._search(margin)
+        direct = direct_energy(lattice, start, goal)
+        self._direct = direct < math.inf and direct <= total
+        if self._direct:
+            self.first = GridPath(np.vstack([start, goal]), direct, expanded)
+            return
+        if last == _NONE:
+            raise no_route(lattice.robot, expanded)
+        self._cells = self._ahead.trace(table, last)[::-1] // layers
+        self.first = GridPath(joined_points(lattice, start, self._cells, goal), float(total), expanded)
 
-    ahead, last, total, expanded = _ahead(margin)
-    direct = direct_energy(lattice, start, goal)
-    if direct < math.inf and direct <= total:
-        return [GridPath(np.vstack([start, goal]), direct, expanded)], []
-    if last == _NONE:
-        raise no_route(lattice.robot, expanded)
-    first = ahead.trace(table, last)[::-1] // layers
-    found = [GridPath(joined_points(lattice, start, first, goal), float(total), expanded)]
-    if count == 1:
-        return found, []
-    most = wider = total + margin * abs(total)
-    if beside_closed_moves(table, first):
-        wider = total + WIDER * margin * abs(total)
-        ahead, *_ = _ahead(WIDER * margin)
-    behind = _back(ahead, table, targets, rest, wider)
-    reached = np.flatnonzero(behind.energy_j < math.inf)
-    states, via, length, middle = plateaus(ahead, behind, table, reached)
-    good = (length >= PLATEAU * abs(total)) & (via <= most)
-    states, via, middle = states[good], via[good], middle[good]
-    cols = lattice.frame.cols
-    taken = np.zeros(lattice.frame.shape, dtype=np.bool_)
-    separation = max(2, round(SEPARATION * path_length(found[0].points)))
-    mark_around(taken, first, cols, separation)
-    for k in np.argsort(via, kind="stable"):
-        state = int(states[k])
-        if taken.ravel()[middle[k]]:
-            continue
-        into = ahead.trace(table, state)[::-1] // layers
-        way = np.append(into, behind.trace(table, state)[1:] // layers)
-        way = way[np.append(True, np.diff(way) != 0)]  # turns on the spot
-        mark_around(taken, way, cols, separation)
-        if np.unique(way).size < way.size:
-            continue
-        found.append(GridPath(joined_points(lattice, start, way, goal), float(via[k]), 0))
-        if len(found) == count:
-            break
-    usual = reached if layers == 1 else np.unique(reached // layers)
-    through = paths_through_passages(lattice, table, usual, (cells, cost.min(axis=1)), (targets, rest.min(axis=1)))
-    return found, [without_repeats(np.vstack([start, way, goal])) for way in through]
+    def _search(self, margin: float) -> tuple[Search, int, float, int]:
+        search = new_search(self._table, self._cost.shape[1], self._seeds, self._cost, backward=False)
+        first = np.unique(self._seeds)
+        return search, *run_search(search, self._table, first, self._guide, self._targets, self._rest, margin=margin)
+
+    def others(self, count: int = COUNT) -> tuple[list[GridPath], list[Points]]:
+        """Return the paths of the other corridors, and those through passages that the moves of the grid miss.
+
+        Parameters
+        ----------
+        count : int, default 24
+            Most corridors, the first one among them.
+
+        Returns
+        -------
+        paths : list of GridPath
+            The paths, cheapest first.
+        through : list of ndarray of float, (n, 2)
+            (row, col) of the cheapest paths between points of half and of a quarter of a cell, where limits close
+            moves, see `passages`.
+        """
+        if self._direct:
+            return [], []
+        lattice, table, ahead, layers = self._lattice, self._table, self._ahead, self._ahead.layers
+        total, margin_j = self.first.energy_j, self._margin * abs(self.first.energy_j)
+        most = wider = total + margin_j
+        if beside_closed_moves(table, self._cells):
+            wider = total + WIDER * margin_j
+            ahead, *_ = self._search(WIDER * self._margin)
+        behind = _back(ahead, table, self._targets, self._rest, wider)
+        reached = np.flatnonzero(behind.energy_j < math.inf)
+        states, via, length, middle = plateaus(ahead, behind, table, reached)
+        good = (length >= PLATEAU * abs(total)) & (via <= most)
+        states, via, middle = states[good], via[good], middle[good]
+        cols, found = lattice.frame.cols, []
+        taken = np.zeros(lattice.frame.shape, dtype=np.bool_)
+        separation = max(2, round(SEPARATION * path_length(self.first.points)))
+        mark_around(taken, self._cells, cols, separation)
+        for k in np.argsort(via, kind="stable"):
+            state = int(states[k])
+            if taken.ravel()[middle[k]]:
+                continue
+            into = ahead.trace(table, state)[::-1] // layers
+            way = np.append(into, behind.trace(table, state)[1:] // layers)
+            way = way[np.append(True, np.diff(way) != 0)]  # turns on the spot
+            mark_around(taken, way, cols, separation)
+            if np.unique(way).size < way.size:
+                continue
+            found.append(GridPath(joined_points(lattice, self._start, way, self._goal), float(via[k]), 0))
+            if len(found) == count - 1:
+                break
+        usual = reached if layers == 1 else np.unique(reached // layers)
+        ends = (self._seeds, self._cost.min(axis=1)), (self._targets, self._rest.min(axis=1))
+        through = paths_through_passages(lattice, table, usual, *ends)
+        return found, [without_repeats(np.vstack([self._start, way, self._goal])) for way in through]
 
 
 def _back(

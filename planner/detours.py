@@ -41,10 +41,23 @@ AFTER_JOINING = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Improved:
-    """What became of a grid path.
+class Improved:
+    """What became of a path.
 
-    prices_j : energy of the grid path and after each stage; vertices : `points`, at most a cell apart.
+    Attributes
+    ----------
+    grid : ndarray of float, (n, 2)
+        (row, col) polyline as it was.
+    stages : tuple of callable
+        The stages that it went through.
+    prices_j : tuple of float
+        Its energy at first and after each stage [J].
+    points : ndarray of float, (m, 2)
+        (row, col) polyline after them.
+    vertices : ndarray of float, (k, 2)
+        The same, its vertices at most a cell apart.
+    j_per_cell : float
+        Mean energy of a cell's length [J].
     """
 
     grid: Points
@@ -95,26 +108,26 @@ def largest_lag(cells: float) -> float:
     return LAGS[0] * math.sqrt(max(cells, LEAST_CELLS)) / cells
 
 
-def best_of_corridors(lattice: CostLattice, paths: Sequence[Points], *, whole: int = 1) -> Points:
+def best_of_corridors(lattice: CostLattice, whole: Sequence[Improved], others: Sequence[Points]) -> Points:
     """Return the best of what the any-angle step makes of some paths.
 
     Parameters
     ----------
     lattice : CostLattice
         Prices and limits.
-    paths : sequence of ndarray of float, (n, 2)
-        (row, col) polylines with the same ends that may be driven, at least one. The others are compared with the
-        first, so that it should be the best known.
-    whole : int, default 1
-        How many of the first are improved as a whole, though they may cost more.
+    whole : sequence of Improved
+        Paths that were improved as a whole, at least one.
+    others : sequence of ndarray of float, (n, 2)
+        (row, col) polylines with the same ends that may be driven. They are compared with the first of the improved
+        paths, so that it should be the best known.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline.
     """
-    best, *others = share_out(lambda path: _improved(lattice, path), paths[:whole])
-    detours = [detour for other in paths[whole:] if (detour := _detour(lattice, best, other)) is not None]
+    best = whole[0]
+    detours = [detour for other in others if (detour := _detour(lattice, best, other)) is not None]
     stages = best.stages if path_length(best.points) <= BENT_DETOURS_CELLS else STAGES[:-1]
 
     def _improve(detour: Detour) -> Points | None:
@@ -126,7 +139,7 @@ def best_of_corridors(lattice: CostLattice, paths: Sequence[Points], *, whole: i
         return competed(lattice, detour, stages, most_j)
 
     won = [points for points in share_out(_improve, detours) if points is not None]
-    cheapest, *rest = sorted((best, *others), key=lambda path: path.prices_j[-1])
+    cheapest, *rest = sorted(whole, key=lambda path: path.prices_j[-1])
     return combined(lattice, cheapest.points, [*(path.points for path in rest), *won])
 
 
@@ -156,13 +169,27 @@ def combined(lattice: CostLattice, points: Points, others: Sequence[Points]) -> 
     return way
 
 
-def _improved(lattice: CostLattice, grid: Points) -> _Improved:
+def improved(lattice: CostLattice, grid: Points) -> Improved:
+    """Return what the any-angle step makes of a path.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    grid : ndarray of float, (n, 2)
+        (row, col) polyline that may be driven.
+
+    Returns
+    -------
+    Improved
+        The path, and what each stage gained.
+    """
     points, prices_j = grid, [path_price(lattice, grid)]
     stages = path_stages(grid)
     for stage in stages:
         points = stage(lattice, points)
         prices_j.append(path_price(lattice, points))
-    return _Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), cell_energy(lattice, points))
+    return Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), cell_energy(lattice, points))
 
 
 def cell_energy(lattice: CostLattice, points: Points) -> float:
@@ -183,7 +210,7 @@ def cell_energy(lattice: CostLattice, points: Points) -> float:
     return float(np.abs(leg_prices(lattice, points)).sum()) / max(path_length(points), 1.0)
 
 
-def _detour(lattice: CostLattice, best: _Improved, other: Points) -> Detour | None:
+def _detour(lattice: CostLattice, best: Improved, other: Points) -> Detour | None:
     """The part of another path that the best one has not; None where it is the same or too dear to win."""
     usual, common = best.grid, min(len(best.grid), len(other))
     differ = (usual[:common] != other[:common]).any(axis=1)
