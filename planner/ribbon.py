@@ -26,6 +26,8 @@ CHAINS = 10
 LEAST_DISTANCE = 1.0
 """Least distance of a valley from the path and from chains that were found before [cells]: within it, vertices settle
 by themselves."""
+_CHANGES = np.array([0, *(sign * lanes for lanes in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32) for sign in (1, -1))])
+"""Changes of the lane from one station to the next: the steeper a leg, the less it matters how steep exactly."""
 
 
 @dataclass(frozen=True)
@@ -120,15 +122,15 @@ def _leg_prices(traction, gradient, blocked, terms, stations, offsets, step, slo
             if least[a] == np.inf:
                 continue
             row0, col0 = _shifted(stations, side, s - 1, (a - offsets) * step)
-            low, high = max(a - reach, 0), min(a + reach + 1, width)
-            if s == n - 1:  # the end stays where it is
-                low, high = max(low, offsets), min(high, offsets + 1)
-            for b in range(low, high):
+            for change in _CHANGES:
+                b = a + change
+                if not -reach <= change <= reach or not 0 <= b < width or (s == n - 1 and b != offsets):
+                    continue  # the end stays where it is
                 row1, col1 = _shifted(stations, side, s, (b - offsets) * step)
                 most = ahead[b] + slack_j - least[a] if never_pays else math.inf
                 energy = leg_energy_with(memory, traction, gradient, blocked, terms, row0, col0, row1, col1, most)
                 if energy <= most:  # not where the leg may not be driven: NaN
-                    legs[s, a, b - a + reach] = energy
+                    legs[s, a, change + reach] = energy
                     ahead[b] = min(ahead[b], least[a] + energy)
         least = ahead
     return legs, side
