@@ -74,7 +74,10 @@ class Corridors:
         self._guide = guide_towards(
             table, energy_bounds(table), goal, self._targets, self._rest.min(axis=1), lattice.frame.resolution_m
         )
-        self._ahead, last, total, expanded = self._search(margin)
+        self._ahead = ahead = new_search(table, layers, self._seeds, self._cost, backward=False)
+        last, total, expanded = run_search(
+            ahead, table, np.unique(self._seeds), self._guide, self._targets, self._rest, margin=margin
+        )
         direct = direct_energy(lattice, start, goal)
         self._direct = direct < math.inf and direct <= total
         if self._direct:
@@ -82,13 +85,8 @@ class Corridors:
             return
         if last == _NONE:
             raise no_route(lattice.robot, expanded)
-        self._cells = self._ahead.trace(table, last)[::-1] // layers
+        self._cells = ahead.trace(table, last)[::-1] // layers
         self.first = GridPath(joined_points(lattice, start, self._cells, goal), float(total), expanded)
-
-    def _search(self, margin: float) -> tuple[Search, int, float, int]:
-        search = new_search(self._table, self._cost.shape[1], self._seeds, self._cost, backward=False)
-        first = np.unique(self._seeds)
-        return search, *run_search(search, self._table, first, self._guide, self._targets, self._rest, margin=margin)
 
     def others(self, count: int = COUNT) -> tuple[list[GridPath], list[Points]]:
         """Return the paths of the other corridors, and those through passages that the moves of the grid miss.
@@ -113,7 +111,7 @@ class Corridors:
         most = wider = total + margin_j
         if beside_closed_moves(table, self._cells):
             wider = total + WIDER * margin_j
-            ahead, *_ = self._search(WIDER * self._margin)
+            run_search(ahead, table, ahead.open_cells(), self._guide, most=wider)
         behind = _back(ahead, table, self._targets, self._rest, wider)
         reached = np.flatnonzero(behind.energy_j < math.inf)
         states, via, length, middle = plateaus(ahead, behind, table, reached)
@@ -138,7 +136,7 @@ class Corridors:
                 break
         usual = reached if layers == 1 else np.unique(reached // layers)
         ends = (self._seeds, self._cost.min(axis=1)), (self._targets, self._rest.min(axis=1))
-        through = paths_through_passages(lattice, table, usual, *ends)
+        through = paths_through_passages(lattice, table, ahead, usual, *ends)
         return found, [without_repeats(np.vstack([self._start, way, self._goal])) for way in through]
 
 

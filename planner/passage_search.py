@@ -137,13 +137,13 @@ def cheapest_way(
     legs,
     weights,
     region,
+    reached,
     begins,
-    cost,
     ends,
     rest,
     least_per_cell,
 ):
-    """Return the cheapest way; turns are not counted.
+    """Return the cheapest way, or the last part of it; turns are not counted.
 
     Parameters
     ----------
@@ -165,10 +165,10 @@ def cheapest_way(
         Weights of the heading bins at the headings of the short legs.
     region : Region
         The cells that take part.
+    reached : ndarray of float64, (S,)
+        Energy with which the centre of each cell is reached already [J], infinite where it is not.
     begins : ndarray of int, (A,)
-        Numbers of the cells that are joined to the start.
-    cost : ndarray of float64, (A,)
-        Energy of joining each [J].
+        Numbers of the cells from which ways may improve that.
     ends : ndarray of int, (B,)
         Numbers of the cells that are joined to the goal.
     rest : ndarray of float64, (B,)
@@ -179,7 +179,8 @@ def cheapest_way(
     Returns
     -------
     ndarray of float64, (k, 2)
-        (row, col) of the way, times `PER_CELL`; k = 0 where there is none.
+        (row, col) of the way, times `PER_CELL`, from a centre with the energy given; k = 0 where there is no way, and
+        k = 1 where none is cheaper than by the energies given.
     """
     # a point has the number PER_CELL ** 2 * slot + PER_CELL * (points down) + (points right of the centre)
     slot, cells = region.slot, region.cells
@@ -189,22 +190,24 @@ def cheapest_way(
     spacing, hotel, regeneration = terms[0], terms[1], terms[2]
     each, last_other = PER_CELL * PER_CELL, SHORT_LEGS + between.size
     label = np.full(each * cells.size, np.inf)
+    label[::each] = reached
     came = np.full(each * cells.size, -1, dtype=np.int64)
     settled = np.zeros(each * cells.size, dtype=np.bool_)
     joined = np.full(cells.size, np.inf)  # energy from a target to the goal
-    for k in range(ends.size):
-        joined[ends[k]] = min(joined[ends[k]], rest[k])
     memory = heading_memory(traction.shape[2])
     at_headings = np.empty((cells.size, SHORT_LEGS), dtype=np.float32)
     known = np.zeros(cells.size, dtype=np.bool_)
     around = np.empty(_ACROSS * _ACROSS, dtype=np.int64)
     shut = np.zeros(SHORT_LEGS + 1, dtype=np.bool_)  # the first one again at the end
+    total, last = np.inf, np.int64(-1)
+    for k in range(ends.size):
+        joined[ends[k]] = min(joined[ends[k]], rest[k])
+        if label[each * ends[k]] + rest[k] < total:
+            total, last = label[each * ends[k]] + rest[k], each * ends[k]
     heap = [(np.inf, np.int64(-1))]
     for k in range(begins.size):
-        if cost[k] < label[each * begins[k]]:
-            label[each * begins[k]] = cost[k]
-            heapq.heappush(heap, (cost[k], each * begins[k]))
-    total, last = np.inf, np.int64(-1)
+        if reached[begins[k]] < np.inf:
+            heapq.heappush(heap, (reached[begins[k]], each * begins[k]))
     while True:
         so_far, point = heapq.heappop(heap)
         if not so_far < total:
@@ -222,10 +225,10 @@ def cheapest_way(
                 r, c = row + offsets[n, 0], col + offsets[n, 1]
                 if 0 <= r < rows and 0 <= c < cols and slot[r, c] >= 0:
                     other = each * slot[r, c]
-                    reached = so_far + energy[row, col, n]
-                    if reached < label[other] and not settled[other]:
-                        label[other], came[other] = reached, point
-                        heapq.heappush(heap, (reached, other))
+                    arrived = so_far + energy[row, col, n]
+                    if arrived < label[other] and not settled[other]:
+                        label[other], came[other] = arrived, point
+                        heapq.heappush(heap, (arrived, other))
         if not halved[here]:
             continue
         for k in range(around.size):

@@ -18,6 +18,7 @@ from joulemap.planner.edges import Points, interpolation_matrix, price_arrays
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.passage_search import PER_CELL, Region, cheapest_way, short_legs
+from joulemap.planner.states import Search
 
 AROUND = 6
 """How far beside the cells of nearly best grid paths, and beside closed moves, the points lie [cells]. With 2, nine of
@@ -32,7 +33,7 @@ Ends = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def paths_through_passages(
-    lattice: CostLattice, table: MoveTable, usual: NDArray[np.int64], seeds: Ends, targets: Ends
+    lattice: CostLattice, table: MoveTable, ahead: Search, usual: NDArray[np.int64], seeds: Ends, targets: Ends
 ) -> list[Points]:
     """Return the cheapest paths among cell centres and points between them near closed moves.
 
@@ -42,6 +43,8 @@ def paths_through_passages(
         Prices and limits.
     table : MoveTable
         Priced moves of the lattice.
+    ahead : Search
+        Over those moves, from the seeds.
     usual : ndarray of int64, (n,)
         Flat indices of the cells of nearly best grid paths.
     seeds, targets : tuple of (ndarray of int64, (S,), ndarray of float64, (S,))
@@ -51,12 +54,15 @@ def paths_through_passages(
     -------
     list of ndarray of float, (k, 2)
         (row, col) of paths from a seed to a target: the best among points at half the spacing, and the best that has
-        those at a quarter of it too. Empty where no move is closed near those cells, or there is no path.
+        those at a quarter of it too, each only where it is cheaper than moves between centres alone. Empty where no
+        move is closed near those cells.
 
     Notes
     -----
-    Points that are settled stay settled, so with negative prices the paths may not be the cheapest. A leg that cannot
-    make its end cheaper is not priced and counts as open; one that touches a cell which takes no part counts as closed.
+    Where turning costs nothing, only what becomes cheaper than in the search over moves is searched once more, from the
+    cells with points between them on. Points that are settled stay settled, so with negative prices the paths may not
+    be the cheapest. A leg that cannot make its end cheaper is not priced and counts as open; one that touches a cell
+    which takes no part counts as closed.
     """
     rows, cols = lattice.frame.shape
     near = _around(usual, near=AROUND, shape=(rows, cols))
@@ -70,25 +76,35 @@ def paths_through_passages(
     legs = short_legs()
     weights = interpolation_matrix(legs.heading_rad, lattice.headings)
 
-    def _search(near: NDArray[np.bool_], *, quarters: bool) -> Points:
+    known_j = ahead.energy_j if ahead.layers == 1 else np.full(rows * cols, np.inf)
+    if ahead.layers > 1:  # its energies count turns
+        np.minimum.at(known_j, *seeds)
+
+    def _search(near: NDArray[np.bool_], *, quarters: bool) -> tuple[Points, bool]:
+        """The cheapest path, and whether it is cheaper than over moves between centres alone."""
         cells = np.flatnonzero(near)
         slot = np.full(rows * cols, -1, dtype=np.int32)
         slot[cells] = np.arange(cells.size)
-        own = beside.ravel()[cells]
-        region = Region(slot.reshape(rows, cols), cells, halved.ravel()[cells], own, own & quarters)
-        (begins, cost), (ends, rest) = ((slot[at], joined) for at, joined in (seeds, targets))
+        own, fine = beside.ravel()[cells], halved.ravel()[cells]
+        begins = np.flatnonzero(fine) if ahead.layers == 1 else slot[seeds[0]]
+        ends, rest = slot[targets[0]], targets[1]
         found = cheapest_way(
-            *price_arrays(lattice), table.energy, table.offsets, legs, weights, region,
-            begins[begins >= 0], cost[begins >= 0], ends[ends >= 0], rest[ends >= 0],
-            least * lattice.frame.resolution_m,
+            *price_arrays(lattice), table.energy, table.offsets, legs, weights,
+            Region(slot.reshape(rows, cols), cells, fine, own, own & quarters),
+            known_j[cells], begins[begins >= 0], ends[ends >= 0], rest[ends >= 0], least * lattice.frame.resolution_m,
         )  # fmt: skip
-        return found / PER_CELL
+        path = found / PER_CELL
+        if len(found) and ahead.layers == 1:
+            cell = int(np.rint(path[0]) @ [cols, 1])
+            path = np.vstack([np.column_stack(np.divmod(ahead.trace(table, cell)[:0:-1], cols)), path])
+        return path, len(found) > 1
 
-    first = _search(near, quarters=False)
+    first, cheaper = _search(near, quarters=False)
     if not len(first):
         return []
     along = np.unique(np.rint(first).astype(np.int64) @ np.array([cols, 1]))
-    return [first, _search(near & _around(along, near=BESIDE, shape=(rows, cols)), quarters=True)]
+    second, still_cheaper = _search(near & _around(along, near=BESIDE, shape=(rows, cols)), quarters=True)
+    return [first] * cheaper + [second] * still_cheaper
 
 
 def beside_closed_moves(table: MoveTable, cells: NDArray[np.int64]) -> bool:

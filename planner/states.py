@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from joulemap.planner.buckets import Guide, search_cells, trace_cells
+from joulemap.planner.buckets import SETTLED, Guide, search_cells, trace_cells
 from joulemap.planner.headings import SEED, search_headings, trace_headings
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
@@ -59,6 +59,18 @@ class Search:
             less = joined < self.energy_j[states]
             self.energy_j[states][less] = joined[less]
             self.pred[states][less] = SEED
+
+    def open_cells(self) -> NDArray[np.int64]:
+        """Return the cells from which a search that ended early has to go on.
+
+        Returns
+        -------
+        ndarray of int, (n,)
+            Flat indices: the cells that were reached and not settled; with several layers all that were reached.
+        """
+        if self.layers > 1:
+            return np.flatnonzero((self.energy_j < np.inf).reshape(-1, self.layers).any(axis=1))
+        return np.flatnonzero((self.pred < SETTLED) & (self.energy_j < np.inf))
 
     def trace(self, table: MoveTable, last: int) -> NDArray[np.int64]:
         """Return the states from one state back to the seed that it was reached from.
