@@ -27,7 +27,7 @@ from joulemap.planner.search import GridPath, direct_energy, joined_points, no_r
 from joulemap.planner.states import Search, layer_count, new_search, run_search
 
 COUNT = 24
-"""Most corridors."""
+"""Most corridors, the first one among them."""
 PLATEAU = 0.03
 """Least share of the energy that a path has in common with both searches."""
 SEPARATION = 0.02
@@ -88,18 +88,13 @@ class Corridors:
         self._cells = ahead.trace(table, last)[::-1] // layers
         self.first = GridPath(joined_points(lattice, start, self._cells, goal), float(total), expanded)
 
-    def others(self, count: int = COUNT) -> tuple[list[GridPath], list[Points]]:
+    def others(self) -> tuple[list[GridPath], list[Points]]:
         """Return the paths of the other corridors, and those through passages that the moves of the grid miss.
-
-        Parameters
-        ----------
-        count : int, default 24
-            Most corridors, the first one among them.
 
         Returns
         -------
         paths : list of GridPath
-            The paths, cheapest first.
+            The paths, cheapest first, at most `COUNT` with the first one.
         through : list of ndarray of float, (n, 2)
             (row, col) of the cheapest paths between points of half and of a quarter of a cell, where limits close
             moves, see `passages`.
@@ -132,7 +127,7 @@ class Corridors:
             if np.unique(way).size < way.size:
                 continue
             found.append(GridPath(joined_points(lattice, self._start, way, self._goal), float(via[k]), 0))
-            if len(found) == count - 1:
+            if len(found) == COUNT - 1:
                 break
         usual = reached if layers == 1 else np.unique(reached // layers)
         ends = (self._seeds, self._cost.min(axis=1)), (self._targets, self._rest.min(axis=1))

@@ -21,6 +21,8 @@ from joulemap.planner.polylines import corners, distinct, subdivided
 
 SPACING = 0.5
 """Longest distance of the vertices along a polyline [cells]."""
+ROUNDING = 1e-12
+"""A smaller share of the energy is no gain."""
 NEAR = 1.0
 """Longest leg between two vertices, where nothing else is said [cells]."""
 
@@ -62,7 +64,8 @@ def with_crossovers(lattice: CostLattice, points: Points, others: Sequence[Point
     if way.size == 0:
         return points
     found = subdivided(corners(distinct(places[way])), SPACING)
-    return found if path_price(lattice, found) < path_price(lattice, points) else points
+    energy = path_price(lattice, points)
+    return found if path_price(lattice, found) < energy - ROUNDING * abs(energy) else points
 
 
 @njit(cache=True, nogil=True)

@@ -104,7 +104,7 @@ def paths_through_passages(
         return []
     along = np.unique(np.rint(first).astype(np.int64) @ np.array([cols, 1]))
     second, still_cheaper = _search(near & _around(along, near=BESIDE, shape=(rows, cols)), quarters=True)
-    return [first] * cheaper + [second] * still_cheaper
+    return [way for way, gains in ((first, cheaper), (second, still_cheaper)) if gains]
 
 
 def beside_closed_moves(table: MoveTable, cells: NDArray[np.int64]) -> bool:
