@@ -12,9 +12,11 @@ from joulemap.model.errors import BlockedError, NegativeCycleError, NoRouteError
 from joulemap.planner.edges import path_price
 from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.graph import lattice_graph
+from joulemap.planner.heuristics import guide_everywhere
 from joulemap.planner.moves import move_table
 from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
+from joulemap.planner.states import layer_count, new_search, run_search
 from tests.reference.lattices import random_lattice
 
 
@@ -71,6 +73,31 @@ def test_astar_equals_dijkstra_equals_networkx(seed, neighbours, regeneration, t
     refined = refine_path(lattice, found.points)
     assert path_price(lattice, refined) <= path_price(lattice, found.points) + 1e-9
     np.testing.assert_array_equal(refined[[0, -1]], found.points[[0, -1]])
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 10**6),
+    share=st.floats(0.0, 1.0),
+    turn=st.sampled_from([0.0, 30.0]),
+    regeneration=st.sampled_from([0.0, 0.5]),
+    backward=st.booleans(),
+)
+def test_a_search_that_ended_early_goes_on_from_its_open_cells(seed, share, turn, regeneration, backward):
+    rng = np.random.default_rng(seed)
+    lattice = random_lattice(rng, 12, 13, turn_j_per_rad=turn, regeneration=regeneration)
+    try:
+        table = move_table(lattice, neighbours=16)
+    except NegativeCycleError:
+        return
+    cell, layers = rng.integers(0, 12 * 13, size=1), layer_count(lattice, table)
+    guide = guide_everywhere(table, backward=backward)
+    whole, parts = (new_search(table, layers, cell, np.zeros((1, layers)), backward=backward) for _ in range(2))
+    run_search(whole, table, cell, guide)
+    reached = whole.energy_j[np.isfinite(whole.energy_j)]
+    run_search(parts, table, cell, guide, most=float(np.quantile(reached, share)))
+    run_search(parts, table, parts.open_cells(), guide)
+    np.testing.assert_allclose(parts.energy_j, whole.energy_j, rtol=1e-9, atol=1e-6)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
