@@ -21,7 +21,7 @@ from joulemap.planner.polylines import corners, distinct, subdivided
 
 SPACING = 0.5
 """Longest distance of the vertices along a polyline [cells]."""
-ROUNDING = 1e-12
+ROUNDING = 1e-9
 """A smaller share of the energy is no gain."""
 NEAR = 1.0
 """Longest leg between two vertices, where nothing else is said [cells]."""
