@@ -1,9 +1,10 @@
 """The best route that we find between two places: one function, which every question goes through.
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
-the best one as a whole, the others where they differ from it (`detours`). Where limits close moves, the paths through
-`passages` are among them, and each is improved as a whole where it is not long, because many local optima lie close to
-each other there. Then ways beside the best path are looked for (`beside`), and it is `shaken`.
+the best one as a whole, while the others are searched, and these where they differ from it (`detours`). Where limits
+close moves, the paths through `passages` are among them, and each is improved as a whole where it is not long, because
+many local optima lie close to each other there. Then ways beside the best path are looked for (`beside`), and it is
+`shaken`.
 """
 
 from __future__ import annotations

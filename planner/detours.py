@@ -37,7 +37,8 @@ BENT_DETOURS_CELLS = 200.0
 that it takes. Of the detours that saved 0.1 % or more, 99 of 100 lagged by less than 0.06 cells before: a small share
 of such a path."""
 AFTER_JOINING = 2
-"""The first stage that a path with detours goes through once more, because it has corners where they begin and end."""
+"""The first stage that a path with detours goes through once more, after `shortcuts`, because it has corners where they
+begin and end."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,7 +164,7 @@ def combined(lattice: CostLattice, points: Points, others: Sequence[Points]) -> 
     way = with_crossovers(lattice, points, others)
     if way is points:
         return points
-    way = shortcuts(lattice, way)
+    way = shortcuts(lattice, way)  # it has a vertex every half cell, of which each stage would move all
     for stage in path_stages(points)[AFTER_JOINING:]:
         way = stage(lattice, way)
     return way
