@@ -6,19 +6,15 @@ it like them. Where ways were taken, the path is a new one, and ways beside it a
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from itertools import chain, product
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from joulemap.model.threads import share_out
 from joulemap.planner.detours import AFTER_JOINING, Detour, cell_energy, combined, competed
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import path_length, stretches_around, subdivided
+from joulemap.planner.polylines import near_lines, path_length, stretches_around, subdivided
 from joulemap.planner.refine import converged, path_stages
 from joulemap.planner.ribbon import Ribbon, ways_beside
 
@@ -84,7 +80,9 @@ def _improved(lattice: CostLattice, points: Points, earlier: Points | None) -> P
     earlier : a path beside which ways were searched before; only where it is left they are searched again.
     """
     vertices, cell_j = subdivided(points, 0.5), cell_energy(lattice, points)
-    parts = [(0, len(vertices))] if earlier is None else _changed(vertices, earlier)
+    parts = [(0, len(vertices))]
+    if earlier is not None:
+        parts = stretches_around(vertices, ~near_lines(vertices, [earlier], MOVED_CELLS), AROUND_CELLS)
 
     def _ways(where: tuple[tuple[int, int], Ribbon]) -> list[Detour]:
         (a, b), ribbon = where
@@ -104,15 +102,6 @@ def _improved(lattice: CostLattice, points: Points, earlier: Points | None) -> P
     return combined(lattice, points, settled)
 
 
-def _changed(vertices: Points, earlier: Points) -> list[tuple[int, int]]:
-    """Stretches around the vertices that are not on an earlier path: the first vertex of each, and that after its last.
-
-    They do not overlap.
-    """
-    new = ~_near(vertices, _legs([earlier]), MOVED_CELLS, False)
-    return stretches_around(vertices, new, AROUND_CELLS)
-
-
 def _distinct(lattice: CostLattice, ways: list[Detour]) -> list[Detour]:
     """The ways without those that go where cheaper ones go."""
     lags_j = [path_price(lattice, way.points) - way.replaced_j for way in ways]
@@ -120,32 +109,6 @@ def _distinct(lattice: CostLattice, ways: list[Detour]) -> list[Detour]:
     for k in np.argsort(lags_j, kind="stable"):
         way = ways[k]
         cheaper = [other.points for other in kept if other.first < way.last and way.first < other.last]
-        if not cheaper or not _near(subdivided(way.points, 0.5), _legs(cheaper), SAME_CELLS, True).all():
+        if not cheaper or not near_lines(subdivided(way.points, 0.5), cheaper, SAME_CELLS, all_or_none=True).all():
             kept.append(way)
     return kept
-
-
-def _legs(lines: Sequence[Points]) -> NDArray[np.float64]:
-    """Start and end of every leg of some polylines, (n, 4)."""
-    return np.vstack([np.hstack([line[:-1], line[1:]]) for line in lines])
-
-
-@njit(cache=True, nogil=True)
-def _near(places, legs, within, all_or_none):
-    """Whether each place, (n, 2), is within a distance of a leg, (m, 4).
-
-    all_or_none : those after the first that is not are not looked at, and count as not near.
-    """
-    near, count, k = np.zeros(places.shape[0], dtype=np.bool_), legs.shape[0], 0
-    for i in range(places.shape[0]):
-        for _ in range(count):  # beginning with the leg that the place before is near to
-            drow, dcol = legs[k, 2] - legs[k, 0], legs[k, 3] - legs[k, 1]
-            row, col = places[i, 0] - legs[k, 0], places[i, 1] - legs[k, 1]
-            share = min(max((row * drow + col * dcol) / max(drow * drow + dcol * dcol, 1e-12), 0.0), 1.0)
-            if math.hypot(row - share * drow, col - share * dcol) <= within:
-                near[i] = True
-                break
-            k = k + 1 if k + 1 < count else 0
-        if all_or_none and not near[i]:
-            break
-    return near

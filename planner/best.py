@@ -3,8 +3,8 @@
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
 the best one as a whole, while the others are searched, and these where they differ from it (`detours`). Where limits
 close moves, the paths through `passages` are among them, and each is improved as a whole where it is not long, because
-many local optima lie close to each other there. Then ways beside the best path are looked for (`beside`), and it is
-`shaken`.
+many local optima lie close to each other there. Then ways beside the best path are looked for (`beside`), it is
+`shaken`, and so are its `rivals`, the other paths that were improved as a whole, where they differ from it.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.polylines import path_length
 from joulemap.planner.refine import converged, refine_corners
+from joulemap.planner.rivals import with_rivals
 from joulemap.planner.shaken import shaken
 
 ANY_ANGLE_NEIGHBOURS = 32
@@ -113,7 +114,7 @@ def _best(lattice: CostLattice, whole: Sequence[Improved], others: Sequence[Poin
     for step in (with_ways_beside, shaken):
         changed = step(lattice, points)
         points = points if changed is points else converged(lattice, changed)
-    return points
+    return with_rivals(lattice, points, [path.points for path in whole]) if len(whole) > 1 else points
 
 
 def shorter_of(lattice: CostLattice, distances: CostLattice, shortest: Points, points: Points) -> Points:

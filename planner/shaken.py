@@ -9,7 +9,7 @@ are `scattered` around them too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -57,17 +57,43 @@ def shaken(lattice: CostLattice, points: Points) -> Points:
     if path_length(points) > MOST_CELLS:
         return points
     random = np.random.default_rng(0)
-    least_j = LEAST_GAIN * abs(path_price(lattice, points))
     whole = partial(_changed, lattice, copies=COPIES, scatter=False)
-    points = _until_idle(lattice, points, random, whole, patience=1, least_j=least_j)
-    part = partial(_changed, lattice, copies=STRETCH_COPIES, scatter=True)
+    points = _until_idle(lattice, points, random, whole, patience=1, least_j=_least_gain(lattice, points))
+    return with_stretches(lattice, points, _closed_stretches(lattice, points), random)
+
+
+def with_stretches(
+    lattice: CostLattice, points: Points, stretches: Sequence[Points], random: np.random.Generator
+) -> Points:
+    """Return the cheapest way over a path and some polylines, each of which went through rounds of its own.
+
+    Parameters
+    ----------
+    lattice : CostLattice
+        Prices and limits.
+    points : ndarray of float, (n, 2)
+        (row, col) polyline that may be driven.
+    stretches : sequence of ndarray of float, (m, 2)
+        (row, col) polylines that may be driven, and begin and end near the path.
+    random : Generator
+        Draws the changes.
+
+    Returns
+    -------
+    ndarray of float, (k, 2)
+        (row, col) polyline with the ends of `points` and at most the same energy.
+    """
+    part, least_j = partial(_changed, lattice, copies=STRETCH_COPIES, scatter=True), _least_gain(lattice, points)
 
     def _improved(stretch: tuple[Points, np.random.Generator]) -> Points:
         return _until_idle(lattice, *stretch, part, patience=STRETCH_PATIENCE, least_j=least_j)
 
-    closed = _closed_stretches(lattice, points)
-    draws = random.spawn(len(closed))
-    return with_crossovers(lattice, points, share_out(_improved, list(zip(closed, draws, strict=True))))
+    draws = random.spawn(len(stretches))
+    return with_crossovers(lattice, points, share_out(_improved, list(zip(stretches, draws, strict=True))))
+
+
+def _least_gain(lattice: CostLattice, points: Points) -> float:
+    return LEAST_GAIN * abs(path_price(lattice, points))
 
 
 def _closed_stretches(lattice: CostLattice, points: Points) -> list[Points]:

@@ -9,7 +9,7 @@ from joulemap.planner import beside
 from joulemap.planner.beside import MOST_CELLS, with_ways_beside
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.lattice import CostLattice
-from joulemap.planner.polylines import stretches, subdivided
+from joulemap.planner.polylines import near_lines, stretches, subdivided
 from joulemap.planner.ribbon import Ribbon
 from tests.reference.lattices import ascii_lattice
 
@@ -92,12 +92,12 @@ def test_what_several_ribbons_find_competes_once(monkeypatch: pytest.MonkeyPatch
 
 
 def test_nearness_is_of_places_on_legs_and_not_of_vertices() -> None:
-    legs = beside._legs([np.array([(0.0, 0.0), (0.0, 10.0)]), np.array([(5.0, 10.0), (5.0, 0.0)])])
+    lines = [np.array([(0.0, 0.0), (0.0, 10.0)]), np.array([(5.0, 10.0), (5.0, 0.0)])]
     places = np.array([(0.5, 5.0), (4.5, 5.0), (2.5, 5.0), (0.0, 11.5), (5.2, -0.2), (0.2, 3.0)])
     near = [True, True, False, False, True, True]
-    assert beside._near(places, legs, 0.6, False).tolist() == near
-    assert beside._near(places, legs, 0.6, True).tolist() == [True, True, False, False, False, False]
-    assert beside._near(subdivided(places[:2], 0.5), legs, 0.6, True).sum() == 1  # the way between them is not near
+    assert near_lines(places, lines, 0.6).tolist() == near
+    assert near_lines(places, lines, 0.6, all_or_none=True).tolist() == [True, True, False, False, False, False]
+    assert near_lines(subdivided(places[:2], 0.5), lines, 0.6, all_or_none=True).sum() == 1  # not the way between
 
 
 def test_stretches_are_where_flags_are_set() -> None:
