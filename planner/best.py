@@ -2,9 +2,10 @@
 
 The grid path of every corridor within the grid's error of the best (`corridors`) is improved at any angle (`refine`):
 the best one as a whole, while the others are searched, and these where they differ from it (`detours`). Where limits
-close moves, the paths through `passages` are among them, and each is improved as a whole where it is not long, because
-many local optima lie close to each other there. Then ways beside the best path are looked for (`beside`), it is
-`shaken`, and so are its `rivals`, the other paths that were improved as a whole, where they differ from it.
+close moves, the paths through `passages` are among them, and the best of a `tube` around the first of these. Each is
+improved as a whole where it is not long, because many local optima lie close to each other there. Then ways beside the
+best path are looked for (`beside`), it is `shaken`, and so are its `rivals`, the other paths that were improved as a
+whole, where they differ from it.
 """
 
 from __future__ import annotations
@@ -24,10 +25,13 @@ from joulemap.planner.polylines import path_length
 from joulemap.planner.refine import converged, refine_corners
 from joulemap.planner.rivals import with_rivals
 from joulemap.planner.shaken import shaken
+from joulemap.planner.tube import cheapest_in_tube
 
 ANY_ANGLE_NEIGHBOURS = 32
 """The any-angle step begins with the paths of as many neighbours at least: more headings find other passages and other
 valleys."""
+TUBE_CELLS = 4
+"""Half the width of the tube around the best path through passages [cells]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,7 +86,13 @@ def best_path(lattice: CostLattice, table: MoveTable, start: Points, goal: Point
     first, (others, through) = both(lambda: improved(lattice, grid.points), corridors.others)
     whole, parts = [first], [path.points for path in others]
     if through and path_length(through[0]) <= MOST_CELLS:
-        whole += share_out(lambda path: improved(lattice, path), through)
+
+        def _improved(path: Points | None) -> Improved | None:
+            """Of a path, or, where None is given, of the best in the tube around the first one."""
+            path = cheapest_in_tube(lattice, through[0], half_side=TUBE_CELLS) if path is None else path
+            return improved(lattice, path) if len(path) else None
+
+        whole += [path for path in share_out(_improved, [None, *through]) if path is not None]
     else:
         parts = [*through, *parts]
     points = _best(lattice, whole, parts)

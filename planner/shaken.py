@@ -3,8 +3,8 @@
 Vertices settle into local optima, of which there are many within a cell of each other. In iterated local search
 (Lourenço, Martin & Stützle 2003) copies of the path, whose vertices are moved at random by about a cell, settle once
 more, and the cheapest way over the path and all copies (`crossovers`) is the next path. Beside ground that limits
-close there are more optima: stretches of the path there go through further rounds of their own, in which random places
-are `scattered` around them too.
+close there are more optima: stretches of the path there begin with the best of a `tube` around them, and go through
+further rounds of their own, in which random places are `scattered` around them too.
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.polylines import distances_along, path_length, stretches_around, subdivided
 from joulemap.planner.refine import STAGES
 from joulemap.planner.scattered import beside_closed_ground, with_scattered
+from joulemap.planner.tube import with_way_around
 
 COPIES = 6
 """How many copies of the path are shaken in a round; there are rounds until one gains nothing."""
 AROUND_CELLS = 6.0
 """How far before and after closed ground a stretch begins and ends [cells]."""
+TUBE_CELLS = 5
+"""Half the width of the tube around a stretch [cells]."""
 STRETCH_COPIES, STRETCH_PATIENCE = 2, 3
 """How many copies of a stretch are shaken in a round, and after how many rounds without gain in succession there is no
 further one."""
@@ -86,7 +89,9 @@ def with_stretches(
     part, least_j = partial(_changed, lattice, copies=STRETCH_COPIES, scatter=True), _least_gain(lattice, points)
 
     def _improved(stretch: tuple[Points, np.random.Generator]) -> Points:
-        return _until_idle(lattice, *stretch, part, patience=STRETCH_PATIENCE, least_j=least_j)
+        way, draws = stretch
+        way = with_way_around(lattice, way, half_side=TUBE_CELLS)
+        return _until_idle(lattice, way, draws, part, patience=STRETCH_PATIENCE, least_j=least_j)
 
     draws = random.spawn(len(stretches))
     return with_crossovers(lattice, points, share_out(_improved, list(zip(stretches, draws, strict=True))))

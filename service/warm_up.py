@@ -51,6 +51,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     from joulemap.planner.beside import with_ways_beside
     from joulemap.planner.lattice_io import save_lattice
     from joulemap.planner.plan import PLANNERS, RoutePlanner
+    from joulemap.planner.shaken import with_stretches
     from joulemap.planner.stored_planner import StoredPlanner
 
     began = time.perf_counter()
@@ -65,6 +66,7 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
             with suppress(NoRouteError):  # a sampling planner on a busy machine may find none in so short a time
                 router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05, alternatives=1)
         with_ways_beside(lattice, _ROUNDABOUT)
+        with_stretches(lattice, _ROUNDABOUT, [_ROUNDABOUT], np.random.default_rng(0))
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
         with tempfile.TemporaryDirectory() as folder:
             save_lattice(lattice, f"{folder}/map.zarr")

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner import beside, best, scattered, shaken
+from joulemap.planner import beside, best, rivals, scattered, shaken
 from joulemap.planner.plan import RoutePlanner
 from tests.bench.quality import NOTICED, quality_maps
 
@@ -27,6 +27,8 @@ SETTINGS: Mapping[str, Setting] = {
     "not shaken": {shaken: {"ROUNDS": 0}},
     "no further rounds beside closed ground": {shaken: {"_closed_stretches": lambda *_: []}},
     "no places at random": {scattered: {"SPREADS_CELLS": np.zeros(0)}},
+    "no tube around stretches": {shaken: {"with_way_around": lambda _, points, **__: points}},
+    "no rivals": {rivals: {"ROUNDS": 0}},
     "as it is": {},
     "twice as many copies": {shaken: {name: 2 * vars(shaken)[name] for name in ("COPIES", "STRETCH_COPIES")}},
     "twice the patience": {shaken: {"STRETCH_PATIENCE": 2 * shaken.STRETCH_PATIENCE}},
