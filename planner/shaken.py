@@ -30,7 +30,7 @@ AROUND_CELLS = 6.0
 """How far before and after closed ground a stretch begins and ends [cells]."""
 TUBE_CELLS = 5
 """Half the width of the tube around a stretch [cells]."""
-STRETCH_COPIES, STRETCH_PATIENCE = 2, 3
+STRETCH_COPIES, STRETCH_PATIENCE = 2, 2
 """How many copies of a stretch are shaken in a round, and after how many rounds without gain in succession there is no
 further one."""
 ROUNDS, LEAST_GAIN = 15, 1e-4

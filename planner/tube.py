@@ -98,11 +98,9 @@ def chords_of(parts: int) -> Chords:
             here = np.array([row + up * parts, col + left * parts])
             for there in np.array(border):
                 step = there - here
-                along = (step == 0) & (
-                    here % parts == 0
-                )  # along a side: the next point, once for the squares beside it
+                along = (step == 0) & (here % parts == 0)
                 if not step.any() or (along.any() and (np.abs(step).sum() > 1 or here[along] != 0)):
-                    continue
+                    continue  # along a side only to the next point, and once for both squares beside it
                 u, v = (np.linspace(a, b, 3) / parts for a, b in zip(here, there, strict=True))
                 blend = np.column_stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v])
                 cells = np.array([_number(i - up, j - left) for i, j in np.ndindex(2, 2)])
@@ -125,6 +123,12 @@ def chords_of(parts: int) -> Chords:
     directions = np.column_stack(heading_vector(heading_rad))
     places = np.array(kinds) / parts
     return Chords(places, np.array(first), cell, kind, heading, length, corners, weights, heading_rad, directions)
+
+
+@cache
+def _heading_weights(parts: int, bins: int) -> NDArray[np.float64]:
+    """The weights of heading bins at the headings of chords, (H, K)."""
+    return interpolation_matrix(chords_of(parts).heading_rad, bins)
 
 
 def _number(down: int, right: int) -> int:
@@ -178,7 +182,7 @@ def cheapest_in_tube(lattice: CostLattice, points: Points, *, half_side: int, pa
     slot.ravel()[cells] = np.arange(cells.size)
     chords, robot = chords_of(parts), lattice.robot
     (begins, spent), (ends, rest) = (_joined(lattice, slot, cells, chords, points[k], outward=k == 0) for k in (0, -1))
-    weights = interpolation_matrix(chords.heading_rad, lattice.headings)
+    weights = _heading_weights(parts, lattice.headings)
     least = robot.hotel_per_m * lattice.frame.resolution_m if robot.regeneration == 0.0 else -math.inf
     way = _cheapest(*price_arrays(lattice), chords, weights, slot, cells, begins, spent, ends, rest, least)
     return distinct(np.vstack([points[:1], way, points[-1:]])) if len(way) else way
