@@ -67,7 +67,9 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   mapPanel.show();
   document.body.classList.add("has-map");
   by("view-3d").hidden = !about.plotly;
-  choose(by(now.start && now.goal ? "tab-route" : "tab-map"));
+  const routed = now.start && now.goal;
+  if (routed) answered = costmap.id; // its panel is open: the answer leaves whatever tab is chosen until it comes
+  choose(by(routed ? "tab-route" : "tab-map"));
   hint();
   window.scrollTo(0, 0);
   await Promise.all([showCostmap(costmap, layers, same ? link.read().seen : seen), listMaps()]);

@@ -285,6 +285,22 @@ def test_a_large_map_is_fine_where_it_is_near(
         tab.page.wait_for_function("() => document.querySelectorAll('.piece').length === 0")
 
 
+def test_an_answer_that_comes_late_leaves_the_tab_that_was_chosen(browser: Any, address: str, sample: str) -> None:
+    held: list[Any] = []
+    with opened(browser, address) as tab:
+        tab.page.route("**/paths", lambda route: held.append(route))
+        tab.page.goto("about:blank")
+        tab.page.goto(f"{address}/{sample}")
+        tab.page.wait_for_selector("#tab-route[aria-selected=true]")
+        with tab.page.expect_response("**/paths"):
+            tab.page.click("#tab-map")
+            while not held:
+                tab.page.wait_for_timeout(20)
+            held.pop().continue_()
+        tab.page.wait_for_selector("#answer .verdict", state="attached")
+        assert tab.page.get_attribute("#tab-map", "aria-selected") == "true"
+
+
 def test_a_map_in_degrees_is_resampled(browser: Any, address: str, tmp_path: Path) -> None:
     file = tmp_path / "degrees.tif"
     heights = np.add.outer(np.linspace(0.0, 2.0, 40), np.linspace(0.0, 1.0, 50)).astype(np.float32)
