@@ -178,6 +178,37 @@ def _corner(traction, gradient, blocked, weights, east, north, limits, i, j):
 
 
 @njit(cache=True)
+def fill_tractions(out, traction, gradient, blocked, terms, directions, weights, i, j):
+    """Fill the tractions of a cell at some headings.
+
+    Parameters
+    ----------
+    out : ndarray of float32, (H,)
+        Is filled [J/m]; NaN where the cell may not be driven at a heading.
+    traction, gradient, blocked, terms : ndarray
+        As for `leg_energy`.
+    directions : ndarray of float64, (H, 2)
+        East and north component of each heading.
+    weights : ndarray of float64, (H, K)
+        Weights of the heading bins at each heading.
+    i, j : int
+        Row and column of the cell.
+    """
+    if blocked[i, j] != 0:
+        out[:] = np.nan
+        return
+    rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
+    for n in range(out.size):
+        total = 0.0
+        for k in range(weights.shape[1]):
+            total += weights[n, k] * traction[i, j, k]
+        along = rise_east * directions[n, 0] + rise_north * directions[n, 1]
+        across = rise_east * directions[n, 1] - rise_north * directions[n, 0]
+        closed = abs(along) > terms[3] or abs(across) > terms[4] or total > terms[5]
+        out[n] = np.nan if closed else total
+
+
+@njit(cache=True)
 def leg_energy(traction, gradient, blocked, terms, row0, col0, row1, col1):
     """Return the energy of the straight leg from (row0, col0) to (row1, col1).
 

@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.frames import heading_of, heading_vector
-from joulemap.planner.kernels import heading_memory, leg_energy_with
+from joulemap.planner.kernels import fill_tractions, heading_memory, leg_energy_with
 from joulemap.planner.move_prices import leg_stencils, move_offsets
 
 PER_CELL = 4
@@ -107,23 +107,6 @@ def short_legs() -> Legs:
         of_short,
         np.column_stack(heading_vector(of_short)),
     )
-
-
-@njit(cache=True)
-def _tractions(out, traction, gradient, blocked, terms, direction, weights, i, j):
-    """Fill the traction of a cell at the headings of short legs [J/m]; NaN where they may not be driven."""
-    if blocked[i, j] != 0:
-        out[:] = np.nan
-        return
-    rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
-    for n in range(out.size):
-        total = 0.0
-        for k in range(weights.shape[1]):
-            total += weights[n, k] * traction[i, j, k]
-        along = rise_east * direction[n, 0] + rise_north * direction[n, 1]
-        across = rise_east * direction[n, 1] - rise_north * direction[n, 0]
-        closed = abs(along) > terms[3] or abs(across) > terms[4] or total > terms[5]
-        out[n] = np.nan if closed else total
 
 
 @njit(cache=True, nogil=True)
@@ -237,7 +220,7 @@ def cheapest_way(
             around[k] = there
             if there >= 0 and not known[there]:
                 known[there] = True
-                _tractions(at_headings[there], traction, gradient, blocked, terms, legs.directions, weights, i, j)
+                fill_tractions(at_headings[there], traction, gradient, blocked, terms, legs.directions, weights, i, j)
         even = down % _HALF == 0 and right % _HALF == 0
         shut[:] = False
         first = 0 if even else last_other

@@ -1,7 +1,7 @@
 """Paths that lost get a second chance where they differ from the best one.
 
 Where limits close moves, which of two passages is better shows only after many rounds of random changes (`shaken`), and
-only the best path goes through these. So where another path runs apart from the best one, its stretch goes through the
+only the best path goes through these. So where another path is not beside the best one, its stretch goes through the
 same rounds, and competes once more.
 """
 
@@ -17,7 +17,7 @@ from joulemap.planner.polylines import near_lines, stretches_around, subdivided
 from joulemap.planner.refine import converged
 from joulemap.planner.shaken import AROUND_CELLS, LEAST_GAIN, with_stretches
 
-APART_CELLS = 0.5
+DISTANCE_CELLS = 0.5
 """A rival is compared where it is farther than this from the best path [cells]."""
 ROUNDS = 3
 """Most rounds: after a gain that counts the best path is another one, from which rivals differ elsewhere."""
@@ -46,8 +46,8 @@ def with_rivals(lattice: CostLattice, points: Points, rivals: Sequence[Points]) 
         stretches = []
         for rival in rivals:
             vertices = subdivided(rival, 1.0)
-            apart = ~near_lines(vertices, [points], APART_CELLS)
-            stretches += [vertices[a:b] for a, b in stretches_around(vertices, apart, AROUND_CELLS)]
+            differs = ~near_lines(vertices, [points], DISTANCE_CELLS)
+            stretches += [vertices[a:b] for a, b in stretches_around(vertices, differs, AROUND_CELLS)]
         better = with_stretches(lattice, points, stretches, random)
         if better is points:
             break

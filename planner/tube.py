@@ -5,8 +5,7 @@ centre one. So where limits close much, cheap paths change their heading on thes
 all squares, joined by straight *chords* across a square or along its sides, offer such paths (Aleksandrov, Maheshwari &
 Sack 2005: Steiner points on the edges of weighted regions). Along a chord the traction is a quadratic, whose values are
 sums over four cells with weights that depend on the chord alone; and chords have few headings, so the traction of a
-cell is interpolated once for each of these. Moves of the grid, ways beside a path and random changes of it miss what
-this finds: of a hundred cells in a few hundredths of a second the best at a resolution of an eighth of a cell.
+cell is interpolated once for each of these.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from joulemap.model.frames import heading_of, heading_vector
 from joulemap.planner.crossovers import with_crossovers
 from joulemap.planner.edges import Points, interpolation_matrix, leg_prices_between, price_arrays
-from joulemap.planner.kernels import mean_response
+from joulemap.planner.kernels import fill_tractions, mean_response
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.passages import mark_around
 from joulemap.planner.polylines import distinct, subdivided
@@ -213,23 +212,6 @@ def _joined(
     return numbers, np.where(np.isnan(prices), np.inf, prices)
 
 
-@njit(cache=True)
-def _tractions(out, traction, gradient, blocked, terms, directions, weights, i, j):
-    """Fill the traction of a cell at the headings of chords [J/m]; NaN where they may not be driven."""
-    if blocked[i, j] != 0:
-        out[:] = np.nan
-        return
-    rise_east, rise_north = np.float64(gradient[i, j, 0]), np.float64(gradient[i, j, 1])
-    for n in range(out.size):
-        total = 0.0
-        for k in range(weights.shape[1]):
-            total += weights[n, k] * traction[i, j, k]
-        along = rise_east * directions[n, 0] + rise_north * directions[n, 1]
-        across = rise_east * directions[n, 1] - rise_north * directions[n, 0]
-        closed = abs(along) > terms[3] or abs(across) > terms[4] or total > terms[5]
-        out[n] = np.nan if closed else total
-
-
 @njit(cache=True, nogil=True)
 def _cheapest(
     traction, gradient, blocked, terms, chords, weights, slot, cells, begins, spent, ends, rest, least_per_cell
@@ -275,7 +257,7 @@ def _cheapest(
             around[k] = there
             if there >= 0 and not known[there]:
                 known[there] = True
-                _tractions(at_headings[there], traction, gradient, blocked, terms, chords.directions, weights, i, j)
+                fill_tractions(at_headings[there], traction, gradient, blocked, terms, chords.directions, weights, i, j)
         for n in range(chords.first[kind], chords.first[kind + 1]):
             there = around[chords.cell[n]]
             if there < 0:

@@ -74,7 +74,7 @@ def test_chords_are_as_many_as_pairs_of_points_on_different_sides():
         size, border = parts + 1, 4 * parts
         pairs = border * (border - 1) - 4 * size * (size - 1)  # of one square, none along its sides
         assert len(chords.cell) == pairs + 4 * parts  # and both directions of the parts of two of its sides
-        assert chords.blend[..., :].sum(axis=2) == pytest.approx(np.ones((len(chords.cell), 3)))
+        assert chords.blend.sum(axis=2) == pytest.approx(np.ones((len(chords.cell), 3)))
 
 
 def test_it_passes_where_no_move_of_the_grid_does():

@@ -5,7 +5,7 @@ import pytest
 
 from joulemap.planner import rivals
 from joulemap.planner.edges import path_price
-from joulemap.planner.rivals import APART_CELLS, with_rivals
+from joulemap.planner.rivals import DISTANCE_CELLS, with_rivals
 from joulemap.planner.shaken import AROUND_CELLS
 from tests.reference.lattices import uniform_lattice
 
@@ -26,7 +26,7 @@ def test_a_rival_that_is_cheaper_somewhere_is_taken_there():
     np.testing.assert_array_equal(better, with_rivals(lattice, path, [path, rival]))
 
 
-def test_only_stretches_that_lie_apart_are_shaken(monkeypatch):
+def test_only_stretches_that_differ_are_shaken(monkeypatch):
     lattice, path = field()
     rival = np.array([(15.0, 5.0), (15.0, 25.0), (12.0, 30.0), (15.0, 35.0), (15.0, 55.0)])
     looked = []
@@ -34,6 +34,6 @@ def test_only_stretches_that_lie_apart_are_shaken(monkeypatch):
     assert with_rivals(lattice, path, [path, rival]) is path
     ((stretch,),) = looked
     assert np.abs(stretch - [15.0, 30.0]).max(axis=0) == pytest.approx([3.0, 5.0 + AROUND_CELLS], abs=2.5)
-    beside = path + np.array([0.5 * APART_CELLS, 0.0])
+    beside = path + np.array([0.5 * DISTANCE_CELLS, 0.0])
     assert with_rivals(lattice, path, [beside]) is path
     assert looked[1:] == [[]]
