@@ -67,9 +67,7 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   mapPanel.show();
   document.body.classList.add("has-map");
   by("view-3d").hidden = !about.plotly;
-  const routed = now.start && now.goal;
-  if (routed) answered = costmap.id; // its panel is open: the answer leaves whatever tab is chosen until it comes
-  choose(by(routed ? "tab-route" : "tab-map"));
+  now.start && now.goal ? toRoute() : choose(by("tab-map"));
   hint();
   window.scrollTo(0, 0);
   await Promise.all([showCostmap(costmap, layers, same ? link.read().seen : seen), listMaps()]);
@@ -89,8 +87,9 @@ async function openGround({ heightmap, costmap, sample }) {
   } catch (error) { ground.welcome(error.message); }
 }
 
-let answered = null; // the first answer of a map is shown, wherever the question was asked from
-on("answer", () => { if (now.answer && answered !== now.costmap.id) { answered = now.costmap.id; choose(by("tab-route")); } });
+let answered = null; // map whose route was shown: later ones keep the tab
+const toRoute = () => { answered = now.costmap.id; choose(by("tab-route")); };
+on("answer", () => { if (now.answer && answered !== now.costmap.id) toRoute(); });
 
 let about = null, sampleOpen = false;
 
