@@ -22,12 +22,16 @@ from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.logs import Table, read_log
 from joulemap.model.runs.reader import Run, run_of
 from joulemap.model.runs.segments import Segments
+from joulemap.model.runs.smoothing import smooth
 from joulemap.model.runs.table import LIMITS, TableLimits, columns_there
 from joulemap.model.runs.track import TURN_LIMITS_RADPS
 from joulemap.model.terrain.heightmap import Heightmap
 
 FloatArray = NDArray[np.float64]
 
+HEADING_SMOOTHING_S = 0.8
+"""Setting: headings from wheel speeds are smoothed over so long before turns are measured: jitter is no turning, but it
+adds up. Chosen on a Husky: without it left-out runs err by 2 % more; from 0.7 to 1 s they err alike."""
 _SIDES = ("speed_left", "speed_right")
 _NUMBERED = re.compile(r"[\W_]*\d*$")
 
@@ -265,7 +269,9 @@ def cut_travel(run: Run, *, length_m: float = 1.0, charge: bool = False) -> Segm
     middle = np.interp(station_at(arc, np.interp(spans, station, arc).mean(axis=1)), station, t)
     row = np.clip(np.searchsorted(t, middle), 0, t.size - 1)
     heading = np.unwrap(np.radians(run.extras["heading"]))
-    step = np.where(dt > 0, np.diff(heading), 0.0)
+    part = np.cumsum(gap | np.diff(stop, prepend=stop[:1]), dtype=np.int64)  # no turn is smoothed into a stop
+    sigma_s = max(HEADING_SMOOTHING_S, float(np.median(np.diff(t))))
+    step = np.where(dt > 0, np.diff(smooth(t, heading, heading, part, sigma_s)[0]), 0.0)
     speed = sides.mean(axis=0)
     half_square = 0.5 * speed**2
     power = run.drawn(charge=charge)

@@ -18,8 +18,9 @@ LEAST_SEGMENTS = 20
 """A calibration needs at least so many."""
 LEAST_FOLDS = 4
 """Of fewer runs, blocks are left out instead of whole runs."""
-MOST_FOLDS = 10
-"""Times that a whole procedure is repeated without a part of the runs (Kohavi 1995: ten folds)."""
+MOST_FOLDS = 40
+"""Setting: times that a whole procedure is repeated for its errors. Up to so many runs each is left out by itself; of
+more, neighbours are left out together."""
 
 
 @dataclass(frozen=True, eq=False)

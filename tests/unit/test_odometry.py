@@ -79,6 +79,19 @@ def test_turning_on_the_spot_is_wheel_travel(tmp_path):
     np.testing.assert_allclose(segments.extras["speed"], 0.0, atol=1e-12)
 
 
+def test_jitter_of_wheel_speeds_is_no_turning_and_no_turn_is_lost(tmp_path):
+    """20 m straight on with speeds in steps of 0.01 m/s; and a turn on the spot right after a stop."""
+    jitter = np.random.default_rng(3).choice([-0.01, 0.0, 0.01], (2, 260))
+    straight = cut_travel(read_odometry(write(tmp_path / "a.csv", *(0.5 + jitter)), Odometry(1.0)), charge=True)
+    raw = np.abs(np.diff(integrate(np.arange(260) / 6.5, *(0.5 + jitter), track_m=1.0)[2])).sum()
+    assert straight.turned_abs_rad.sum() < 0.5 * raw
+
+    speed = np.r_[np.zeros(30), np.full(10, 0.52), np.full(20, 0.5), np.zeros(30)]
+    other = np.r_[np.zeros(30), np.full(10, -0.52), np.full(20, 0.5), np.zeros(30)]
+    turn = cut_travel(read_odometry(write(tmp_path / "b.csv", speed, other), Odometry(1.0)), charge=True)
+    assert turn.turned_abs_rad.sum() == pytest.approx(1.04 * 10 / 6.5, rel=1e-3)
+
+
 def test_energy_is_integrated_where_a_voltage_was_logged(tmp_path):
     straight = np.full(200, 0.5)
     run = read_odometry(write(tmp_path / "a.csv", straight, straight, voltage=np.full(200, 24.0)), Odometry(1.0))
