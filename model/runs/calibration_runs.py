@@ -13,8 +13,9 @@ from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import CARRIED, Protocol, cut_segments
 from joulemap.model.runs.electric import Currents
 from joulemap.model.runs.files import read_alike
-from joulemap.model.runs.odometry import Odometry, cut_travel, flat_heightmap, read_odometry
+from joulemap.model.runs.odometry import Odometry, flat_heightmap, read_odometry
 from joulemap.model.runs.reader import Run, read_run
+from joulemap.model.runs.rolling import cut_travel
 from joulemap.model.runs.segments import Segments, concatenate_segments, driven_only
 from joulemap.model.runs.sites import Site, files_of, robot_of_all
 from joulemap.model.terrain.heightmap import Heightmap

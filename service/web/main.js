@@ -67,7 +67,7 @@ async function openCostmap(costmap, { changes = {}, seen } = {}) {
   mapPanel.show();
   document.body.classList.add("has-map");
   by("view-3d").hidden = !about.plotly;
-  now.start && now.goal ? toRoute() : choose(by("tab-map"));
+  if (now.start && now.goal) toRoute(); else choose(by("tab-map"));
   hint();
   window.scrollTo(0, 0);
   await Promise.all([showCostmap(costmap, layers, same ? link.read().seen : seen), listMaps()]);
@@ -87,7 +87,7 @@ async function openGround({ heightmap, costmap, sample }) {
   } catch (error) { ground.welcome(error.message); }
 }
 
-let answered = null; // map whose route was shown: later ones keep the tab
+let answered = null; // map whose route's tab was opened
 const toRoute = () => { answered = now.costmap.id; choose(by("tab-route")); };
 on("answer", () => { if (now.answer && answered !== now.costmap.id) toRoute(); });
 

@@ -17,8 +17,9 @@ from rasterio.transform import Affine
 
 from joulemap.model.robot import Robot
 from joulemap.model.runs.cutting import cut_segments
-from joulemap.model.runs.odometry import Odometry, cut_travel, read_odometry
+from joulemap.model.runs.odometry import Odometry, read_odometry
 from joulemap.model.runs.reader import parse_run
+from joulemap.model.runs.rolling import cut_travel
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.model.terrain.writers import write_geotiff
 from tests.fuzz import paths, recordings

@@ -7,13 +7,12 @@ from joulemap.model.errors import InputError, RunsError
 from joulemap.model.runs.cutting import cut_segments
 from joulemap.model.runs.odometry import (
     Odometry,
-    cut_travel,
     flat_heightmap,
     integrate,
     read_odometry,
-    rolled_m,
     terrain_in_name,
 )
+from joulemap.model.runs.rolling import cut_travel, rolled_m
 
 HUSKY_TRACK_M = 1.07
 """Effective track of a Clearpath Husky A200: wheel_separation 0.571 m times wheel_separation_multiplier 1.875.
