@@ -57,7 +57,7 @@ class Design:
     candidates: tuple[Candidate, ...] = field(repr=False)  # all that are tested
     without: tuple[str, ...] = ()  # base parameters that are in no model
     beyond: FloatArray | float = 0.0  # what a fault of the log adds to its columns, (n,)
-    level_of: FloatArray | None = None  # base parameters before any effect: levels are shares of their prediction
+    first: FloatArray | None = None  # base parameters before any effect: their prior, and levels are shares of these
 
     @property
     def fixed(self) -> IntArray:
@@ -152,8 +152,8 @@ def make_design(residuals: Residuals, new: NDArray[np.bool_], first: Term) -> De
             form = form.against_baseline()
             columns = form.columns(rows)
             _add(form, columns, np.flatnonzero(coverage(columns)), new_only=True)
-    ends, level_of = (np.concatenate(low), np.concatenate(high)), np.asarray(first.coefficients)
-    return Design(residuals, new, np.concatenate(blocks, axis=1), *ends, base, tuple(candidates), level_of=level_of)
+    ends, values = (np.concatenate(low), np.concatenate(high)), np.asarray(first.coefficients)
+    return Design(residuals, new, np.concatenate(blocks, axis=1), *ends, base, tuple(candidates), first=values)
 
 
 def _coverage(
@@ -190,14 +190,17 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
     variation = start or Variation(residuals.run, residuals.moving, np.maximum(said, size), np.ones(len(z)))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
-    if design.level_of is None:  # the base parameters by themselves; of a charge nothing is predicted yet
-        level = np.full(len(z), size) if residuals.charge else known
-    else:
-        level = known + design.columns[:, design.fixed] @ design.level_of[design.fixed]
+    expected = np.zeros(design.columns.shape[1])
+    expected[design.fixed] = 0.0 if design.first is None else design.first[design.fixed]
+    level = known + design.columns @ expected
+
+    def _model(columns: FloatArray, prior: FloatArray) -> MixedModel:
+        return MixedModel(variation, columns, z, level, residuals.unit, prior, whole_runs=residuals.whole_runs)
+
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
-        model = MixedModel(variation, x, z, level, residuals.unit, whole_runs=residuals.whole_runs)
-        energy = x @ model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
-        if design.level_of is None:
-            level = known + energy
+        found = _model(x, expected[index]).coefficients(np.arange(len(index)), design.low[index], design.high[index])
+        energy = x @ found
         variation = fit_variation(variation, said + energy, z - energy, x)
-    return MixedModel(variation, design.columns, z, level, residuals.unit, whole_runs=residuals.whole_runs)
+        if design.first is None:  # what was declared may be far off: the next fit starts from this one
+            expected, level = found, known + energy
+    return _model(design.columns, expected)

@@ -2,8 +2,8 @@
 
 Fixed effects, a random level of every unit (a run), and errors as `Variation` describes them (Pinheiro & Bates 2000,
 chapter 2). All fits come from the cross products of every unit, so that leaving one out costs a subtraction. Every
-coefficient has a normal prior around nothing that is worth one row of data (the unit information prior of Kass &
-Wasserman 1995), which settles what the rows do not.
+coefficient has a normal prior that is worth one row of data (the unit information prior of Kass & Wasserman 1995):
+around nothing for an effect, around the base step for a base parameter. It settles what the rows do not.
 """
 
 from __future__ import annotations
@@ -78,15 +78,16 @@ class MixedModel:
         level: FloatArray,  # (n,), predicted energy, with its sign: the level of a unit is a share of it. It is a
         # combination of columns that are in every model: no choice of levels explains what a column could.
         unit: IntArray,  # (n,), what is left out together and has a level of its own; its rows follow each other
+        expected: FloatArray,  # (k,), coefficients by the prior
         *,
         whole_runs: bool,  # units are whole runs, so that differences between them can be tested
     ) -> None:
-        energies = np.column_stack([columns, level, residual])
+        energies = np.column_stack([columns, level, residual - columns @ expected])
         every = variation.scaled(energies)
         self.size = np.sqrt(np.einsum("ij,ij->j", every, every)[:-2] / len(every))
         self.size[self.size == 0.0] = 1.0
         every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
-        self.variation, self.rows, self.unit, self.whole_runs = variation, every, unit, whole_runs
+        self.variation, self.rows, self.expected, self.whole_runs = variation, every, expected, whole_runs
         borders = np.flatnonzero(np.diff(unit, prepend=-1, append=-1))
         parts = [slice(a, b) for a, b in pairwise(borders)]
         self.units = len(parts)
@@ -186,10 +187,11 @@ class MixedModel:
     def _within_limits(
         self, normal: FloatArray, target: FloatArray, chosen: IntArray, low: FloatArray, high: FloatArray
     ) -> FloatArray:
-        """Least squares by normal equations, within limits that nothing always keeps."""
-        factor, size = np.linalg.cholesky(normal), self.size[chosen]
-        bounds = np.minimum(low * size, 0.0) - 1e-12, np.maximum(high * size, 0.0) + 1e-12
-        return np.asarray(lsq_linear(factor.T, np.linalg.solve(factor, target), bounds=bounds).x / size)
+        """Least squares by normal equations, within limits that the expected coefficients always keep."""
+        factor, size, expected = np.linalg.cholesky(normal), self.size[chosen], self.expected[chosen]
+        low, high = (low - expected) * size, (high - expected) * size
+        bounds = np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12
+        return np.asarray(expected + lsq_linear(factor.T, np.linalg.solve(factor, target), bounds=bounds).x / size)
 
     def left_out(self, chosen: IntArray, tau2: float, *, whole: bool = False) -> FloatArray:
         """Error of every unit by a fit to the others, (units,), in variances of the noise, beside random levels of
@@ -283,7 +285,7 @@ class MixedModel:
         own = np.einsum("ik,uij,jk->uk", inverse, part[:, :-1, :-1], inverse, optimize=True)
         freedom = own.sum(axis=0) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300) - 1.0
         found, left_out = self._within_limits(normal, target, chosen, low, high), self._by_others(part)[:, :, 0] / size
-        return Estimate(found, left_out, freedom, tau2)
+        return Estimate(found, self.expected[chosen] + left_out, freedom, tau2)
 
 
 def _directions(information: FloatArray, squares: FloatArray) -> FloatArray:

@@ -109,7 +109,7 @@ class Selection:
         """With some effects in what resists, and faults of the log about their size (Gauss-Newton)."""
         found, forces = self, [k for k, c in enumerate(kept) if c.form.resists]
         faults = [k for k, c in enumerate(kept) if isinstance(c.form, LogFault)]
-        rows, new, first = self.design.residuals.features, self.design.new, np.asarray(self.design.level_of)
+        rows, new, first = self.design.residuals.features, self.design.new, np.asarray(self.design.first)
         known = self.design.residuals.moving & (new.all() | ~new)  # what the coasting was fitted to
         for _ in range(_ROUNDS if forces or faults else 0):
             design, (estimate, index, (base, *terms)) = found.design, found.estimate(kept)
@@ -126,7 +126,7 @@ class Selection:
         return found
 
     def _energy(self, terms: Sequence[Term], rows: Features) -> FloatArray:
-        rows = with_base_parameters(rows, self.design.base, np.asarray(self.design.level_of))
+        rows = with_base_parameters(rows, self.design.base, np.asarray(self.design.first))
         said = 0.0 if self.design.residuals.charge else rows.predicted
         return np.asarray(sum((t.energy(rows) for t in terms), start=said))
 

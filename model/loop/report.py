@@ -70,13 +70,12 @@ def report_document(found: Calibration, *, before: Mapping[str, Any], after: str
 
 
 def _coefficients(
-    found: Calibration, term: Term, low: FloatArray, high: FloatArray, declared: Mapping[str, float] | None = None
+    found: Calibration, term: Term, low: FloatArray, high: FloatArray, declared: Mapping[str, float]
 ) -> list[dict[str, Any]]:
-    start = declared or {}
     names, units = term.form.coefficient_names(), term.form.units("A s" if found.residuals.charge else "J")
     rows = zip(names, units, term.coefficients, low.tolist(), high.tolist(), strict=True)
     return [
-        {"name": n, "value": start.get(n, 0.0) + v, "unit": u, "ci95": [start.get(n, 0.0) + end for end in ends]}
+        {"name": n, "value": declared.get(n, 0.0) + v, "unit": u, "ci95": [declared.get(n, 0.0) + end for end in ends]}
         for n, u, v, *ends in rows
     ]
 
@@ -94,15 +93,14 @@ def _base_parameters(found: Calibration) -> list[dict[str, Any]]:
 
 def _effect(found: Calibration, effect: Effect) -> dict[str, Any]:
     form = effect.term.form
-    settings = {key: value for key, value in form.as_dict().items() if key != "form"}
     return {
         "name": form.name,
         "label": form.title,
         "where": form.where(effect.term.coefficients),
         "form": form.key,
         "meaning": form.meaning,
-        "settings": settings,
-        "coefficients": _coefficients(found, effect.term, effect.low, effect.high),
+        "settings": {key: value for key, value in form.as_dict().items() if key != "form"},
+        "coefficients": _coefficients(found, effect.term, effect.low, effect.high, {}),
         "p_value": effect.p_value,
         "share_of_residual_variance": effect.share,
         "between_runs": effect.between,

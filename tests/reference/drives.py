@@ -1,5 +1,7 @@
 """Made-up drives: wandering runs with noise like that of real ones, to which a test adds the effect it asks about."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.signal import lfilter
 
@@ -58,6 +60,17 @@ def made_up(rng, *, runs=6, each=120, heading=None) -> Features:
     columns = {key: np.concatenate([p[key] for p in parts]) for key in parts[0]}
     logged = {"temperature": columns.pop("temperature")}
     return Features(robot=ROBOT, **columns, columns=logged, runs=tuple(f"run{k}@0" for k in range(runs)))
+
+
+def stops(rng, rows, each=4) -> Features:
+    """Stationary intervals of 20 to 170 s, `each` in every run, on its metres."""
+    run_ends = np.flatnonzero(np.diff(rows.run, append=-1)) + 1
+    where = np.concatenate([rng.integers(a, b, each) for a, b in zip([0, *run_ends[:-1]], run_ends, strict=True)])
+    still = rows.take(where)
+    moved = ["length_m", "turned_rad", "turned_abs_rad", "gentle_turn_rad", "gained_m2ps2", "kinetic_m2ps2"]
+    shape = ["grade", "grades", "grade_east", "grade_north", "cross_abs", "cross_sq", "roughness_m"]
+    nothing = {name: np.zeros_like(getattr(still, name)) for name in (*moved, *shape)}
+    return replace(still, duration_s=rng.uniform(20.0, 170.0, len(still)), **nothing)
 
 
 def even(n=1, **changed) -> Features:

@@ -9,9 +9,10 @@ import pytest
 from joulemap.model.energy.metrics import errors_of
 from joulemap.model.errors import ModelError, RunsError
 from joulemap.model.loop.report import report_document
+from joulemap.model.runs.features import concatenate_features
 from joulemap.model.runs.record import RECORD_FILE, read_record, save_record
 from joulemap.model.runs.refused_columns import refused_columns
-from tests.reference.drives import ROBOT, found_in, made_up, measured_on, noisy, smooth_noise
+from tests.reference.drives import ROBOT, found_in, made_up, measured_on, noisy, smooth_noise, stops
 
 BEFORE = {"name": "made up", "version": "1"}
 
@@ -46,6 +47,30 @@ def test_an_effect_is_named_first(name):
     assert found.errors["after"]["mean_relative"] < 0.09  # the noise alone: 0.07 x sqrt(2 / pi) = 0.056
     if name == "turning":
         assert found.effects[0].low[0] < 60.0 < found.effects[0].high[0]
+
+
+def test_a_declared_idle_power_far_off_changes_nothing():
+    """400 W where 5 W are drawn are twenty times the energy of a metre. The stops show it, with what is left of braking
+    in them."""
+    rng = np.random.default_rng(0)
+    moving = made_up(rng)
+    still = stops(rng, moving)
+    rows = concatenate_features([moving, still])
+    energy = noisy(rng, replace(rows, robot=replace(ROBOT, idle_power_w=5.0)), EFFECTS["turning"](rows))
+    energy[len(moving) :] += np.abs(rng.normal(0.0, 60.0, len(still)))
+
+    def _found(declared_w):
+        robot = replace(ROBOT, idle_power_w=declared_w)
+        return found_in(replace(rows, robot=robot), energy, cross_validate=True)
+
+    right, wrong = _found(5.0), _found(400.0)
+    assert right.errors["after"]["rmse"] < 5.0  # the noise: 7 % of 47 J and of turning
+    for found in (right, wrong):
+        assert [e.term.form.name for e in found.effects] == ["turning"]
+        assert found.effects[0].low[0] < 60.0 < found.effects[0].high[0]
+        assert found.errors["after"]["rmse"] == pytest.approx(right.errors["after"]["rmse"], rel=0.05)
+    drawn = [found.fitted.base.by_name["idle_power_w"] + w for found, w in ((right, 5.0), (wrong, 400.0))]
+    assert drawn == pytest.approx([5.0, 5.0], abs=1.0)
 
 
 def test_low_ground_and_driving_backwards_have_names():
