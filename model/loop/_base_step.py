@@ -16,9 +16,6 @@ from joulemap.model.loop.terms import Term
 from joulemap.model.runs.features import Drives, FloatArray
 from joulemap.model.runs.residuals import Residuals
 
-_MOST_LOST = 0.6
-"""Share of the declared rolling resistance that may be losses of the drives, which hold no robot back on a descent:
-an efficiency of 40 %, about that of a small gear motor."""
 _STEEPEST = 0.3
 """Largest tangent on which a robot coasts beyond the declared one: sand (Wong 2008, table 4.1)."""
 _ROUNDS = 6
@@ -64,7 +61,7 @@ def drives_of(residuals: Residuals) -> Drives:
         away = rest / (noise * scale)
         return float((weight * (2.0 - weight) * away**2).sum()) + (shift / width) ** 2  # -2 log density
 
-    tried = np.linspace(-_MOST_LOST * residuals.features.robot.rolling_resistance, _STEEPEST, 17)
+    tried = np.linspace(-residuals.features.robot.rolling_resistance, _STEEPEST, 17)
     k = int(np.argmin([_loss(float(shift)) for shift in tried]))
     bounds = (tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)])
     found = minimize_scalar(_loss, bounds=bounds, method="bounded", options={"xatol": 1e-5})

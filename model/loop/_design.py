@@ -193,14 +193,10 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
     expected = np.zeros(design.columns.shape[1])
     expected[design.fixed] = 0.0 if design.first is None else design.first[design.fixed]
     level = known + design.columns @ expected
-
-    def _model(columns: FloatArray, prior: FloatArray) -> MixedModel:
-        return MixedModel(variation, columns, z, level, residuals.unit, prior, whole_runs=residuals.whole_runs)
-
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
-        found = _model(x, expected[index]).coefficients(np.arange(len(index)), design.low[index], design.high[index])
-        energy = x @ found
+        model = MixedModel(variation, x, z, level, residuals.unit, expected[index], whole_runs=residuals.whole_runs)
+        energy = x @ model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
         variation = fit_variation(variation, said + energy, z - energy, x)
-        if design.first is None:  # what was declared may be far off: the next fit starts from this one
-            expected, level = found, known + energy
-    return _model(design.columns, expected)
+        if design.first is None:
+            level = known + energy
+    return MixedModel(variation, design.columns, z, level, residuals.unit, expected, whole_runs=residuals.whole_runs)
