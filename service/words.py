@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from joulemap.model.runs.words import number_words
 from joulemap.planner.words import duration_words, energy_words
 
 if TYPE_CHECKING:
@@ -123,10 +124,10 @@ def turning_words(trained: Mapping[str, Any]) -> str:
     """
     from joulemap.model.energy.drive_costs import DriveCosts
 
-    words = f"{trained['turn_j_per_rad']:.1f} J/rad more than straight driving, used in plans too"
+    words = f"{number_words(trained['turn_j_per_rad'])} J/rad more than straight driving, used in plans too"
     costs = DriveCosts.from_dict(trained["drive_costs"])
     if costs.eased_turn_j_per_rad:
-        words += f"; {costs.spot_turn_j_per_rad:.1f} J/rad on the spot"
+        words += f"; {number_words(costs.spot_turn_j_per_rad)} J/rad on the spot"
     return words
 
 

@@ -131,4 +131,23 @@ def quantity_value(key: str, value: float) -> str:
         Such as "0.5 m/s".
     """
     unit = _QUANTITIES.get(key, ("", ""))[1]
-    return f"{value:{'.1f' if key in _TENTHS else '.3g'}} {unit}".rstrip()
+    return f"{f'{value:.1f}' if key in _TENTHS else number_words(value)} {unit}".rstrip()
+
+
+def number_words(value: float, *, signed: bool = False) -> str:
+    """Return a number with three significant digits.
+
+    Parameters
+    ----------
+    value : float
+        Of any size.
+    signed : bool
+        Whether a positive number has its sign.
+
+    Returns
+    -------
+    str
+        Such as "0.5", "348" and "3,780": thousands have no exponent.
+    """
+    rounded, sign = float(f"{value:.3g}"), "+" if signed else ""
+    return f"{rounded:{sign},.0f}" if 1e3 <= abs(rounded) < 1e9 else f"{value:{sign}.3g}"

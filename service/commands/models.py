@@ -138,6 +138,7 @@ def train(
         output.document({"out": str(out), **trained})
         return
     from joulemap.model.runs.segments import coverage_words
+    from joulemap.model.runs.words import number_words
     from joulemap.service.library import models as library
 
     sites = named_sites(heightmap, runs, site, campaign, robot, reading)
@@ -156,6 +157,7 @@ def train(
             overwrite=overwrite,
             progress=report,
         ).facts
+    costs = made["drive_costs"]
     output.say(f"{out}, version {made['version']}, {made['epochs']} epochs", head="Trained")
     output.table(
         {
@@ -170,8 +172,8 @@ def train(
             },
             "track used": coverage_words(made["coverage"]),
             "turning": turning_words(made),
-            "speeding up": f"{made['drive_costs']['speed_up_kg']:.3g} J for each m2/s2 of half the squared speed",
-            "driving": f"{made['drive_costs']['driving_w'] or 0.0:.3g} W more than the declared idle power",
+            "speeding up": f"{number_words(costs['speed_up_kg'])} J for each m2/s2 of half the squared speed",
+            "driving": f"{number_words(costs['driving_w'] or 0.0)} W more than the declared idle power",
         }
     )
     output.warn(made["warnings"])

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from joulemap.model.runs.words import number_words
 from joulemap.service.words import capital
 
+_NOTHING = 1e-9  # half a width of an interval: rounding
 _MOVED = 1e-3  # of an interval's half: less is rounding, and the value is the one to start from
 _BASE = {
     "rolling_resistance": "rolling resistance",
@@ -57,11 +59,12 @@ def base_words(document: Mapping[str, Any]) -> list[str]:
     for parameter in document["base_parameters"]:
         if not is_shown(parameter):
             continue
-        unit, (low, high) = f" {parameter['unit']}".rstrip(), parameter["ci95"]
-        declared = "" if parameter["declared"] is None else f"{parameter['declared']:.3g}{unit} declared, "
+        unit = f" {parameter['unit']}".rstrip()
+        value, low, high = map(number_words, (parameter["value"], *parameter["ci95"]))
+        declared = "" if parameter["declared"] is None else f"{number_words(parameter['declared'])}{unit} declared, "
         lines.append(
-            f"{capital(base_name(parameter['name']))}: {declared}{parameter['value']:.3g}{unit} by the runs "
-            f"(95 % interval {low:.3g} to {high:.3g})."
+            f"{capital(base_name(parameter['name']))}: {declared}{value}{unit} by the runs "
+            f"(95 % interval {low} to {high})."
         )
     return lines
 
@@ -77,8 +80,9 @@ def is_shown(parameter: Mapping[str, Any]) -> bool:
     Returns
     -------
     bool
-        False where the value is the one to start from and the interval is wider than any value that makes sense.
+        False where the value is the one to start from and the interval is wider than any value that makes sense, and
+        where nothing in the runs depends on it: then the interval has no width.
     """
     start = parameter["declared"] or 0.0
     half = 0.5 * (parameter["ci95"][1] - parameter["ci95"][0])
-    return half <= 1.0 or abs(parameter["value"] - start) > _MOVED * half
+    return half > _NOTHING and (half <= 1.0 or abs(parameter["value"] - start) > _MOVED * half)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from joulemap.model.loop.forms import FORMS
-from joulemap.model.runs.words import quantity_name
+from joulemap.model.runs.words import number_words, quantity_name
 from joulemap.service.words import any_of, capital, p_words, percent
 
 _FEW = 4  # coefficients of an effect that are all written out
@@ -99,7 +99,7 @@ def _curve_words(effect: Mapping[str, Any]) -> str:
     values = curve_points(effect)[1]
     steps = [after - before for before, after in zip(values, values[1:], strict=False)]
     unit = effect["coefficients"][0]["unit"]
-    low, high = f"{min(values):+.3g}", f"{max(values):+.3g}"
+    low, high = (number_words(end, signed=True) for end in (min(values), max(values)))
     if all(step >= 0.0 for step in steps):
         ends = f"rising from {low} to {high} {unit}"
     elif all(step <= 0.0 for step in steps):
@@ -114,10 +114,12 @@ def _turning_words(document: Mapping[str, Any]) -> str:
     turn = document["turning_in_plans"]
     total, new = turn["j_per_rad"], turn["new_j_per_rad"]
     volts = " (charge times the nominal voltage)" if document["target"] == "charge_as" else ""
-    words = f"In plans one radian of turning costs {total:.1f} J{volts}"
+    words = f"In plans one radian of turning costs {number_words(total)} J{volts}"
     if total - new < _SAME * abs(total):
         return f"{words}."
-    return f"{words}: {new:.1f} J are new, the rest is in the model already or in what the baseline runs show."
+    return (
+        f"{words}: {number_words(new)} J are new, the rest is in the model already or in what the baseline runs show."
+    )
 
 
 def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
@@ -145,9 +147,9 @@ def coefficient_words(effect: Mapping[str, Any]) -> list[str]:
     for c in shown:
         own = c["name"] == effect["name"]
         name = "" if own and len(found) == 1 else f"{effect['label'] if own else c['name']}: "
-        low, high = c["ci95"]
+        value, low, high = map(number_words, (c["value"], *c["ci95"]))
         unit = f" {c['unit']}" if c["unit"] else ""
-        words.append(f"{name}{c['value']:.3g}{unit} (95 % interval {low:.3g} to {high:.3g})")
+        words.append(f"{name}{value}{unit} (95 % interval {low} to {high})")
     return words if few else [f"{len(found)} values, the smallest and the largest", *words]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from joulemap.model.runs.words import number_words
 from joulemap.service.words import percent
 
 
@@ -108,19 +109,19 @@ def _worse_words(document: Mapping[str, Any]) -> list[str]:
     before, after = error["before"]["rmse"], error["after"]["rmse"]
     if after <= before:
         return []
-    unit = unit_of(document)
+    sizes = f"{number_words(after)} against {number_words(before)} {unit_of(document)}"
     return [
-        f"WARNING: the calibrated model errs more than the model before ({after:.3g} against {before:.3g} {unit} root "
-        "mean square). These runs are too few to correct that model: keep it, or calibrate on more runs. If it was "
-        "trained on these very runs, its error on other runs is larger than stated here."
+        f"WARNING: the calibrated model errs more than the model before ({sizes} root mean square). These runs are too "
+        "few to correct that model: keep it, or calibrate on more runs. If it was trained on these very runs, its "
+        "error on other runs is larger than stated here."
     ]
 
 
 def _states(error: Mapping[str, Any], unit: str) -> str:
     """Errors of each state of the model."""
     return "; ".join(
-        f"{words} {percent(error[key]['mean_relative'])} mean relative, {error[key]['rmse']:.3g} {unit} root mean "
-        f"square, {percent(error[key]['absolute_share'])} of the {'charge' if unit == 'A s' else 'energy'}"
+        f"{words} {percent(error[key]['mean_relative'])} mean relative, {number_words(error[key]['rmse'])} {unit} "
+        f"root mean square, {percent(error[key]['absolute_share'])} of the {'charge' if unit == 'A s' else 'energy'}"
         for key, words in error_states(error).items()
     )
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from joulemap.model.energy.metrics import LEAST_J
 from joulemap.model.loop.report import ALPHA
-from joulemap.model.runs.words import count_words, quantity_name, quantity_words
+from joulemap.model.runs.words import count_words, number_words, quantity_name, quantity_words
 from joulemap.service.loop.base_words import base_name, is_shown
 from joulemap.service.loop.calibration import Calibrated
 from joulemap.service.loop.effect_words import coefficient_words, found_words, is_log_fault, labels_of
@@ -169,7 +169,7 @@ def _base_parameters(document: Mapping[str, Any]) -> str:
             escape(base_name(p["name"])),
             "" if p["declared"] is None else _quantity(p["declared"], p["unit"]),
             _quantity(p["value"], p["unit"]) if is_shown(p) else "not shown by these runs",
-            " to ".join(f"{end:.3g}" for end in p["ci95"]) if is_shown(p) else "",
+            " to ".join(map(number_words, p["ci95"])) if is_shown(p) else "",
         ]
         for p in document["base_parameters"]
     ]
@@ -182,7 +182,7 @@ def _base_parameters(document: Mapping[str, Any]) -> str:
 
 
 def _quantity(value: float, unit: str) -> str:
-    return escape(f"{value:.3g} {unit}".rstrip())
+    return escape(f"{number_words(value)} {unit}".rstrip())
 
 
 def _effects(document: Mapping[str, Any]) -> str:
@@ -251,7 +251,7 @@ def _ranges(document: Mapping[str, Any]) -> str:
     rows = []
     for key, (low, high) in document["ranges"].items():
         name, unit = quantity_words(key)
-        rows.append([escape(name), f"{low:.3g} to {high:.3g}" + (f" {escape(unit)}" if unit else "")])
+        rows.append([escape(name), escape(f"{number_words(low)} to {number_words(high)} {unit}".rstrip())])
     note = (
         '<p class="note">Each range leaves out the outermost hundredth at either end. A cost map, a route or a verdict '
         "beyond a range says so.</p>"
@@ -297,9 +297,9 @@ def _errors(document: Mapping[str, Any], unit: str) -> str:
             f"{where} ({segments:,} segments)",
             state,
             percent(error[key]["mean_relative"]),
-            f"{error[key]['rmse']:.3g} {unit}",
+            f"{number_words(error[key]['rmse'])} {unit}",
             percent(error[key]["absolute_share"]),
-            f"{error[key]['bias']:+.3g} {unit}",
+            f"{number_words(error[key]['bias'], signed=True)} {unit}",
         ]
         for where, segments, error in judged
         for key, state in error_states(error).items()

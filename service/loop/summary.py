@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from joulemap.model.runs.words import quantity_name, quantity_value
+from joulemap.model.runs.words import number_words, quantity_name, quantity_value
 from joulemap.service.loop.base_words import base_words
 from joulemap.service.loop.effect_words import confounded_words, found_words
 from joulemap.service.loop.error_words import error_words, site_words, variation_words
@@ -66,7 +66,7 @@ def range_words(document: Mapping[str, Any]) -> str:
     """
     ranges = document["ranges"]
     driven = [
-        f"{quantity_name(key)} {ranges[key][0]:.3g} to {quantity_value(key, ranges[key][1])}"
+        f"{quantity_name(key)} {number_words(ranges[key][0])} to {quantity_value(key, ranges[key][1])}"
         for key in _SAID_RANGES
         if key in ranges
     ]

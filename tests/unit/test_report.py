@@ -14,7 +14,7 @@ from joulemap.model.loop.forms.log_faults import MeterLag
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.suggest import Suggestion
 from joulemap.model.loop.terms import Term
-from joulemap.model.runs.words import count_words, quantity_name
+from joulemap.model.runs.words import count_words, number_words, quantity_name
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop import calibration
@@ -130,6 +130,7 @@ def test_base_parameters_are_declared_and_measured(turning):
         {"name": "idle_power_w", "declared": 12.0, "value": 9.5, "ci95": [8.0, 11.0], "unit": "W"},
         {"name": "standing_current", "declared": None, "value": 2.0, "ci95": [1.0, 3.0], "unit": "A"},
         {"name": "measured_slope", "declared": None, "value": 0.0, "ci95": [-2.3, 2.3], "unit": ""},  # no pitch
+        {"name": "downhill", "declared": None, "value": 1e-4, "ci95": [1e-4, 1e-4], "unit": "1/V"},  # no descent
     ]
     assert base_words(turning.document | {"base_parameters": parameters}) == [
         "Rolling resistance: 0.05 declared, 0.0812 by the runs (95 % interval 0.07 to 0.09).",
@@ -143,6 +144,12 @@ def test_base_parameters_are_declared_and_measured(turning):
     named = [base_name(name) for name in PARTS]
     assert len(set(named)) == len(PARTS)
     assert [words for words in named if " " not in words] == []  # every parameter has words
+
+
+def test_numbers_have_three_digits_and_no_exponent_for_thousands():
+    said = [number_words(value) for value in (0.0, 0.04567, 348.2, 999.6, 1949.9, -38321.0, 1.23e5)]
+    assert said == ["0", "0.0457", "348", "1,000", "1,950", "-38,300", "123,000"]
+    assert [number_words(value, signed=True) for value in (1949.9, 3.0, -3.0)] == ["+1,950", "+3", "-3"]
 
 
 SIZES = {"before": 0.124, "corrected": 0.107, "after": 0.096, "after_planner": 0.099}
