@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from joulemap.model.energy.architectures import ARCHITECTURES, DEFAULT_ARCHITECTURE
+from joulemap.model.runs.words import number_words
 from joulemap.service.commands.cluster import AsOneTask
 from joulemap.service.commands.console import JsonFile, Output, progress_bar
 from joulemap.service.commands.options import (
@@ -138,7 +139,6 @@ def train(
         output.document({"out": str(out), **trained})
         return
     from joulemap.model.runs.segments import coverage_words
-    from joulemap.model.runs.words import number_words
     from joulemap.service.library import models as library
 
     sites = named_sites(heightmap, runs, site, campaign, robot, reading)
@@ -158,6 +158,8 @@ def train(
             progress=report,
         ).facts
     costs = made["drive_costs"]
+    driving_w = costs["driving_w"] or 0.0
+    more = "less" if driving_w < 0.0 else "more"
     output.say(f"{out}, version {made['version']}, {made['epochs']} epochs", head="Trained")
     output.table(
         {
@@ -173,7 +175,7 @@ def train(
             "track used": coverage_words(made["coverage"]),
             "turning": turning_words(made),
             "speeding up": f"{number_words(costs['speed_up_kg'])} J for each m2/s2 of half the squared speed",
-            "driving": f"{number_words(costs['driving_w'] or 0.0)} W more than the declared idle power",
+            "driving": f"{number_words(abs(driving_w))} W {more} than the declared idle power",
         }
     )
     output.warn(made["warnings"])
@@ -227,10 +229,9 @@ def evaluate(
 
 
 def _share_words(found: dict[str, Any]) -> str:
-    return (
-        f"{found['rmse_j']:.4g} J root mean square, {found['mean_absolute_error_j']:.4g} J mean absolute error of a "
-        f"segment ({found['error_share']:.1%} of its energy)"
-    )
+    rmse, absolute = number_words(found["rmse_j"]), number_words(found["mean_absolute_error_j"])
+    share = f"{found['error_share']:.1%} of its energy"
+    return f"{rmse} J root mean square, {absolute} J mean absolute error of a segment ({share})"
 
 
 def _coverage_words(covered: dict[str, float] | None) -> str:
