@@ -57,7 +57,7 @@ class Design:
     candidates: tuple[Candidate, ...] = field(repr=False)  # all that are tested
     without: tuple[str, ...] = ()  # base parameters that are in no model
     beyond: FloatArray | float = 0.0  # what a fault of the log adds to its columns, (n,)
-    first: FloatArray | None = None  # base parameters before any effect: their prior, and levels are shares of these
+    first: FloatArray | None = None  # base parameters before any effect: levels are shares of their prediction
 
     @property
     def fixed(self) -> IntArray:
@@ -184,19 +184,26 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
     start : the variation around another choice, from which the fit starts.
     """
     residuals, index = design.residuals, design.index(chosen)
-    x = design.columns[:, index]
-    said = residuals.said
+    x, said = design.columns[:, index], residuals.said
     z = residuals.measured - said - design.beyond
     size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
     variation = start or Variation(residuals.run, residuals.moving, np.maximum(said, size), np.ones(len(z)))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
-    expected = np.zeros(design.columns.shape[1])
-    expected[design.fixed] = 0.0 if design.first is None else design.first[design.fixed]
-    level = known + design.columns @ expected
+    level = known + (0.0 if design.first is None else design.columns[:, design.fixed] @ design.first[design.fixed])
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
-        model = MixedModel(variation, x, z, level, residuals.unit, expected[index], whole_runs=residuals.whole_runs)
+        worth = _prior_rows(design, variation)[index]
+        model = MixedModel(variation, x, z, level, residuals.unit, worth, whole_runs=residuals.whole_runs)
         energy = x @ model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
         variation = fit_variation(variation, said + energy, z - energy, x)
         if design.first is None:
             level = known + energy
-    return MixedModel(variation, design.columns, z, level, residuals.unit, expected, whole_runs=residuals.whole_runs)
+    worth = _prior_rows(design, variation)
+    return MixedModel(variation, design.columns, z, level, residuals.unit, worth, whole_runs=residuals.whole_runs)
+
+
+def _prior_rows(design: Design, variation: Variation) -> FloatArray:
+    """Rows that each column's prior is worth, (k,): one for an effect; a base parameter may be worth all the energy."""
+    energy = np.maximum(np.abs(design.residuals.measured), np.abs(design.residuals.said))
+    rows = np.ones(design.columns.shape[1])
+    rows[design.fixed] = 1.0 / max(float(np.mean((energy / variation.scale) ** 2)), 1e-12)  # as wide as the energy
+    return rows

@@ -2,8 +2,8 @@
 
 Fixed effects, a random level of every unit (a run), and errors as `Variation` describes them (Pinheiro & Bates 2000,
 chapter 2). All fits come from the cross products of every unit, so that leaving one out costs a subtraction. Every
-coefficient has a normal prior that is worth one row of data (the unit information prior of Kass & Wasserman 1995):
-around nothing for an effect, around the base step for a base parameter. It settles what the rows do not.
+coefficient has a normal prior around nothing that is worth some rows of data, one for an effect (the unit information
+prior of Kass & Wasserman 1995), which settles what the rows do not.
 """
 
 from __future__ import annotations
@@ -78,16 +78,16 @@ class MixedModel:
         level: FloatArray,  # (n,), predicted energy, with its sign: the level of a unit is a share of it. It is a
         # combination of columns that are in every model: no choice of levels explains what a column could.
         unit: IntArray,  # (n,), what is left out together and has a level of its own; its rows follow each other
-        expected: FloatArray,  # (k,), coefficients by the prior
+        prior_rows: FloatArray,  # (k,), rows of data that the prior of each coefficient is worth
         *,
         whole_runs: bool,  # units are whole runs, so that differences between them can be tested
     ) -> None:
-        energies = np.column_stack([columns, level, residual - columns @ expected])
+        energies = np.column_stack([columns, level, residual])
         every = variation.scaled(energies)
         self.size = np.sqrt(np.einsum("ij,ij->j", every, every)[:-2] / len(every))
         self.size[self.size == 0.0] = 1.0
         every[:, :-2] /= self.size  # a prior of one row then has precision 1 for every column
-        self.variation, self.rows, self.expected, self.whole_runs = variation, every, expected, whole_runs
+        self.variation, self.rows, self.prior_rows, self.whole_runs = variation, every, prior_rows, whole_runs
         borders = np.flatnonzero(np.diff(unit, prepend=-1, append=-1))
         parts = [slice(a, b) for a, b in pairwise(borders)]
         self.units = len(parts)
@@ -133,7 +133,7 @@ class MixedModel:
 
         def _loss(ratio: float) -> float:
             gram = units.at(ratio).sum(axis=0)
-            normal = self._with_prior(gram[:-1, :-1])
+            normal = self._with_prior(gram[:-1, :-1], chosen)
             rest = gram[-1, -1] - gram[:-1, -1] @ np.linalg.solve(normal, gram[:-1, -1])
             levels = float(np.log1p(ratio * self._gamma).sum()) + ratio * rest / freedom / RUN_SPREAD**2
             return levels + float(np.linalg.slogdet(normal)[1]) + freedom * float(np.log(max(rest, 1e-300)))
@@ -152,17 +152,17 @@ class MixedModel:
     def sigma2(self, chosen: IntArray) -> float:
         """Variance of the noise beside some columns, with n - q - units in the denominator."""
         gram = self._inside(np.append(chosen, -1))
-        c = np.append(-np.linalg.solve(self._with_prior(gram[:-1, :-1]), gram[:-1, -1]), 1.0)
+        c = np.append(-np.linalg.solve(self._with_prior(gram[:-1, :-1], chosen), gram[:-1, -1]), 1.0)
         rest = float(c @ gram @ c)
         return max(rest / max(len(self.rows) - len(chosen) - self.units, 1), 1e-300)
 
-    def _with_prior(self, gram: FloatArray) -> FloatArray:
-        """Cross products of columns, (..., q, q), with those of the prior: of every column what one row of these data
-        says. The level of the runs is known as far as there are runs, and so is its prior.
+    def _with_prior(self, gram: FloatArray, chosen: IntArray) -> FloatArray:
+        """Cross products of columns, (..., q, q), with those of the prior: of every column what its rows of these data
+        say. The level of the runs is known as far as there are runs, and so is its prior.
         """
         diagonal = np.einsum("...ii->...i", gram) / len(self.rows)
         diagonal = np.where(diagonal > _ROUNDING, diagonal, 1.0)
-        return gram + diagonal[..., None] * np.eye(gram.shape[-1])
+        return gram + (self.prior_rows[chosen] * diagonal)[..., None] * np.eye(gram.shape[-1])
 
     def _by_unit(self, chosen: IntArray) -> _ByUnit:
         index = np.append(chosen, -1)
@@ -182,16 +182,15 @@ class MixedModel:
     def _normal(self, chosen: IntArray, tau2: float) -> tuple[FloatArray, FloatArray]:
         """Normal equations of generalised least squares, (q, q) and (q,)."""
         gram = self._by_unit(chosen).at(tau2).sum(axis=0)
-        return self._with_prior(gram[:-1, :-1]), gram[:-1, -1]
+        return self._with_prior(gram[:-1, :-1], chosen), gram[:-1, -1]
 
     def _within_limits(
         self, normal: FloatArray, target: FloatArray, chosen: IntArray, low: FloatArray, high: FloatArray
     ) -> FloatArray:
-        """Least squares by normal equations, within limits that the expected coefficients always keep."""
-        factor, size, expected = np.linalg.cholesky(normal), self.size[chosen], self.expected[chosen]
-        low, high = (low - expected) * size, (high - expected) * size
-        bounds = np.minimum(low, 0.0) - 1e-12, np.maximum(high, 0.0) + 1e-12
-        return np.asarray(expected + lsq_linear(factor.T, np.linalg.solve(factor, target), bounds=bounds).x / size)
+        """Least squares by normal equations, within limits that nothing always keeps."""
+        factor, size = np.linalg.cholesky(normal), self.size[chosen]
+        bounds = np.minimum(low * size, 0.0) - 1e-12, np.maximum(high * size, 0.0) + 1e-12
+        return np.asarray(lsq_linear(factor.T, np.linalg.solve(factor, target), bounds=bounds).x / size)
 
     def left_out(self, chosen: IntArray, tau2: float, *, whole: bool = False) -> FloatArray:
         """Error of every unit by a fit to the others, (units,), in variances of the noise, beside random levels of
@@ -201,15 +200,17 @@ class MixedModel:
         """
         units = self._by_unit(chosen)
         part = units.at(tau2)
-        c = np.concatenate([-self._by_others(part), np.ones((self.units, 1, 1))], axis=1)
+        c = np.concatenate([-self._by_others(part, chosen), np.ones((self.units, 1, 1))], axis=1)
         judged = units.gram if whole else part
         return np.asarray((np.swapaxes(c, 1, 2) @ judged @ c)[:, 0, 0])
 
-    def _by_others(self, part: FloatArray) -> FloatArray:
+    def _by_others(self, part: FloatArray, chosen: IntArray) -> FloatArray:
         """Coefficients without each unit, (units, q, 1), by the cross products of every unit."""
         total, q = part.sum(axis=0), part.shape[1] - 1
         others = total - part
-        others[:, :q, :q] += self._with_prior(total[:q, :q]) - total[:q, :q]  # that of all rows, whatever is left out
+        others[:, :q, :q] += (
+            self._with_prior(total[:q, :q], chosen) - total[:q, :q]
+        )  # of all rows, whatever is left out
         return np.asarray(np.linalg.solve(others[:, :q, :q], others[:, :q, q:]))
 
     def test_within(self, tested: IntArray, beside: IntArray) -> float:
@@ -221,7 +222,7 @@ class MixedModel:
         """
         rows, squares = self._white
         rest, other = rows[:, np.append(tested, -1)], rows[:, beside]
-        rest -= other @ np.linalg.solve(self._with_prior(other.T @ other), other.T @ rest)
+        rest -= other @ np.linalg.solve(self._with_prior(other.T @ other, beside), other.T @ rest)
         a, z = rest[:, :-1], rest[:, -1]
         turned = _directions(a.T @ a, squares[tested])  # (k, r)
         if turned.shape[1] == 0:
@@ -259,7 +260,7 @@ class MixedModel:
         between = _LARGE * sigma2
         for _ in range(_ROUNDS):
             gram = units.at(between / sigma2).sum(axis=0)
-            normal = self._with_prior(gram[:-1, :-1])
+            normal = self._with_prior(gram[:-1, :-1], every)
             beta = np.linalg.solve(normal, gram[:-1, -1])[: len(fixed)]
             away = (self._h[:, -1] - self._h[:, fixed] @ beta) / self._gamma
             between = _between(away, noise, x)
@@ -284,8 +285,8 @@ class MixedModel:
         part, inverse = self._by_unit(chosen).at(tau2), np.linalg.inv(normal)
         own = np.einsum("ik,uij,jk->uk", inverse, part[:, :-1, :-1], inverse, optimize=True)
         freedom = own.sum(axis=0) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300) - 1.0
-        found, left_out = self._within_limits(normal, target, chosen, low, high), self._by_others(part)[:, :, 0] / size
-        return Estimate(found, self.expected[chosen] + left_out, freedom, tau2)
+        left_out = self._by_others(part, chosen)[:, :, 0] / size
+        return Estimate(self._within_limits(normal, target, chosen, low, high), left_out, freedom, tau2)
 
 
 def _directions(information: FloatArray, squares: FloatArray) -> FloatArray:

@@ -115,8 +115,7 @@ def suggest_drive(
             if len(speeds) * len(once) > _ROOM * length_m:
                 continue
             rows = _over_and_over(once, speeds, length_m)
-            scale = np.maximum(rows.predicted, usual)
-            then = _spread(old + _information(rows, [effect, *rivals], scale), count)
+            then = _spread(old + _information(rows, [effect, *rivals], np.maximum(rows.predicted, usual)), count)
             if best is None or then / now < best.shrinkage:
                 length = float(np.hypot(*np.diff(points, axis=0).T).sum())
                 best = Suggestion(points, kind + pace, effect.name, speeds, then / now, length)

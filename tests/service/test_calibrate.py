@@ -13,6 +13,7 @@ from joulemap.model.errors import InputError
 from joulemap.model.robot import Robot
 from joulemap.model.runs.files import read_segments
 from joulemap.model.runs.record import read_record
+from joulemap.model.runs.words import number_words
 from joulemap.model.terrain.readers import read_heightmap
 from joulemap.service.cli import app
 from joulemap.service.library.costmaps import open_costmap
@@ -313,7 +314,7 @@ def test_wheel_speeds_stand_in_for_positions(wheels, tmp_path):
     assert found["turning x terrain_class"]["value"] == pytest.approx(-28.0, rel=0.1)
     planned = planning_robot(load_model(out / "model"), Robot()).turn_j_per_rad
     assert report["turning_in_plans"]["j_per_rad"] == pytest.approx(planned)
-    assert f"In plans one radian of turning costs {planned:.1f} J (charge times the nominal voltage)" in said
+    assert f"In plans one radian of turning costs {number_words(planned)} J (charge times the nominal voltage)" in said
     assert report["error"]["after"]["rmse"] < 0.4 * report["error"]["before"]["rmse"]
     assert "12 runs, 10,800 rows" in said
     assert not report["next_drive"]["placed"]

@@ -16,7 +16,7 @@ def _model(columns, residual, run, level=None) -> MixedModel:
     moving = np.ones(run.size, dtype=bool)
     variation = Variation(run, moving, np.ones(run.size), np.ones(run.size))
     level = np.ones(run.size) if level is None else level
-    return MixedModel(variation, columns, residual, level, run, np.zeros(columns.shape[1]), whole_runs=True)
+    return MixedModel(variation, columns, residual, level, run, np.ones(columns.shape[1]), whole_runs=True)
 
 
 def _data(rng, runs=6, rows=80):
