@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from joulemap.model.errors import HeightmapError
 from joulemap.model.frames import GridFrame
+from joulemap.model.terrain.rows import share_of
 
 FloatArray = NDArray[np.float64]
 
@@ -152,16 +153,15 @@ def bilinear(values: NDArray[np.float32], row: float, col: float) -> float:
         return math.nan
     i = min(max(math.floor(row), 0), rows - 2)
     j = min(max(math.floor(col), 0), cols - 2)
-    fr = row - i
-    fc = col - j
+    fr, fc = share_of(row, i), share_of(col, j)
     total = 0.0
     for di in range(2):
         wr = fr if di == 1 else 1.0 - fr
-        if abs(wr) < 1e-9:
+        if wr == 0.0:
             continue
         for dj in range(2):
             wc = fc if dj == 1 else 1.0 - fc
-            if abs(wc) < 1e-9:
+            if wc == 0.0:
                 continue
             total += wr * wc * values[i + di, j + dj]
     return total

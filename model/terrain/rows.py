@@ -7,6 +7,33 @@ import math
 import numpy as np
 from numba import njit
 
+ON_CENTRE = 1e-6
+"""Cells from a centre within which a place is on it: northings are rounded to 1e-9 m, which is 1e-7 cells of 1 cm."""
+
+
+@njit(cache=True, nogil=True)
+def share_of(at, low):
+    """Return the share of the upper one of two cells, 0 or 1 on a centre.
+
+    Parameters
+    ----------
+    at : float
+        Fractional index.
+    low : int
+        Lower index.
+
+    Returns
+    -------
+    float
+        Beyond 0..1 where the two cells are continued linearly.
+    """
+    share = at - low
+    if abs(share) < ON_CENTRE:
+        return 0.0
+    if abs(share - 1.0) < ON_CENTRE:
+        return 1.0
+    return share
+
 
 @njit(cache=True, nogil=True)
 def between(at, size):
@@ -22,18 +49,18 @@ def between(at, size):
     Returns
     -------
     tuple
-        Lower index, upper index, and share of the upper one. Within 1e-9 of a centre both are that cell. In the outer
-        half cell the nearest two are continued linearly; beyond it the share is NaN.
+        Lower index, upper index, and share of the upper one. On a centre both are that cell. In the outer half cell the
+        nearest two are continued linearly; beyond it the share is NaN.
     """
     edge = 0.5 + 1e-6
     if not -edge <= at <= size - 1 + edge:
         end = 0 if at < 0.0 else size - 1
         return end, end, math.nan
     low = min(max(math.floor(at), 0), size - 2)
-    share = at - low
-    if abs(share) < 1e-9:
+    share = share_of(at, low)
+    if share == 0.0:
         return low, low, 0.0
-    if abs(share - 1.0) < 1e-9:
+    if share == 1.0:
         return low + 1, low + 1, 0.0
     return low, low + 1, share
 
