@@ -186,15 +186,16 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
     residuals, index = design.residuals, design.index(chosen)
     x, said = design.columns[:, index], residuals.said
     z = residuals.measured - said - design.beyond
-    size = max(float(np.median(np.abs(residuals.measured))), 1e-12)
-    variation = start or Variation(residuals.run, residuals.moving, np.maximum(said, size), np.ones(len(z)))
+    usual = np.maximum(said, max(float(np.median(np.abs(residuals.measured))), 1e-12))
+    variation = start or Variation(residuals.run, residuals.moving, usual, np.ones(len(z)))
     known = np.zeros(len(z)) if residuals.charge else residuals.features.predicted  # by what base parameters correct
     level = known + (0.0 if design.first is None else design.columns[:, design.fixed] @ design.first[design.fixed])
     for _ in range(1 if start else 2):  # the spread needs a fit, and the fit a spread
         worth = _prior_rows(design, variation)[index]
         model = MixedModel(variation, x, z, level, residuals.unit, worth, whole_runs=residuals.whole_runs)
         energy = x @ model.coefficients(np.arange(len(index)), design.low[index], design.high[index])
-        variation = fit_variation(variation, said + energy, z - energy, x)
+        grown = np.where(residuals.moving, energy, np.maximum(energy, 0.0))  # a stop varies as if declared, or more
+        variation = fit_variation(variation, said + grown, z - energy, x)
         if design.first is None:
             level = known + energy
     worth = _prior_rows(design, variation)
@@ -204,6 +205,5 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
 def _prior_rows(design: Design, variation: Variation) -> FloatArray:
     """Rows that each column's prior is worth, (k,): one for an effect; a base parameter may be worth all the energy."""
     energy = np.maximum(np.abs(design.residuals.measured), np.abs(design.residuals.said))
-    rows = np.ones(design.columns.shape[1])
-    rows[design.fixed] = 1.0 / max(float(np.mean((energy / variation.scale) ** 2)), 1e-12)  # as wide as the energy
-    return rows
+    worth = 1.0 / max(float(np.mean((energy / variation.scale) ** 2)), 1e-12)
+    return np.where(np.isin(np.arange(design.columns.shape[1]), design.fixed), worth, 1.0)
