@@ -203,7 +203,7 @@ def fit_model(design: Design, chosen: Sequence[Candidate], start: Variation | No
 
 
 def _prior_rows(design: Design, variation: Variation) -> FloatArray:
-    """Rows that each column's prior is worth, (k,): one for an effect; a base parameter may be worth all the energy."""
+    """Rows that each column's prior is worth, (k,): one of an effect; a base parameter's is as wide as all energy."""
     energy = np.maximum(np.abs(design.residuals.measured), np.abs(design.residuals.said))
     worth = 1.0 / max(float(np.mean((energy / variation.scale) ** 2)), 1e-12)
     return np.where(np.isin(np.arange(design.columns.shape[1]), design.fixed), worth, 1.0)

@@ -208,9 +208,8 @@ class MixedModel:
         """Coefficients without each unit, (units, q, 1), by the cross products of every unit."""
         total, q = part.sum(axis=0), part.shape[1] - 1
         others = total - part
-        others[:, :q, :q] += (
-            self._with_prior(total[:q, :q], chosen) - total[:q, :q]
-        )  # of all rows, whatever is left out
+        prior = self._with_prior(total[:q, :q], chosen) - total[:q, :q]  # of all rows, whatever is left out
+        others[:, :q, :q] += prior
         return np.asarray(np.linalg.solve(others[:, :q, :q], others[:, :q, q:]))
 
     def test_within(self, tested: IntArray, beside: IntArray) -> float:
