@@ -190,7 +190,8 @@ class MixedModel:
         """Least squares by normal equations, within limits that nothing always keeps."""
         factor, size = np.linalg.cholesky(normal), self.size[chosen]
         bounds = np.minimum(low * size, 0.0) - 1e-12, np.maximum(high * size, 0.0) + 1e-12
-        return np.asarray(lsq_linear(factor.T, np.linalg.solve(factor, target), bounds=bounds).x / size)
+        found = lsq_linear(factor.T, np.linalg.solve(factor, target), bounds=bounds).x / size
+        return np.clip(found, np.minimum(low, 0.0), np.maximum(high, 0.0))
 
     def left_out(self, chosen: IntArray, tau2: float, *, whole: bool = False) -> FloatArray:
         """Error of every unit by a fit to the others, (units,), in variances of the noise, beside random levels of

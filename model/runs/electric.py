@@ -12,7 +12,7 @@ what they take. So of all readings of the signs the one is believed in which lea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import chain, product
 from typing import Literal, get_args
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError, RunsError
+from joulemap.model.runs.held_readings import between_readings
 from joulemap.model.runs.reckoning import sides_of
 from joulemap.model.runs.table import add_count, columns_there
 
@@ -28,6 +29,7 @@ FloatArray = NDArray[np.float64]
 Currents = Literal["auto", "signed", "magnitude"]
 """How the currents of several motors are summed."""
 
+_TOTALS = ("power", "voltage", "current")
 _SIDES = ("left_current", "right_current")
 _MOST_MOTORS = 8  # of more, not all readings of the signs are tried
 _MOST_FED_BACK = 0.5  # going up and down again with an efficiency of 0.7 each way gives half of it back
@@ -72,21 +74,33 @@ def electric(
     """
     if currents not in get_args(Currents):
         raise InputError(f"currents are summed as {', '.join(get_args(Currents))}, not {currents!r}", currents=currents)
+    parts = sorted(key for key in numbers if key.startswith("current_") or key in _SIDES)
+    held: dict[str, int] = {}
+    for key in numbers.keys() & {*_TOTALS, *parts}:
+        numbers[key], held[key] = between_readings(t, numbers[key])
+
+    def _repaired(values: FloatArray, share: float, key: str, read: Collection[str]) -> FloatArray:
+        for each in read:
+            add_count(repairs, f"held_{each}", held[each])
+        filled = _without_blanks(t, values, key, name, repairs)
+        of_readings = any(held[each] for each in read)  # by straight lines: none of them can be told for a spike
+        return filled if of_readings else _without_spikes(t, values, filled, share, key, repairs)
+
     power = _logged(numbers, "power", repairs)
     if power is not None:
-        power = _without_spikes(t, power, 1.0, "power", name, repairs)
+        power = _repaired(power, 1.0, "power", ["power"])
     voltage = numbers.pop("voltage", None)
     if voltage is not None and not np.isfinite(voltage).any():
         voltage = None
     if voltage is not None:
-        voltage = _without_spikes(t, voltage, 0.25, "voltage", name, repairs)
-    parts = sorted(key for key in numbers if key.startswith("current_") or key in _SIDES)
+        voltage = _repaired(voltage, 0.25, "voltage", ["voltage"])
     current, how = _logged(numbers, "current", repairs), None
     summed = current is None and bool(parts)
     if summed:
         current, how = _summed({key: numbers.pop(key) for key in parts}, numbers, repairs, currents)
     if current is not None:
-        return _without_spikes(t, current, 1.0, "current", name, repairs), voltage, power, how, summed
+        current = _repaired(current, 1.0, "current", parts if summed else ["current"])
+        return current, voltage, power, how, summed
     if power is None:
         raise RunsError(
             f"run {name}: there is neither a column 'current', nor any 'current_*', nor 'power'"
@@ -158,18 +172,22 @@ def _wheels_of(parts: Mapping[str, FloatArray], numbers: Mapping[str, FloatArray
     return np.stack([sides[found[0]] for found in named])
 
 
-def _without_spikes(
-    t: FloatArray, values: FloatArray, share: float, key: str, name: str, repairs: dict[str, int]
-) -> FloatArray:
+def _without_blanks(t: FloatArray, values: FloatArray, key: str, name: str, repairs: dict[str, int]) -> FloatArray:
     blank = ~np.isfinite(values)
     if blank.mean() > 0.5:
         raise RunsError(
             f"run {name}, column {key!r}: {int(blank.sum())} of {t.size} cells are blank", run=name, column=key
         )
     add_count(repairs, f"blank_{key}", int(blank.sum()))
-    filled = np.interp(t, t[~blank], values[~blank])
+    return np.interp(t, t[~blank], values[~blank])
+
+
+def _without_spikes(
+    t: FloatArray, values: FloatArray, filled: FloatArray, share: float, key: str, repairs: dict[str, int]
+) -> FloatArray:
     from scipy.ndimage import median_filter  # loads slowly, and only measured runs need it
 
+    blank = ~np.isfinite(values)
     middle = median_filter(filled, 11, mode="nearest")
     away = np.abs(filled - middle)
     spread = 1.4826 * median_filter(away, 11, mode="nearest")

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from joulemap.model.errors import ModelError
 from joulemap.model.robot import Robot
@@ -406,30 +405,6 @@ class Features:
             return self
         more = np.maximum(np.asarray(added) - self.drives.resisted_tan, min(self.coasting_tan, 0.0))
         return replace(self, added_resistance=np.broadcast_to(more, (len(self),)))
-
-    def read_late(self, energy: FloatArray, lag_s: float) -> FloatArray:
-        """Return what a late meter says of each row.
-
-        Parameters
-        ----------
-        energy : ndarray of float, (n,)
-            That each row took [J, or A s].
-        lag_s : float
-            Of the meter [s].
-
-        Returns
-        -------
-        ndarray of float, (n,)
-            Energy by a cubic spline through what was drawn until the end of each row. A stationary interval has its
-            own. Before and after a run its first and last row go on.
-        """
-        out = energy.copy()
-        for run in np.unique(self.run[~self.standing]):
-            mine = np.flatnonzero((self.run == run) & ~self.standing)
-            longer = mine[[0, *range(mine.size), -1]]
-            ends, drawn = (np.append(0.0, np.cumsum(v[longer])) for v in (np.maximum(self.duration_s, 1e-6), energy))
-            out[mine] = np.diff(CubicSpline(ends, drawn)(np.clip(ends[1:-1] - lag_s, 0.0, ends[-1])))
-        return out
 
     @property
     def pulling(self) -> FloatArray:

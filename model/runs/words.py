@@ -57,7 +57,7 @@ _COUNTS = {
     "currents_signed_by_wheels": "run{s} whose motor currents are signed by the wheel speeds",
     "reckoned_positions": "position{s} from wheel speeds",
 }
-"""What is not made a segment, and what is repaired or dropped in a log. Blanks and spikes carry the column's name."""
+"""What is not made a segment, and what is repaired or dropped in a log. What is said of a column has its name."""
 
 
 def count_words(counts: Mapping[str, int]) -> str:
@@ -78,6 +78,8 @@ def count_words(counts: Mapping[str, int]) -> str:
         s = "" if count == 1 else "s"
         if key.startswith("blank_") and key not in _COUNTS:
             return f"row{s} without {key.removeprefix('blank_').replace('_', ' ')}"
+        if key.startswith("held_") and key not in _COUNTS:
+            return f"row{s} that repeat{'' if s else 's'} a reading of {key.removeprefix('held_').replace('_', ' ')}"
         return _COUNTS.get(key, key.removesuffix("s").replace("_", " ") + "{s}").format(s=s)
 
     return ", ".join(f"{count:,} {_words(key, count)}" for key, count in counts.items() if count)

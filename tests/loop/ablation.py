@@ -25,6 +25,7 @@ from joulemap.model.loop import _mixed_model as mixed_model
 from joulemap.model.loop import _selection as selection
 from joulemap.model.loop import _variation as variation
 from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.residuals import Residuals
 from tests.loop import blind, nulls
 from tests.loop.calibrator import answer_of, segments_of
@@ -57,6 +58,10 @@ def _together() -> AbstractContextManager[Any]:
     return patch.object(selection, "_simplest", lambda *given, unnamed: simplest(*given, unnamed=True))
 
 
+def _one_row(columns: design.Design, _around: variation.Variation) -> FloatArray:
+    return np.ones(columns.columns.shape[1])
+
+
 def _white(found: variation.Variation, *_given: Any) -> variation.Variation:
     return replace(found, length_rows=1.0, process=0.0)
 
@@ -65,6 +70,7 @@ RULES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
     "nothing": nullcontext,
     "where the drives coast": lambda: patch.object(base_step, "drives_of", lambda rows: rows.features.drives),
     "Huber's weights": lambda: patch.object(variation, "HUBER", 1e9),
+    "the wide prior of base parameters": lambda: patch.object(design, "_prior_rows", _one_row),
     "serial correlation": lambda: patch.object(variation, "_correlated", _white),
     "the variation around the largest model": lambda: patch.object(selection, "_largest", lambda columns: []),
     "the prior of what differs between runs": lambda: patch.object(mixed_model, "RUN_SPREAD", 1e6),

@@ -354,9 +354,10 @@ def test_counts_of_logs_are_said_in_words():
     assert count_words(counts) == (
         "1 gap, 24 stops, 34 pieces too short for a segment, 1,234 where the path bends too much"
     )
-    repairs = {"held_fixes": 2, "voltage_spikes": 1, "current_left_spikes": 3, "blank_current": 5}
+    repairs = {"held_fixes": 2, "voltage_spikes": 1, "current_left_spikes": 3, "blank_current": 5, "held_current": 4}
     assert count_words(repairs) == (
-        "2 repeated positions, 1 voltage spike, 3 current left spikes, 5 rows without current"
+        "2 repeated positions, 1 voltage spike, 3 current left spikes, 5 rows without current, "
+        "4 rows that repeat a reading of current"
     )
 
 

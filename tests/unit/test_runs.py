@@ -124,6 +124,17 @@ def test_spikes_and_blanks_are_bridged():
     np.testing.assert_allclose(run.current_a, 2.0)
 
 
+def test_a_slow_meter_writes_its_reading_again():
+    amps = [2.0, 3.0, 9.0, 4.0, 2.0, 5.0, 3.0, 4.0, 2.0, 3.0, 4.0, 6.0]
+    run = parse(log(n=120, current=[f"{a:.1f}" for a in np.repeat(amps, 10)]))  # 1 Hz readings in a 10 Hz log
+    assert run.repairs == {"held_current": 108}
+    np.testing.assert_allclose(run.current_a[:111], np.interp(np.arange(111) / 10.0, np.arange(12), amps))
+    sides = {"current_left": log(n=120)["current"], "current_right": [f"{a:.1f}" for a in np.repeat(amps, 10)]}
+    both = parse(log(n=120, current=None, **sides))
+    assert both.repairs == {"held_current_right": 108}
+    np.testing.assert_allclose(both.current_a[:111], 2.0 + run.current_a[:111])
+
+
 def test_a_climb_is_no_spike():
     amps = 2.0 + 6.0 * np.exp(-0.5 * ((np.arange(60) - 30) / 4.0) ** 2)
     run = parse(log(current=[f"{a:.3f}" for a in amps]))

@@ -9,7 +9,9 @@ import numpy as np
 
 from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
+from joulemap.model.runs.late_meter import read_late
 
+_STEP_S = 0.01
 Energy = Callable[[Features], FloatArray]
 
 
@@ -29,7 +31,7 @@ class MeterLag(LogFault):
     """Time by which the measured power is late.
 
     To first order the energy of a row is less by the lag times the predicted power at its end, and more by that at its
-    start. The power at a border is the mean of both sides.
+    start.
     """
 
     key = "meter_lag"
@@ -39,14 +41,12 @@ class MeterLag(LogFault):
     reveals = "sudden starts and stops; better, one clock for all sensors"
 
     def column(self, rows: Features) -> FloatArray:
-        power = rows.power_w / rows.unit_j
-        follows = (np.diff(rows.run) == 0) & ~rows.standing[1:] & ~rows.standing[:-1]
-        border = np.pad(np.where(follows, 0.5 * (power[1:] + power[:-1]), np.nan), 1, constant_values=np.nan)
-        return border[:-1] - border[1:]
+        energy = rows.hotel_and_motion
+        return (read_late(rows, energy, _STEP_S) - read_late(rows, energy, -_STEP_S)) / (2.0 * _STEP_S)
 
     def simulated(self, rows: Features, size: FloatArray, energy: Energy) -> FloatArray:
         drawn = energy(rows)
-        return rows.read_late(drawn, size[0]) - drawn
+        return read_late(rows, drawn, size[0]) - drawn
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,61 @@
+"""What a meter says that is late, by what was drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from joulemap.model.runs.arcs import STOP_S
+from joulemap.model.runs.features import Features, FloatArray
+
+
+def read_late(rows: Features, energy: FloatArray, lag_s: float) -> FloatArray:
+    """Return what a late meter says of each row.
+
+    Parameters
+    ----------
+    rows : Features
+        Of n rows, those of each run in driving order.
+    energy : ndarray of float, (n,)
+        That each row took [J, or A s].
+    lag_s : float
+        Of the meter [s].
+
+    Returns
+    -------
+    ndarray of float, (n,)
+        Energy by a cubic spline, from one stop to the next, through what was drawn until the end of each row. In a stop
+        the robot draws what it does in stationary intervals, which have their own energy. Before and after a run its
+        first and last row go on.
+    """
+    out, still = energy.copy(), rows.standing
+    took, stood = np.maximum(rows.duration_s, 1e-6), float(rows.duration_s[still].sum())
+    idle = float(energy[still].sum()) / stood if stood > 0.0 else rows.robot.idle_power_w / rows.unit_j
+    for run in np.unique(rows.run[~still]):
+        mine = np.flatnonzero((rows.run == run) & ~still)
+        for part in _between_stops(rows, mine):
+            before, after = (
+                energy[end] / took[end] if end == outermost else idle
+                for end, outermost in ((part[0], mine[0]), (part[-1], mine[-1]))
+            )
+            out[part] = _late(took[part], energy[part], lag_s, before, after)
+    return out
+
+
+def _between_stops(rows: Features, mine: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Rows of one run, divided at its stops; where rows are missing the robot went on."""
+    pause = np.diff(rows.clock_s[mine]) - rows.duration_s[mine[:-1]]
+    apart = np.hypot(np.diff(rows.x[mine]), np.diff(rows.y[mine]))
+    near = apart <= rows.length_m[mine[:-1]] + rows.length_m[mine[1:]]
+    return np.split(mine, np.flatnonzero((pause >= STOP_S) & near) + 1)
+
+
+def _late(took: FloatArray, energy: FloatArray, lag_s: float, before: float, after: float) -> FloatArray:
+    """The same of rows that follow each other, (n,). before, after : power beyond their ends."""
+    longer = [0, *range(took.size), -1]  # level at both ends
+    ends, until = (np.append(0.0, np.cumsum(values[longer])) for values in (took, energy))
+    drawn, first, last = CubicSpline(ends, until), ends[1], ends[-2]
+    at = ends[1:-1] - lag_s
+    beyond = before * np.minimum(at - first, 0.0) + after * np.maximum(at - last, 0.0)
+    return np.diff(drawn(np.clip(at, first, last)) + beyond)
