@@ -21,8 +21,8 @@ _LEAST_S = 1e-3  # that a segment takes, less than between two readings
 HALF_SPEEDS = 2.0
 """Setting: cruising speeds at which a radian costs half of what it costs on the spot, where turning eases with speed.
 
-Chosen on DRIVE. There a training errs by 337 J a metre on runs that were left out, and by 455 J where turning does not
-ease."""
+Chosen on DRIVE. There a calibration errs by 353 J a metre on runs that were left out, and by 521 J where turning does
+not ease."""
 
 
 def easing(speed_mps: ArrayLike, cruising_mps: float) -> FloatArray:

@@ -99,6 +99,8 @@ def import_logs(
 
 
 def _say(output: Output, one: dict[str, Any]) -> None:
+    from joulemap.model.runs.words import count_words
+
     unit = "J/m" if one["target"] == "energy_j" else "A s/m"
     output.say(f"{one['format']}" + (f" -> {one['out']}" if one["out"] else ""), head=one["name"])
     rows = {
@@ -110,7 +112,7 @@ def _say(output: Output, one: dict[str, Any]) -> None:
         rows["read as"] = kind
     rows |= {column: f"from {source}" for column, source in reading.items()}
     if one["repairs"]:
-        rows["repairs"] = ", ".join(f"{count} {rule}" for rule, count in one["repairs"].items())
+        rows["repairs"] = count_words(one["repairs"])
     output.table(rows)
     output.warn(f"{one['name']}: {warning}" for warning in one["warnings"])
 
