@@ -83,7 +83,7 @@ def electric(
         for each in read:
             add_count(repairs, f"held_{each}", held[each])
         filled = _without_blanks(t, values, key, name, repairs)
-        of_readings = any(held[each] for each in read)  # by straight lines: none of them can be told for a spike
+        of_readings = any(held[each] for each in read)  # a reading that is a spike looks like the others
         return filled if of_readings else _without_spikes(t, values, filled, share, key, repairs)
 
     power = _logged(numbers, "power", repairs)
