@@ -17,6 +17,7 @@ _LONGEST_S = 5.0
 _LEAST_ROWS = 5
 """In a period: the steps of a faster meter are too short to matter."""
 _LEAST_READINGS = 10
+"""That stay for about as long, before a meter is taken for slow."""
 
 
 def between_readings(t: FloatArray, values: FloatArray) -> tuple[FloatArray, int]:

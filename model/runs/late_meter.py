@@ -33,22 +33,25 @@ def read_late(rows: Features, energy: FloatArray, lag_s: float) -> FloatArray:
     took, stood = np.maximum(rows.duration_s, 1e-6), float(rows.duration_s[still].sum())
     idle = float(energy[still].sum()) / stood if stood > 0.0 else rows.robot.idle_power_w / rows.unit_j
     for run in np.unique(rows.run[~still]):
-        mine = np.flatnonzero((rows.run == run) & ~still)
-        for part in _between_stops(rows, mine):
+        driven = np.flatnonzero((rows.run == run) & ~still)
+        for part in _between_stops(rows, driven):
             before, after = (
                 energy[end] / took[end] if end == outermost else idle
-                for end, outermost in ((part[0], mine[0]), (part[-1], mine[-1]))
+                for end, outermost in ((part[0], driven[0]), (part[-1], driven[-1]))
             )
             out[part] = _late(took[part], energy[part], lag_s, before, after)
     return out
 
 
-def _between_stops(rows: Features, mine: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Rows of one run, divided at its stops; where rows are missing the robot went on."""
-    pause = np.diff(rows.clock_s[mine]) - rows.duration_s[mine[:-1]]
-    apart = np.hypot(np.diff(rows.x[mine]), np.diff(rows.y[mine]))
-    near = apart <= rows.length_m[mine[:-1]] + rows.length_m[mine[1:]]
-    return np.split(mine, np.flatnonzero((pause >= STOP_S) & near) + 1)
+def _between_stops(rows: Features, driven: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Driven rows of one run, divided at its stops. Where the next row is further than it can be, rows are missing and
+    the robot did not stop.
+    """
+    before, after = driven[:-1], driven[1:]
+    pause_s = rows.clock_s[after] - rows.clock_s[before] - rows.duration_s[before]
+    distance_m = np.hypot(rows.x[after] - rows.x[before], rows.y[after] - rows.y[before])
+    stopped = (pause_s >= STOP_S) & (distance_m <= rows.length_m[before] + rows.length_m[after])
+    return np.split(driven, np.flatnonzero(stopped) + 1)
 
 
 def _late(took: FloatArray, energy: FloatArray, lag_s: float, before: float, after: float) -> FloatArray:

@@ -11,7 +11,7 @@ from joulemap.model.loop.forms.base import Form
 from joulemap.model.runs.features import Features, FloatArray
 from joulemap.model.runs.late_meter import read_late
 
-_STEP_S = 0.01
+_STEP_S = 0.01  # for a derivative
 Energy = Callable[[Features], FloatArray]
 
 
