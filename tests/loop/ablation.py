@@ -25,8 +25,11 @@ from joulemap.model.loop import _mixed_model as mixed_model
 from joulemap.model.loop import _selection as selection
 from joulemap.model.loop import _variation as variation
 from joulemap.model.loop.calibrate import calibrate
+from joulemap.model.runs.calibration_runs import CalibrationRuns
 from joulemap.model.runs.features import FloatArray
 from joulemap.model.runs.residuals import Residuals
+from joulemap.service.loop.measured import measure
+from tests.coverage.real import cuadriga, drive, real_folder
 from tests.loop import blind, nulls
 from tests.loop.calibrator import answer_of, segments_of
 from tests.loop.document import wrapped
@@ -143,6 +146,27 @@ def table_of(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def real_table(folder: Path) -> str:
+    """Markdown: errors per metre on left-out runs of real robots, without each rule."""
+    kinds: dict[str, tuple[Callable[[Path], tuple[CalibrationRuns, list[str]]], str]] = {
+        "DRIVE [J]": (drive, "after"),
+        "Cuadriga [A s]": (cuadriga, "after"),
+        "Cuadriga, planner [A s]": (cuadriga, "after_planner"),
+    }
+    read = {load: load(folder) for load in (drive, cuadriga)}
+    lines = [f"| without | {' | '.join(kinds)} | named |", "|---|" + "---|" * (len(kinds) + 1)]
+    for rule, without in RULES.items():
+        with without():
+            found = {}
+            for load, (runs, campaigns) in read.items():
+                measured = measure("physics", PhysicsPredictor(), runs)
+                found[load] = calibrate(measured.residuals, electric=measured.electric, groups=campaigns)
+        errors = [f"{found[load].errors[state]['rmse']:.4g}" for load, state in kinds.values()]
+        named = "; ".join(", ".join(e.term.form.name for e in one.effects) or "nothing" for one in found.values())
+        lines.append("| " + " | ".join([rule, *errors, named]) + " |")
+    return "\n".join(lines)
+
+
 def _on_hills(key: str) -> bool:
     """Whether a null case is hilly: every second one, where a cell has both kinds of ground."""
     return int(key.split(":")[1]) % 2 == 1
@@ -160,7 +184,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--kept", type=Path, help="file of finished cases, to continue")
     parser.add_argument("--write", type=Path, metavar="FILE", help="write the table with its command")
+    parser.add_argument("--real", action="store_true", help="the real runs in place of generated cases")
     options = parser.parse_args(arguments)
+    if options.real:
+        folder = real_folder()
+        if folder is None:
+            parser.error("there are no real runs here (set JOULEMAP_REAL_DATA to their folder)")
+        print(real_table(folder))
+        return
     keys = [
         f"blind|{name}:{k}:{blind.seed_of(name, options.first_seed + k)}:{options.base}"
         for k in range(options.seeds)

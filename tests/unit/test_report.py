@@ -14,7 +14,6 @@ from joulemap.model.loop.forms.log_faults import MeterLag
 from joulemap.model.loop.report import report_document
 from joulemap.model.loop.suggest import Suggestion
 from joulemap.model.loop.terms import Term
-from joulemap.model.runs.words import count_words, number_words, quantity_name
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.service.library.calibrations import CalibrationResult
 from joulemap.service.loop import calibration
@@ -144,12 +143,6 @@ def test_base_parameters_are_declared_and_measured(turning):
     named = [base_name(name) for name in PARTS]
     assert len(set(named)) == len(PARTS)
     assert [words for words in named if " " not in words] == []  # every parameter has words
-
-
-def test_numbers_have_three_digits_and_no_exponent_for_thousands():
-    said = [number_words(value) for value in (0.0, 0.04567, 348.2, 999.6, 1949.9, -38321.0, 1.23e5)]
-    assert said == ["0", "0.0457", "348", "1,000", "1,950", "-38,300", "123,000"]
-    assert [number_words(value, signed=True) for value in (1949.9, 3.0, -3.0)] == ["+1,950", "+3", "-3"]
 
 
 SIZES = {"before": 0.124, "corrected": 0.107, "after": 0.096, "after_planner": 0.099}
@@ -349,18 +342,6 @@ def test_python_prints_the_summary_of_the_command_line(turning, tmp_path):
     assert result.folder == tmp_path / "model"
 
 
-def test_counts_of_logs_are_said_in_words():
-    counts = {"gaps": 1, "stops": 24, "remainders": 34, "bent": 1234, "fast": 0}
-    assert count_words(counts) == (
-        "1 gap, 24 stops, 34 pieces too short for a segment, 1,234 where the path bends too much"
-    )
-    repairs = {"held_fixes": 2, "voltage_spikes": 1, "current_left_spikes": 3, "blank_current": 5, "held_current": 4}
-    assert count_words(repairs) == (
-        "2 repeated positions, 1 voltage spike, 3 current left spikes, 5 rows without current, "
-        "4 rows that repeat a reading of current"
-    )
-
-
 def test_least_p_values_are_bounds(turning):
     assert (p_words(1e-12), p_words(1e-9), p_words(0.0234)) == ("< 1e-9", "= 1e-09", "= 0.023")
     assert "&lt; 1e-9" in report_page(turning)
@@ -384,12 +365,6 @@ def test_pages_have_no_private_word(turning, nothing):
     for made in (turning, nothing):
         assert [match[0] for match in PRIVATE.finditer(shown(report_page(made)))] == []
         assert [match[0] for match in PRIVATE.finditer("\n".join(summary_lines(made.document)))] == []
-
-
-def test_names_of_columns():
-    assert quantity_name("column:rain") == "rain"
-    assert quantity_name("column:temperature") == "temperature"
-    assert quantity_name("position_index") == "topographic position index"
 
 
 def test_colour_scales_of_changes_contain_zero_and_do_not_dramatise():
