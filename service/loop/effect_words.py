@@ -13,7 +13,7 @@ _FEW = 4  # coefficients of an effect that are all written out
 _SAME = 0.005  # of what turning costs in plans: less than this is no further part of it
 
 
-def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float]]:
+def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float], list[list[float]]]:
     """Return a fitted curve of a report.
 
     Parameters
@@ -23,13 +23,30 @@ def curve_points(effect: Mapping[str, Any]) -> tuple[list[float], list[float]]:
 
     Returns
     -------
-    tuple of list of float
-        Values of the covariate, and what is added there.
+    tuple of list
+        Values of the covariate, what is added there, and its 95 % intervals.
     """
     knots = list(effect["settings"]["knots"])
-    values = [c["value"] for c in effect["coefficients"]]
-    values.insert(len(knots) // 2, 0.0)
-    return knots, values
+    points = [(c["value"], list(c["ci95"])) for c in effect["coefficients"]]
+    if is_centred(effect):
+        points.insert(len(knots) // 2, (0.0, [0.0, 0.0]))
+    return knots, [value for value, _ in points], [interval for _, interval in points]
+
+
+def is_centred(curve: Mapping[str, Any]) -> bool:
+    """Return whether a fitted curve is nil at its middle point.
+
+    Parameters
+    ----------
+    curve : mapping
+        From the report, of the form `curve`.
+
+    Returns
+    -------
+    bool
+        False where baseline runs say where it is nil.
+    """
+    return bool(curve["settings"].get("centred", True))  # reports of version 0.1 have no such setting
 
 
 def found_words(document: Mapping[str, Any]) -> list[str]:
@@ -100,7 +117,9 @@ def _curve_words(effect: Mapping[str, Any]) -> str:
     steps = [after - before for before, after in zip(values, values[1:], strict=False)]
     unit = effect["coefficients"][0]["unit"]
     low, high = (number_words(end, signed=True) for end in (min(values), max(values)))
-    if all(step >= 0.0 for step in steps):
+    if low == high:
+        ends = f"{low} {unit} everywhere"
+    elif all(step >= 0.0 for step in steps):
         ends = f"rising from {low} to {high} {unit}"
     elif all(step <= 0.0 for step in steps):
         ends = f"falling from {high} to {low} {unit}"

@@ -89,11 +89,9 @@ def curve_figure(effect: Mapping[str, Any]) -> str:
     str
         SVG.
     """
-    over, middle = effect["settings"]["over"], len(effect["settings"]["knots"]) // 2
-    knots, values = (np.asarray(part) for part in curve_points(effect))
-    intervals = [c["ci95"] for c in effect["coefficients"]]
-    intervals.insert(middle, [0.0, 0.0])  # the curve is nil there
-    low, high = np.asarray(intervals).T
+    over = effect["settings"]["over"]
+    knots, values, intervals = (np.asarray(part) for part in curve_points(effect))
+    low, high = intervals.T
     name, unit = quantity_words(over)
     if over == "heading":  # a circle: the first point is the last one too
         knots, unit = np.degrees(np.append(knots, 2.0 * np.pi)), "deg"
