@@ -46,7 +46,7 @@ def is_centred(curve: Mapping[str, Any]) -> bool:
     bool
         False where baseline runs say where it is nil.
     """
-    return bool(curve["settings"].get("centred", True))  # reports of version 0.1 have no such setting
+    return bool(curve["settings"].get("centred", True))  # not in reports of older versions
 
 
 def found_words(document: Mapping[str, Any]) -> list[str]:

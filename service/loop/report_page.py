@@ -14,7 +14,7 @@ from joulemap.model.loop.report import ALPHA
 from joulemap.model.runs.words import count_words, number_words, quantity_name, quantity_words
 from joulemap.service.loop.base_words import base_name, is_shown
 from joulemap.service.loop.calibration import Calibrated
-from joulemap.service.loop.effect_words import coefficient_words, found_words, is_log_fault, labels_of
+from joulemap.service.loop.effect_words import coefficient_words, found_words, is_centred, is_log_fault, labels_of
 from joulemap.service.loop.error_words import (
     error_states,
     error_words,
@@ -214,9 +214,14 @@ def _effects(document: Mapping[str, Any]) -> str:
 
 def _curves(effects: Sequence[Mapping[str, Any]]) -> str:
     names = ", ".join(escape(e["label"]) for e in effects)
+    centred = [is_centred(e) for e in effects]
+    zero = " A curve is zero at its middle point." if all(centred) else " Zero is what the baseline runs show."
+    if any(centred) and not all(centred):
+        labels = ", ".join(escape(e["label"]) for e in effects if is_centred(e))
+        zero += f" These curves are zero at their middle point instead: {labels}."
     note = (
-        f'<p class="note">Fitted curves with 95 % intervals ({names}). No formula of the library describes them. A '
-        "curve is zero at its middle point. Beyond its ends it keeps its value there.</p>"
+        f'<p class="note">Fitted curves with 95 % intervals ({names}). No formula of the library describes them.{zero} '
+        "Beyond its ends a curve keeps its value there.</p>"
     )
     return note + _figures([curve_figure(e) for e in effects], "figures small")
 

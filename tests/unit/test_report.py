@@ -36,8 +36,12 @@ COVERAGE = {"track_m": 800.0, "used_m": 720.0, "left_out_m": {"gaps": 50.0, "unk
 
 
 def calibrated(measured, rows, **options):
+    """A calibration with its report."""
+    return documented(found_in(rows, measured, **options))
+
+
+def documented(found):
     """A calibration with the report that `calibrate_on_runs` makes of it, without a map."""
-    found = found_in(rows, measured, **options)
     document = report_document(found, before=BEFORE, after="2")
     document |= {
         "route": {"why_not": "the runs have no positions"},
