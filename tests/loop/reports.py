@@ -25,7 +25,7 @@ from joulemap.model.loop.calibration_file import read_calibrated
 from joulemap.service.cli import app
 from joulemap.service.loop.summary import summary_lines
 from tests.loop.blind import config_of, seed_of
-from tests.loop.generators.case import make_case
+from tests.loop.generators.case import Case, make_case
 from tests.loop.generators.hidden import KINDS, PAIRS, drawn_effects
 from tests.loop.parallel import Row, rows_of
 
@@ -33,8 +33,8 @@ EVERY = (*KINDS, *PAIRS, "none")
 _WHOLE = 5  # of so many cases one is not quick
 
 
-def try_report(key: str) -> Row:
-    """One case, given as "kinds:number:seed:runs:metres": what was found, and what its report lacks."""
+def case_of(key: str) -> Case:
+    """The case "kinds:number:seed:runs:metres"; with as many baseline runs, and one test run."""
     kinds, number, seed, runs, metres = key.split(":")
     config = config_of(int(number))
     config = replace(
@@ -45,14 +45,19 @@ def try_report(key: str) -> Row:
         test_runs=1,
         other_runs=0,
     )
-    case = make_case(config, int(seed), drawn_effects(kinds, int(seed)))
+    return make_case(config, int(seed), drawn_effects(kinds, int(seed)))
+
+
+def try_report(key: str) -> Row:
+    """Take a case, as `case_of`, through the command line: what was found, and what the report lacks."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        case.write(folder)
-        words = ["calibrate", "--model", "physics", "--heightmap", "dem.tif", "--robot", "robot.toml", "--runs", "new"]
-        words += ["--baseline-runs", "base", "--test-runs", "test", "--out", "found"]
-        named = [str(folder / word) if (folder / word).exists() or word == "found" else word for word in words]
-        done = CliRunner().invoke(app, [*named, *(["--quick"] if int(number) % _WHOLE else [])])
+        case_of(key).write(folder)
+        paths = {"heightmap": "dem.tif", "robot": "robot.toml", "runs": "new", "baseline-runs": "base"}
+        paths |= {"test-runs": "test", "out": "found"}
+        options = [word for name, path in paths.items() for word in (f"--{name}", str(folder / path))]
+        options += ["--quick"] if int(key.split(":")[1]) % _WHOLE else []
+        done = CliRunner().invoke(app, ["calibrate", "--model", "physics", *options])
         lacks = [_last_call(done.exception)] if done.exit_code else list(_lacking(folder / "found", done.output))
         report = folder / "found" / "report.json"
         document = json.loads(report.read_text(encoding="utf-8")) if report.is_file() else {"effects": []}
@@ -64,7 +69,8 @@ def try_report(key: str) -> Row:
 
 def _last_call(error: BaseException | None) -> str:
     """An error with the place of this project's code where it was raised."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__ if error else None) if "site-packages" not in f.filename]
+    frames = traceback.extract_tb(error.__traceback__) if error else []
+    frames = [frame for frame in frames if "site-packages" not in frame.filename]
     where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
 
