@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ from joulemap.service.storage.store import Store
 from tests.browser.chromium import PHONE, WIDE, inaccessible, opened
 from tests.browser.conftest import serving
 from tests.service.test_calibrations import ROBOT, hills, run_csv
+from tests.unit.test_every_form_in_reports import Runs
+from tests.unit.test_report import documented
 
 
 def shot(tab: Any, name: str) -> None:
@@ -129,6 +132,35 @@ def test_the_loop(browser: Any, address: str, calibrated_on: str, tmp_path: Path
         tab.page.click("#tab-route")
         tab.page.click("#swap")
         tab.page.wait_for_function("() => joulemap.now.before === null")
+
+
+def test_whatever_is_found_is_shown(browser: Any, address: str, calibrated_on: str, monkeypatch: Any) -> None:
+    """A report with an effect of every form, which cannot be distinguished, as `POST /v1/calibrations` answers it."""
+    runs = Runs(compared=True)
+    reports = [documented(runs.found(form, monkeypatch)).document for form in runs.one_of_each]
+    effects = [report["effects"][0] for report in reports]
+    report = reports[0] | {"effects": effects, "confounded": [[effect["name"] for effect in effects]]}
+    with opened(browser, address, hash=calibrated_on) as tab:
+        tab.drawn()
+        made = {
+            "id": "cal-1",
+            "created_at": "2026-11-27T00:00:00Z",
+            "model": "physics",
+            "status": "done",
+            "report": report,
+        }
+        made |= {"heightmap_id": tab.page.evaluate("joulemap.now.costmap.heightmap_id"), "calibrated_model": "cal-1"}
+        tab.page.route("**/v1/calibrations?*", lambda route: route.fulfill(json={"items": [made], "total": 1}))
+        tab.page.route("**/v1/calibrations/cal-1", lambda route: route.fulfill(json=made))
+        tab.page.reload()
+        tab.drawn()
+        tab.page.click("#tab-runs")
+        tab.page.click("#calibrations button")
+        tab.page.wait_for_selector("#measured", state="attached")
+        said = tab.text("#found")
+        assert [effect["label"] for effect in effects if effect["label"] not in said] == []
+        assert not re.search("NaN|undefined|null|Infinity", said)
+        shot(tab, "every-form")
 
 
 def test_areas_stops_and_reach(browser: Any, address: str, calibrated_on: str) -> None:

@@ -36,5 +36,5 @@ def test_every_kind_of_effect_has_its_turn():
 
 def test_numbers_that_are_none_are_no_report(tmp_path):
     (tmp_path / "report.json").write_text(json.dumps({"effects": [], "share": float("nan")}))
-    with pytest.raises(ValueError, match="report.json has NaN"):
+    with pytest.raises(ValueError, match="has NaN, which is no number"):
         list(reports._lacking(tmp_path, ""))

@@ -1,4 +1,4 @@
-"""A curve that is found against baseline runs, over HTTP: the job, its report, its segments, and a map by its model."""
+"""A curve that is found against baseline runs, over HTTP: the job, its report, its page and its segments."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ def sent(client: TestClient, folder: Path, ground: str) -> str:
     return str(answer.json()["id"])
 
 
-def test_a_curve_against_baseline_runs_is_found_drawn_and_planned_with(client: TestClient, tmp_path: Path) -> None:
+def test_a_curve_against_baseline_runs_is_found_and_drawn(client: TestClient, tmp_path: Path) -> None:
     case = case_of("low_mud:1:990298:3:60")
     case.write(tmp_path)
     ground = client.post("/v1/heightmaps", content=(tmp_path / "dem.tif").read_bytes()).json()["id"]
     robot = {key: value for key, value in case.declared.as_dict().items() if value is not None}
     asked: dict[str, Any] = {"heightmap_id": ground, "model": "physics", "robot": robot, "quick": True}
-    asked |= {"runs": [sent(client, tmp_path / "new", ground)], "baseline_runs": [sent(client, tmp_path / "base", ground)]}
+    asked |= {
+        "runs": [sent(client, tmp_path / "new", ground)],
+        "baseline_runs": [sent(client, tmp_path / "base", ground)],
+    }
     answer = client.post("/v1/calibrations", json=asked, headers={"Prefer": "wait=200"})
     assert answer.status_code == 201, answer.text
     made = answer.json()
@@ -38,9 +41,3 @@ def test_a_curve_against_baseline_runs_is_found_drawn_and_planned_with(client: T
     assert "Zero is what the baseline runs show" in page.text
     segments = client.get(f"/v1/calibrations/{made['id']}/segments").json()
     assert len(segments["runs"]) == 3
-    costmap = client.post(
-        "/v1/costmaps",
-        json={"heightmap_id": ground, "model": made["calibrated_model"], "robot": robot, "spacing_m": 2.0},
-        headers={"Prefer": "wait=60"},
-    )
-    assert costmap.status_code == 201, costmap.text

@@ -1,7 +1,7 @@
 """Whatever a calibration may find, alone or in pairs, with baseline runs or without, ends in a report of every kind.
 
-Which effects are chosen is given, the variation is fitted once, and what resists is settled in one round. All else is the
-procedure itself: estimates, intervals, the report, words, the page, and the file of the model.
+Which effects are chosen is given, the variation is fitted once, and what resists is settled in one round. All else is
+the procedure itself: estimates, intervals, the report, words, the page, and the file of the model.
 """
 
 import json
@@ -123,7 +123,8 @@ class Runs:
         vars(selection)["rivals"] = {every[0].form.name: [every[1].form.name]}  # a cached property
         correction = one.fitted.correction
         terms, planned = (
-            (*getattr(correction, name), *getattr(two.fitted.correction, name)[1:]) for name in ("terms", "planner_terms")
+            (*getattr(correction, name), *getattr(two.fitted.correction, name)[1:])
+            for name in ("terms", "planner_terms")
         )
         fitted = replace(
             one.fitted,
