@@ -50,8 +50,8 @@ _CURVE = (3.2, 2.2)
 
 def _figure(draw: Callable[[Axes], None], size: tuple[float, float]) -> str:
     buffer = io.StringIO()
-    plain = {"text.parse_math": False}  # names of files and of columns are no formulas
-    with matplotlib.rc_context({"svg.hashsalt": "joulemap", "svg.fonttype": "none", **plain}):
+    # names of files and of columns are no formulas
+    with matplotlib.rc_context({"svg.hashsalt": "joulemap", "svg.fonttype": "none", "text.parse_math": False}):
         figure = Figure(figsize=size, layout="constrained" if size != _SMALL else None)
         if size == _SMALL:  # of these there are many, and room is not worth a second of looking for it
             figure.subplots_adjust(left=0.14, right=0.97, bottom=0.22, top=0.96)

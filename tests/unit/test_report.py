@@ -262,6 +262,9 @@ def test_a_fitted_curve_is_summed_up_by_its_direction_and_range(turning):
     assert said(-7.04, 2.1) == f"Structure in grade: a fitted curve over grade, rising from -7.04 to +2.1 {end}"
     assert said(3.0, -1.0) == f"Structure in grade: a fitted curve over grade, falling from +3 to -1 {end}"
     assert said(3.0, 1.0) == f"Structure in grade: a fitted curve over grade, between +0 and +3 {end}"
+    against = curve(3.0, 3.0, 3.0) | {"settings": curve()["settings"] | {"centred": False}}
+    words = found_words(turning.document | {"effects": [against]})[1]
+    assert words.startswith("Structure in grade: a fitted curve over grade, +3 J/m everywhere, p ")
 
 
 def test_the_page_shows_a_picture_of_each_curve(turning):
