@@ -3,7 +3,7 @@
 import { button, by, fill } from "./dom.js";
 import { inside, leaf, map, seeMap } from "./map.js";
 import { hint, takers } from "./question.js";
-import { now, on, set } from "./state.js";
+import { draft, now, on, set } from "./state.js";
 
 const STYLE = { color: "#b3261e", weight: 2, dashArray: "6 4", fillColor: "#b3261e", fillOpacity: 0.18 };
 const areas = L.layerGroup().addTo(map), sketch = L.layerGroup().addTo(map);
@@ -19,6 +19,7 @@ function begin() { corners = []; hint(by("areas").dataset.says); list(); seeMap(
 function close() {
   const ring = corners;
   corners = null;
+  draft("area");
   sketch.clearLayers();
   hint();
   if (ring.length > 2) set({ avoid: [...now.avoid, ring] });
@@ -34,6 +35,7 @@ takers.push((place, event) => {
 });
 
 function draw() {
+  draft("area", corners.length > 0 && "close the area");
   sketch.clearLayers();
   L.polygon(corners.map(leaf), { ...STYLE, interactive: false }).addTo(sketch);
   for (const corner of corners) L.circleMarker(leaf(corner), { radius: 5, color: "#b3261e", fillColor: "#fff", fillOpacity: 1, interactive: false }).addTo(sketch);

@@ -2,7 +2,7 @@
 
 import { ask, follow, send } from "./api.js";
 import { alarm, button, by, errorNote, fill, make, note, number, percent, row } from "./dom.js";
-import { on } from "./state.js";
+import { draft, now, on } from "./state.js";
 
 /** Controls of the document that show a part of the state, such as a slider and its box: `get` is what they show, `put` is called with what somebody chose. */
 export function bind(id, parts, get, put, words) {
@@ -12,14 +12,23 @@ export function bind(id, parts, get, put, words) {
     for (const one of all) {
       if (one.type === "checkbox") one.checked = value;
       else if (one.type === "radio") one.checked = one.value === value;
-      else if (one !== document.activeElement) one.value = value ?? "";
+      else if (one !== document.activeElement) { one.value = value ?? ""; draft(one); }
       if (said) one.setAttribute("aria-valuetext", `${value}${said}`);
     }
     if (said) here.querySelector(".unit").textContent = said;
   }
-  for (const one of all) one.addEventListener(one.type === "range" ? "input" : "change", () => {
-    if (one.reportValidity()) put(one.type === "checkbox" ? one.checked : one.value === "" ? null : Number.isNaN(+one.value) ? one.value : +one.value);
-  });
+  function take(one) {
+    draft(one);
+    put(one.type === "checkbox" ? one.checked : one.value === "" ? null : Number.isNaN(+one.value) ? one.value : +one.value);
+  }
+  for (const one of all) {
+    one.addEventListener("input", () => { // a text is taken when it is finished, all else at once
+      if (one.type !== "text" && one.checkValidity()) take(one);
+      else if (here.closest("#step-route")) draft(one, one.value !== `${get() ?? ""}` && "finish what is being typed");
+    });
+    one.addEventListener("change", () => { if (one.reportValidity() && one.type === "text") take(one); });
+    one.addEventListener("blur", () => { if (now.drafts.has(one) && one.checkValidity()) take(one); });
+  }
   on(parts, show);
   show();
 }

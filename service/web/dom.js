@@ -1,7 +1,5 @@
 // Makes elements, and writes numbers with their units.
 
-import { capacity } from "./state.js";
-
 /** An element: `make("p", { class: "note" }, "text", other)`; properties that begin with "on" are listeners. */
 export function make(tag, properties = {}, ...children) {
   const node = document.createElement(tag);
@@ -46,7 +44,7 @@ const decimals = most => Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(Math.
 export const metres = (value, most = value) => (Math.abs(most) >= 10_000 ? `${number(value / 1000, 1)} km` : `${number(value, Math.min(1, decimals(most)))} m`);
 /** An energy [J] in Wh, as batteries are labelled, and as a share of the full battery. */
 export const energy = (value, most = value) => `${number(value / 3600, decimals(most / 3600))} Wh`;
-export const ofBattery = (value, most = value, full = capacity()) => percent(value / full, decimals(100 * most / full));
+export const ofBattery = (value, most, full) => percent(value / full, decimals(100 * most / full));
 export const percent = (share, digits = 0) => `${number(100 * share, digits)} %`;
 
 export function minutes(seconds) {

@@ -1,6 +1,7 @@
 // Starts the page: asks what the service can do, opens what the link says, and joins the parts.
 
-import { ask, kept, onConnection } from "./api.js";
+import { answered } from "./answers.js";
+import { ask, kept, Latest, onConnection } from "./api.js";
 import { button, by, errorNote, fill, make } from "./dom.js";
 import * as ground from "./ground.js";
 import * as link from "./link.js";
@@ -9,12 +10,12 @@ import { map, showCostmap, showHeightmap } from "./map.js";
 import * as mapPanel from "./map_panel.js";
 import "./pieces.js";
 import "./profile.js";
-import { hint, question } from "./question.js";
+import { hint } from "./question.js";
 import * as robots from "./robot.js";
 import "./roses.js";
 import * as routePanel from "./route_panel.js";
 import * as savePanel from "./save_panel.js";
-import { capacity, now, on, set } from "./state.js";
+import { draft, now, on, set } from "./state.js";
 import { open as open3d } from "./three_d.js";
 
 const tabs = [...by("tabs").children];
@@ -27,7 +28,6 @@ function choose(tab) {
     one.tabIndex = chosen ? 0 : -1;
     by(one.getAttribute("aria-controls")).hidden = !chosen;
   }
-  if (tab.id === "tab-save") savePanel.show();
 }
 tabs.forEach((tab, k) => {
   tab.addEventListener("click", () => choose(tab));
@@ -54,16 +54,22 @@ async function listMaps() {
   by("maps").disabled = !done.length;
 }
 
-/** Opens a cost map; a question on the same ground stays, and so does its answer, to compare. */
-async function openCostmap(costmap, { changes = {}, seen } = {}) {
-  const former = now.costmap, same = former && former.heightmap_id === costmap.heightmap_id;
-  const [layers, heightmap] = await Promise.all([ask(`v1/costmaps/${costmap.id}/layers`), ask(`v1/heightmaps/${costmap.heightmap_id}`)]);
+const latest = new Latest();
+const found = async costmap => [costmap, ...await Promise.all([ask(`v1/costmaps/${costmap.id}/layers`), ask(`v1/heightmaps/${costmap.heightmap_id}`)])];
+
+/** Opens a cost map, or what is asked for it; a question on the same ground stays, and so does its answer, to compare. */
+async function openCostmap(asked, { changes = {}, seen } = {}) {
+  const mine = {};
+  draft(mine, "opening the cost map …");
+  const opened = await latest.run(async () => found(await asked)).finally(() => draft(mine));
+  if (!opened) return;
+  const [costmap, layers, heightmap] = opened, former = now.costmap, same = former && former.heightmap_id === costmap.heightmap_id;
   ground.hide();
   const { robot, model } = former ?? {}, { answer } = now, other = same && JSON.stringify(robot) !== JSON.stringify(costmap.robot);
   const words = same && [other && (robot.mass_kg !== costmap.robot.mass_kg ? `robot of ${robot.mass_kg} kg` : model === costmap.model && "other values of the robot"), model !== costmap.model && `model ${model}`].filter(Boolean).join(", ");
-  const route = words && answer?.path && answer.question === question() ? { ...answer, words, full_j: capacity() } : null;
+  const route = words && answer?.path && answered("answer") ? { ...answer, words } : null;
   const battery = former?.robot.battery_wh === costmap.robot.battery_wh ? now.battery : { ...now.battery, capacity_wh: null };
-  set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [] }), battery, before: route, costmap, layers, heightmap, cursor: null, ...changes });
+  set({ ...(same ? {} : { start: null, goal: null, stops: [], avoid: [], answer: null, reach: null, homeward: null }), battery, before: route, costmap, layers, heightmap, cursor: null, ...changes });
   mapPanel.show();
   document.body.classList.add("has-map");
   by("view-3d").hidden = !about.plotly;
@@ -77,7 +83,7 @@ async function openGround({ heightmap, costmap, sample }) {
   try {
     if (costmap?.status === "done") { await openCostmap(costmap, { changes: sample ? { start: about.sample.start, goal: about.sample.goal } : {} }); return; }
     const here = heightmap ?? await ask(`v1/heightmaps/${costmap.heightmap_id}`);
-    set({ costmap: null, layers: null, heightmap: here, start: null, goal: null, stops: [], answer: null, before: null });
+    set({ costmap: null, layers: null, heightmap: here, start: null, goal: null, stops: [], before: null });
     document.body.classList.remove("has-map");
     choose(by("tab-map"));
     const wishing = mapPanel.wish(here);
@@ -87,9 +93,9 @@ async function openGround({ heightmap, costmap, sample }) {
   } catch (error) { ground.welcome(error.message); }
 }
 
-let answered = null; // map whose route's tab was opened
-const toRoute = () => { answered = now.costmap.id; choose(by("tab-route")); };
-on("answer", () => { if (now.answer && answered !== now.costmap.id) toRoute(); });
+let routed = null; // map whose route's tab was opened
+const toRoute = () => { routed = now.costmap.id; choose(by("tab-route")); };
+on("answer", () => { if (now.answer && routed !== now.costmap.id) toRoute(); });
 
 let about = null, sampleOpen = false;
 
@@ -108,7 +114,9 @@ async function begin() {
   savePanel.show();
   loop.show();
   by("new-map").addEventListener("click", () => ground.welcome());
-  by("maps").addEventListener("change", async event => { if (event.target.value) openCostmap(await ask(`v1/costmaps/${event.target.value}`)); });
+  by("maps").addEventListener("change", ({ target }) => {
+    if (target.value) openCostmap(ask(`v1/costmaps/${target.value}`)).catch(error => { target.value = now.costmap?.id ?? ""; throw error; });
+  });
   by("view-3d").addEventListener("click", () => open3d(about.plotly));
   if (asked.map) {
     try {

@@ -15,9 +15,11 @@ export const map = L.map("map", {
   crs: L.CRS.Simple, zoomSnap: 0.25, wheelPxPerZoomLevel: 90, minZoom: -9, maxZoom: 9, attributionControl: false, zoomControl: true, doubleClickZoom: false, boxZoom: false,
 }).setView([0, 0], 0);
 L.control.scale({ imperial: false, position: "bottomleft" }).addTo(map);
-for (const [name, order] of [["ground", 200], ["colour", 210], ["blocked", 220], ["pieces", 225], ["contours", 230], ["roses", 240], ["reach", 250], ["runs", 410]]) {
-  map.createPane(name).style.zIndex = order;
-  if (order < 250) map.getPane(name).style.pointerEvents = "none";
+for (const [name, order, of] of [["ground", 200], ["colour", 210], ["blocked", 220], ["pieces", 225], ["contours", 230], ["roses", 240], ["reach", 250, "reach"], ["route", 405, "answer"], ["runs", 410], ["return", 640, "homeward"], ["words", 655, "answer"]]) {
+  const pane = map.createPane(name);
+  pane.style.zIndex = order;
+  if (order < 250) pane.style.pointerEvents = "none";
+  if (of) pane.dataset.of = of;
 }
 
 const bounds = ([west, south, east, north]) => [[south, west], [north, east]];
@@ -25,10 +27,14 @@ const latest = { ground: new Latest(), colour: new Latest(), blocked: new Latest
 const pictures = {};
 const lines = L.layerGroup().addTo(map), thin = L.canvas({ pane: "contours", padding: 0.3 });
 
-/** Shows a picture of the service on the map in place of the one before. */
+/** Shows a picture of the service on the map in place of the one before, which is dim meanwhile. */
 async function show(name, path, box) {
+  const old = map.getPane(name).classList;
+  latest[name].stop();
+  old.add("stale");
   const picture = path && await latest[name].run(signal => blob(path, { signal }));
   if (picture === undefined) return;
+  old.remove("stale");
   const before = pictures[name];
   pictures[name] = picture && L.imageOverlay(URL.createObjectURL(picture), bounds(box), { pane: name, className: name, alt: "" }).addTo(map);
   if (before) { before.remove(); URL.revokeObjectURL(before._url); }
@@ -36,7 +42,7 @@ async function show(name, path, box) {
 
 /** The ground alone, before there is a cost map. */
 export async function showHeightmap(heightmap) {
-  for (const name of ["colour", "blocked"]) { latest[name].stop(); await show(name, null); }
+  for (const name of ["colour", "blocked"]) await show(name, null);
   lines.clearLayers();
   look(heightmap.bounds);
   await show("ground", `v1/heightmaps/${heightmap.id}/ground.png`, heightmap.bounds);
@@ -141,6 +147,7 @@ let pausing = 0;
 function say(latlng) {
   const place = world(latlng), here = by("readout");
   clearTimeout(pausing);
+  latest.at.stop();
   if (!inside(place)) { here.textContent = ""; return; }
   here.textContent = placeWords(null, place);
   pausing = setTimeout(async () => {

@@ -6,7 +6,7 @@ import { sizeWords } from "./ground.js";
 import { groundWarning, reasonWords } from "./map.js";
 import * as robots from "./robot.js";
 import { bind, settled, watched } from "./controls.js";
-import { now, on, set } from "./state.js";
+import { draft, now, on, set } from "./state.js";
 
 let opened = () => {}, known = {}, working = null;
 
@@ -35,6 +35,7 @@ export async function wish(heightmap, chosen = "default") {
   panel("wish");
 }
 by("keep").onclick = () => show();
+for (const name of ["input", "change"]) by("wish").addEventListener(name, () => draft("form", "this robot and model have no cost map yet"));
 
 function title(name, ...notes) { fill(by("ground-name"), name); fill(by("ground-said"), notes.map(words => note(words))); }
 
@@ -42,6 +43,7 @@ function title(name, ...notes) { fill(by("ground-name"), name); fill(by("ground-
 function panel(name) {
   for (const one of ["wish", "look"]) by(one).hidden = one !== name;
   fill(by("making"));
+  draft("form");
 }
 
 /** Asks for a cost map and shows how far it is; another call takes its place. */
@@ -49,7 +51,9 @@ export async function build(body) {
   working?.abort();
   const mine = working = new AbortController();
   fill(by("making"), note("Asking…"));
+  draft(mine, "making the cost map …");
   await attempt(by("making"), async () => watch(await send("v1/costmaps", body), mine.signal));
+  draft(mine);
 }
 
 /** Shows how far a cost map is that is being made, until it is there. */

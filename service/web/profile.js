@@ -3,17 +3,17 @@
 import { by, draw, energy, fill, make, metres, number, percent } from "./dom.js";
 import { leaf, map, world } from "./map.js";
 import { TITLES } from "./route_panel.js";
-import { capacity, now, on, set } from "./state.js";
+import { now, on, set } from "./state.js";
 
 const TALL = 190, LOW = 104, LEFT = 46, RIGHT = 24, GAP = 16, POINTS = 500, NEAR_PX = 14;
-const dot = L.circleMarker([0, 0], { radius: 7, color: "#fff", weight: 2.5, fillColor: "#1d2329", fillOpacity: 1, interactive: false });
+const dot = L.circleMarker([0, 0], { pane: "route", radius: 7, color: "#fff", weight: 2.5, fillColor: "#1d2329", fillOpacity: 1, interactive: false });
 let rows = [], scales = null;
 
 /** At most so many points of the route: distance, place, energy used and the ends of its 90 % band, charge left. */
-function pointsOf({ profile, path: [[x, y, z]] }) {
-  const full = capacity(), step = Math.max(1, Math.ceil(profile.length / POINTS));
+function pointsOf({ profile, path: [[x, y, z]], full_j: full, question: { body: { battery } } }) {
+  const step = Math.max(1, Math.ceil(profile.length / POINTS));
   const kept = profile.filter((_, k) => (k + 1) % step === 0 || k === profile.length - 1);
-  return [{ d: 0, x, y, z, used: 0, low: 0, high: 0 }, ...kept.map(p => ({ d: p.distance_m, x: p.x, y: p.y, z: p.z, used: p.cumulative_j, low: p.cumulative_p05_j, high: p.cumulative_p95_j }))].map(p => ({ ...p, charge: now.battery.charge - p.used / full }));
+  return [{ d: 0, x, y, z, used: 0, low: 0, high: 0 }, ...kept.map(p => ({ d: p.distance_m, x: p.x, y: p.y, z: p.z, used: p.cumulative_j, low: p.cumulative_p05_j, high: p.cumulative_p95_j }))].map(p => ({ ...p, charge: battery.charge - p.used / full }));
 }
 
 /** Whether the model knows its uncertainty. */
@@ -45,23 +45,24 @@ const curve = (values, { x, y }) => values.map(([d, value], k) => `${k ? "L" : "
 const area = (upper, lower, scale) => `${curve(upper, scale)}L${curve([...lower].reverse(), scale).slice(1)}Z`;
 
 function show() {
-  const here = by("profile"), answer = now.answer, empty = !answer?.profile?.length;
+  const here = by("profile"), curves = by("curves"), answer = now.answer, empty = !answer?.profile?.length;
   here.hidden = !now.costmap;
   here.classList.toggle("empty", empty);
   const wide = here.clientWidth - 26, narrow = wide < 640, tall = narrow ? 3 * LOW : TALL;
   if (empty) { // of the same height, so that the map does not move when a route comes
     dot.remove();
     rows = [];
-    fill(here, make("p", { class: "said quiet" }, "The curves along the route come here."), draw("svg", { height: tall }));
+    fill(curves, make("p", { class: "said quiet" }, "The curves along the route come here."), draw("svg", { height: tall }));
     return;
   }
   rows = pointsOf(answer);
+  const { charge, reserve } = answer.question.body.battery;
   const places = [0.36, 0.32, 0.32].map((share, k) => (narrow ? { left: 0, top: k * LOW, width: wide, tall: LOW } : { left: k ? (0.04 + 0.32 * k) * wide : 0, top: 0, width: share * wide - (k < 2 ? GAP : 0), tall: TALL }));
   const svg = draw("svg", { viewBox: `0 0 ${wide} ${tall}`, height: tall, preserveAspectRatio: "none", tabindex: 0, role: "slider", "aria-label": "Place along the route", "aria-valuemin": 0, "aria-valuemax": Math.round(rows.at(-1).d), "aria-valuenow": 0 });
   const heights = rows.filter(row => row.z !== null).map(row => [row.d, row.z]), all = heights.map(([, z]) => z);
   const ground = panel("height", "m", Math.min(...all), Math.max(...all), places[0]);
   svg.append(...ground.parts, draw("path", { d: `${curve(heights, ground)}L${ground.x(rows.at(-1).d)} ${ground.bottom}L${ground.x(0)} ${ground.bottom}Z`, class: "fill" }), draw("path", { d: curve(heights, ground), class: "curve height" }));
-  const kinds = [["energy used", "Wh", j => j / 3600, 0], ["battery", "%", j => 100 * (now.battery.charge - j / capacity()), 100 * now.battery.reserve]];
+  const kinds = [["energy used", "Wh", j => j / 3600, 0], ["battery", "%", j => 100 * (charge - j / answer.full_j), 100 * reserve]];
   scales = [ground, ...kinds.map(([name, unit, value, floor], k) => {
     const of = key => rows.map(row => [row.d, value(row[key])]), band = banded() ? [of("high"), of("low")] : [];
     const seen = [of("used"), ...band].flat().map(([, one]) => one), scale = panel(name, unit, Math.min(floor, ...seen), Math.max(...seen), places[k + 1]);
@@ -87,7 +88,7 @@ function show() {
     point(end ?? Math.max(0, Math.min(rows.at(-1).d, (now.cursor ?? 0) + step * rows.at(-1).d / 100)));
   });
   const said = answer.verdict;
-  fill(here, said ? make("p", { class: `verdict ${said.verdict}` }, make("b", {}, TITLES[said.verdict]), said.verdict_text.split("; ")[0].replace(/^\w+[:,] /, "")) : null, make("p", { class: "said", id: "along" }), svg);
+  fill(curves, said ? make("p", { class: `verdict ${said.verdict}` }, make("b", {}, TITLES[said.verdict]), said.verdict_text.split("; ")[0].replace(/^\w+[:,] /, "")) : null, make("p", { class: "said", id: "along" }), svg);
   summary();
   cursor();
 }

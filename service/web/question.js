@@ -1,11 +1,11 @@
 // The question: markers of start, goal and stops; a question to the service at each change; its routes on the map.
 
-import { Latest, send } from "./api.js";
+import { keep } from "./answers.js";
+import { send } from "./api.js";
 import { by, energy, make, metres, touched } from "./dom.js";
 import { inside, leaf, map, seeMap, world } from "./map.js";
-import { now, on, set } from "./state.js";
+import { capacity, draft, now, on, set } from "./state.js";
 
-const latest = new Latest();
 const routes = L.layerGroup().addTo(map), pins = L.layerGroup().addTo(map);
 /** Of each kind of way: its colour, its width, and what is drawn and left out of its dashes. */
 export const WAYS = { optimal: ["#0072B2", 5], shortest: ["#D55E00", 3.5], back: ["#b1508a", 3, 1, 7], other: ["#5a6069", 2, 6, 5], before: ["#6d6d6d", 3, 2, 7] };
@@ -56,6 +56,7 @@ function pin(kind, place, label, change) {
   const mark = { start: "S", goal: "G" }[kind] ?? label;
   const icon = L.divIcon({ className: `pin ${kind}`, html: mark, iconSize: [28, 28] });
   const marker = L.marker(leaf(place), { icon, draggable: true, autoPan: true, keyboard: true, alt: label, title: `${label}: drag it, or move it with the arrow keys`, zIndexOffset: 1000 });
+  marker.on("dragstart", () => draft("pin", "put the marker down"));
   marker.on("dragend", () => change(world(marker.getLatLng()).map(value => +value.toFixed(3))));
   marker.addTo(pins);
   const node = marker.getElement();
@@ -73,61 +74,52 @@ function pin(kind, place, label, change) {
 
 function place() {
   pins.clearLayers();
+  draft("pin");
   if (now.start) pin("start", now.start, "Start", start => set({ start }));
   now.stops.forEach((stop, k) => pin("stop", stop, `${k + 1}`, moved => set({ stops: now.stops.map((one, i) => (i === k ? moved : one)) })));
   if (now.goal) pin("goal", now.goal, "Goal", goal => set({ goal }));
   hint();
 }
 
-/** The question as it is now, or that of the way out and back together: its address, and its body. */
-export function asked(back) {
-  const { start, goal, stops, battery, avoid, planner, alternatives, aim } = now, body = { start, goal, battery, avoid, ...aim };
-  if (stops.length) return ["tours", { stops: [start, ...stops, ...(goal ? [goal] : [])], battery, avoid }];
-  return back ? ["feasibility", { ...body, round_trip: true }] : ["paths", { ...body, planner, alternatives }];
+const places = () => JSON.stringify([now.start, now.goal, now.stops]);
+/** Moves the places that are on blocked ground now to the nearest free ones. */
+export const snap = () => set({ snap: places() });
+
+/** The question as it is now. */
+function question() {
+  const { costmap, start, goal, stops, battery, avoid, planner, alternatives, aim, roundTrip } = now, snap = now.snap === places();
+  if (!costmap || !start || !(goal || stops.length)) return null;
+  return { costmap: costmap.id, ...(stops.length ? { kind: "tours", body: { stops: [start, ...stops, ...(goal ? [goal] : [])], battery, avoid, snap } } : { kind: "paths", roundTrip, body: { start, goal, battery, avoid, ...aim, planner, alternatives, snap } }) };
 }
 
-async function search(signal, snap) {
-  const here = `v1/costmaps/${now.costmap.id}`, [kind, body] = asked(), mine = question(), tour = kind === "tours", { rows, cols } = now.costmap.frame;
-  if (!tour && rows * cols > MANY_CELLS && now.planner === "astar" && now.aim.objective === "mean") show(await send(`${here}/paths`, { start: now.start, goal: now.goal, refine: false, snap, avoid: now.avoid, ...now.aim }, { signal }), true);
-  const answer = await send(`${here}/${kind}`, { ...body, snap }, { signal });
-  return { alternatives: [], ...answer, tour, verdict: answer.battery, question: mine };
+/** What a file of an answer is asked with: an address, and a body. */
+export const asked = ({ back, question: { kind, body } }) => {
+  const { planner, alternatives, ...both } = body;
+  return back ? ["feasibility", { ...both, round_trip: true }] : [kind, body];
+};
+
+async function search(question, signal, first) {
+  const { kind, body, roundTrip } = question, tour = kind === "tours", { frame: { rows, cols }, robot: { speed_mps } } = now.costmap;
+  const own = { tour, alternatives: [], full_j: capacity(), speed_mps }, ask = ([kind, body]) => send(`v1/costmaps/${question.costmap}/${kind}`, body, { signal });
+  if (!tour && rows * cols > MANY_CELLS && body.planner === "astar" && body.objective === "mean") first({ ...own, ...await ask([kind, { ...body, alternatives: 0, refine: false }]) });
+  const [answer, both] = await Promise.all([asked({ question }), ...(roundTrip && !body.snap ? [asked({ question, back: true })] : [])].map(ask));
+  if (body.snap && !tour) set({ start: answer.path[0].slice(0, 2), goal: answer.path.at(-1).slice(0, 2), snap: null }); // which is another question
+  return { ...own, ...answer, verdict: both ?? answer.battery, back: both?.back };
 }
 
 /** The ways of an answer: kind, name and way. */
 export const waysOf = found => [["optimal", found.tour ? "tour" : found.objective ? "this way" : "least energy", found], found.shortest && ["shortest", "shortest", found.shortest], found.back && ["back", "way back", found.back], ...found.alternatives.map((other, k) => ["other", `alternative ${k + 1}`, other]), now.before && ["before", `before: ${now.before.words}`, now.before]].filter(Boolean);
 
-/** What an answer depends on, but for the cost map and the battery. */
-export const question = () => JSON.stringify([now.roundTrip, { ...asked()[1], battery: null }]);
-on("start goal stops planner alternatives roundTrip avoid aim", () => { if (now.before && now.before.question !== question()) set({ before: null }); });
-
-/** Asks again; the answer before stays on the map until the new one is there. With `snap`, places on blocked ground are moved to the nearest free one. */
-export async function askAgain(snap = false) {
-  latest.stop();
-  if (!now.costmap || !now.start || !(now.goal || now.stops.length)) { show(null); set({ answer: null }); return; }
-  try {
-    const answer = await latest.run(signal => search(signal, snap));
-    if (!answer) return;
-    if (snap && !answer.tour) { set({ start: answer.path[0].slice(0, 2), goal: answer.path.at(-1).slice(0, 2) }); return; }
-    show(answer);
-    set({ answer });
-    if (now.roundTrip && !answer.tour) {
-      const both = await latest.run(signal => send(`v1/costmaps/${now.costmap.id}/feasibility`, asked(true)[1], { signal }));
-      if (!both) return;
-      set({ answer: { ...answer, verdict: both, back: both.back } });
-      show(now.answer);
-    }
-  } catch (error) {
-    show(null);
-    set({ answer: { error } });
-  }
-}
+/** A question, but for the cost map and the battery. */
+const bare = question => question && JSON.stringify({ ...question, costmap: null, body: { ...question.body, battery: null } });
+on("any", () => { if (now.before && bare(now.before.question) !== bare(question())) set({ before: null }); });
 
 const drawn = new Map(); // way -> its line
 
 function line(way, kind, words) {
   const points = way.path.map(leaf), [color, weight, ...dash] = WAYS[kind];
-  L.polyline(points, { color: "#fff", weight: weight + 3, opacity: 0.9, interactive: false }).addTo(routes);
-  drawn.set(way, L.polyline(points, { color, weight, lineJoin: "round", dashArray: dash.join(" "), smoothFactor: 0.6 }).bindTooltip(make("span", {}, `${words}: ${energy(way.energy_j)}, ${metres(way.length_m)}`), { sticky: true }).addTo(routes));
+  L.polyline(points, { pane: "route", color: "#fff", weight: weight + 3, opacity: 0.9, interactive: false }).addTo(routes);
+  drawn.set(way, L.polyline(points, { pane: "route", color, weight, lineJoin: "round", dashArray: dash.join(" "), smoothFactor: 0.6 }).bindTooltip(make("span", {}, `${words}: ${energy(way.energy_j)}, ${metres(way.length_m)}`), { pane: "words", sticky: true }).addTo(routes));
 }
 
 /** Draws the line of a way thick, or as it was. */
@@ -136,21 +128,22 @@ export const thicken = (way, kind, on) => drawn.get(way)?.setStyle({ weight: WAY
 /** The number of an alternative, where it is farthest from the way of least energy. */
 function numbered({ path }, words, answer) {
   const far = ([x, y]) => Math.min(...answer.path.map(([a, b]) => Math.hypot(x - a, y - b))), place = path.reduce((best, one) => (far(one) > far(best) ? one : best));
-  L.tooltip({ permanent: true, direction: "center", className: "numbered" }).setLatLng(leaf(place)).setContent(words).addTo(routes);
+  L.tooltip({ pane: "words", permanent: true, direction: "center", className: "numbered" }).setLatLng(leaf(place)).setContent(words).addTo(routes);
 }
 
-function show(answer, rough = false) {
+function show() {
+  const { answer } = now;
   routes.clearLayers();
   drawn.clear();
   if (!answer || answer.error) return;
   for (const [kind, name, way] of waysOf(answer).reverse()) line(way, kind, name);
   answer.alternatives.forEach((other, k) => numbered(other, `${k + 1}`, answer));
-  document.dispatchEvent(new CustomEvent(rough ? "drawn-rough" : "drawn"));
+  document.dispatchEvent(new CustomEvent(answer.key ? "drawn" : "drawn-rough"));
 }
 
 on("start goal stops", place);
-on("start goal stops costmap planner alternatives roundTrip avoid battery aim", () => askAgain());
-on("before", () => show(now.answer));
+keep("answer", question, search, show);
+on("before", show);
 
 /** Lines for a picture. */
 export function lines() {

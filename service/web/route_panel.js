@@ -1,16 +1,16 @@
 // The panel "Route": places, battery, planner, and the answer in words and numbers.
 
+import { again } from "./answers.js";
 import "./avoid.js";
-import { bind, settled } from "./controls.js";
+import { bind } from "./controls.js";
 import { button, by, energy, errorNote, fill, make, metres, minutes, note, number, ofBattery, patch, percent, table, touched, warn } from "./dom.js";
 import "./homeward.js";
 import { groundWarning, reasonWords } from "./map.js";
-import { askAgain, canUndo, expect, expected, thicken, undo, WAYS, waysOf } from "./question.js";
+import { canUndo, expect, expected, snap, thicken, undo, WAYS, waysOf } from "./question.js";
 import "./reach.js";
 import { now, on, set } from "./state.js";
 
-const slow = settled(() => set({ battery: { ...now.battery } }));
-const share = name => [name, "battery", () => +(100 * now.battery[name]).toFixed(1), value => { now.battery[name] = value / 100; slow(); }];
+const share = name => [name, "battery", () => +(100 * now.battery[name]).toFixed(1), value => set({ battery: { ...now.battery, [name]: value / 100 } })];
 const aim = changes => set({ aim: { ...now.aim, ...changes } });
 
 const pickers = by("places").querySelectorAll("[value]");
@@ -58,10 +58,10 @@ function nameOf(kind, name, way) {
 
 function answer() {
   const here = by("answer"), found = now.answer;
-  if (!found) { fill(here, note(!now.costmap ? "Make a cost map first." : now.start && now.goal ? "Searching…" : touched("Click a start and a goal on the map, or write them above."))); return; }
+  if (!found) { fill(here, note(!now.costmap ? "Make a cost map first." : now.start && (now.goal || now.stops.length) ? "Searching…" : touched("Click a start and a goal on the map, or write them above."))); return; }
   if (found.error) {
     const { reason } = found.error.context ?? {};
-    fill(here, errorNote({ message: found.error.message.replace(`: ${reason}`.replace("_", " "), `: ${reasonWords(reason)}`) }), found.error.name === "Unreachable" ? button({ onclick: () => askAgain() }, "Ask again") : found.error.code === "blocked" ? button({ id: "snap", onclick: () => askAgain(true) }, "Use the nearest free place") : null);
+    fill(here, errorNote({ message: found.error.message.replace(`: ${reason}`.replace("_", " "), `: ${reasonWords(reason)}`) }), found.error.name === "Unreachable" ? button({ onclick: () => again("answer") }, "Ask again") : found.error.code === "blocked" ? button({ id: "snap", onclick: snap }, "Use the nearest free place") : null);
     return;
   }
   const { verdict, shortest, objective, back } = found, ways = waysOf(found), sum = name => found[name] + (back?.[name] ?? 0);
@@ -70,9 +70,10 @@ function answer() {
     verdict ? make("div", { class: `verdict ${verdict.verdict}` }, make("b", {}, TITLES[verdict.verdict]), make("ul", {}, [...verdict.verdict_text.replace(/^\w+[:,] |\.$/g, "").split("; "), `charge ${percent(verdict.charge_at_start)} at the start, ${verdict.charge_at_end > 0 ? `${percent(verdict.charge_at_end, 1)} expected at the end` : "empty before the end"}`].map(words => make("li", {}, words)))) : null,
     objective ? note((objective.name === "quantile" ? [`${percent(objective.quantile)} of drives take at most ${energy(objective.quantile_j)}`, energy(objective.mean_quantile_j)] : [`It arrives with a probability of ${percent(objective.probability, 1)}`, percent(objective.mean_probability, 1)]).join("; on the way of least expected energy "), ".") : null,
     shortest ? make("p", {}, found.saving_j > 0.5 ? make("span", {}, "Going this way saves ", make("b", {}, energy(found.saving_j)), ` (${number(found.saving_percent, 1)} %) against the shortest way.`) : "The shortest way is also the cheapest.") : null,
-    table([["way", "energy", "battery", "length"], ...ways.map(([kind, name, way]) => [nameOf(kind, name, way), energy(way.energy_j, joules), ofBattery(way.energy_j, joules, way.full_j), metres(way.length_m, long)])], "The ways"),
-    note(`${back ? "There and back: " : ""}${minutes(sum("duration_s"))} at ${number(now.costmap.robot.speed_mps, 1)} m/s, ${metres(sum("climb_m"))} up, ${metres(sum("descent_m"))} down`),
+    table([["way", "energy", "battery", "length"], ...ways.map(([kind, name, way]) => [nameOf(kind, name, way), energy(way.energy_j, joules), ofBattery(way.energy_j, joules, way.full_j ?? found.full_j), metres(way.length_m, long)])], "The ways"),
+    note(`${back ? "There and back: " : ""}${minutes(sum("duration_s"))} at ${number(found.speed_mps, 1)} m/s, ${metres(sum("climb_m"))} up, ${metres(sum("descent_m"))} down`),
     found.warnings?.map(words => warn(groundWarning(words, found.profile))));
 }
 
 on("answer before", answer);
+on("start goal stops costmap", () => { if (!now.answer) answer(); });

@@ -39,11 +39,12 @@ export const routeButtons = (name, question) => files(...formats.filter(format =
 export function show() {
   const id = now.costmap?.id, { answer } = now;
   if (!id) return;
-  const [question, body] = asked(answer?.back);
-  fill(by("save-route"), answer?.path ? routeButtons(answer.tour ? "tour" : "route", format => [`v1/costmaps/${id}/${question}?format=${format}`, { method: "POST", body }]) : note("Set a start and a goal first."));
-  fill(by("save-map"), files(["Picture (PNG)", "map.png", () => asPicture(lines())], ["GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)], ["Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`)]));
-  by("link").value = new URL(link.address(), window.location.href).href;
-  fill(by("copied"));
+  fill(by("save-route"), answer?.path ? routeButtons(answer.tour ? "tour" : "route", format => {
+    const [question, body] = asked(answer);
+    return [`v1/costmaps/${id}/${question}?format=${format}`, { method: "POST", body }];
+  }) : note("Set a start and a goal first."));
+  fill(by("save-picture"), files(["Picture (PNG)", "map.png", () => asPicture(lines())]));
+  fill(by("save-map"), files(["GeoTIFF, a band per heading", `${id}.tif`, () => blob(`v1/costmaps/${id}/data?format=geotiff`)], ["Zarr", `${id}.zarr.zip`, () => blob(`v1/costmaps/${id}/data?format=zarr`)]));
 }
 by("copy").onclick = async () => {
   by("link").select();
@@ -51,4 +52,7 @@ by("copy").onclick = async () => {
 };
 
 on("costmap answer", show);
-on("view heading battery alternatives aim", () => { if (!by("step-save").hidden) show(); });
+on("any", () => {
+  const seen = new URL(link.address(), window.location.href).href;
+  if (by("link").value !== seen) { by("link").value = seen; fill(by("copied")); }
+});
