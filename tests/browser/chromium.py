@@ -53,8 +53,8 @@ class Opened:
         return found
 
     def drawn(self) -> None:
-        """Wait until the answer is there and nothing is being asked."""
-        self.page.wait_for_selector("#answer .verdict")
+        """Wait until the answer to the question as it is now is there."""
+        self.page.wait_for_selector("#answer:not(.stale) .verdict")
         self.page.wait_for_selector("#profile svg")
 
     def place(self, x: float, y: float) -> tuple[float, float]:
