@@ -21,6 +21,7 @@ LONGEST = (
     "service/test_workers.py",
     "service/test_scheduled_commands.py",
     "browser/test_page.py",
+    "browser/test_question_before.py",
     "property/test_tiled_search.py",
 )
 """Files that take long, the longest first: what begins last is waited for by processes that have nothing to do."""

@@ -12,7 +12,9 @@ SLOW = """([seed, most, broken]) => {
   const real = window.fetch;
   const random = () => { seed = (seed * 1103515245 + 12345) % 2147483648; return seed / 2147483648; };
   let held = null;
-  window.hold = () => { let go; held = new Promise(done => { go = done; }); window.release = () => { held = null; go(); }; };
+  window.hold = () => {
+    held = new Promise(done => { window.release = () => { held = null; done(); }; });
+  };
   window.fetch = async (...asked) => {
     if (!/costmaps\\/[^/]+\\/(paths|feasibility|tours|reach|return)/.test(asked[0])) return real(...asked);
     if (held) await held;
@@ -25,29 +27,37 @@ SLOW = """([seed, most, broken]) => {
 
 LOOK = """() => {
   const { now, map } = joulemap, here = id => document.getElementById(id);
-  const bright = node => { let all = 1; for (; node; node = node.parentElement) all *= getComputedStyle(node).opacity; return all > 0.9; };
+  const bright = node => {
+    let all = 1;
+    for (; node; node = node.parentElement) all *= getComputedStyle(node).opacity;
+    return all > 0.9;
+  };
   const text = node => node.textContent.replaceAll("\\u202f", "").trim();
-  const shown = selector => [...document.querySelectorAll(selector)].filter(bright).map(text);
+  const all = selector => [...document.querySelectorAll(selector)];
+  const shown = selector => all(selector).filter(bright).map(text);
   const boxes = id => here(id).querySelector("input[type=number]").value, pins = {}, labels = [];
   map.eachLayer(layer => {
     if (layer instanceof L.Marker) pins[layer.options.alt] = [layer.getLatLng().lng, layer.getLatLng().lat];
     const label = layer.getTooltip?.()?.getContent();
-    if (layer instanceof L.Polyline && !(layer instanceof L.Polygon) && label && bright(layer.getElement())) labels.push(text(label));
+    const line = layer instanceof L.Polyline && !(layer instanceof L.Polygon);
+    if (line && label && bright(layer.getElement())) labels.push(text(label));
   });
   return {
     asked: {
       map: here("maps").value, start: here("place-start").value, goal: here("place-goal").value, pins,
-      charge: boxes("charge"), reserve: boxes("reserve"), confidence: boxes("confidence"), capacity: here("capacity").value,
+      charge: boxes("charge"), reserve: boxes("reserve"), confidence: boxes("confidence"),
+      capacity: here("capacity").value,
       back: here("round-trip").checked, others: here("others").value, objective: here("objective").value,
       quantile: here("quantile").value, power: here("power").value, planner: here("planner").value,
     },
     state: { start: now.start, goal: now.goal, stops: now.stops, avoid: now.avoid },
-    verdict: shown("#answer .verdict li"), ways: [...document.querySelectorAll("#answer tbody tr")].filter(bright).map(row => [...row.cells].map(text)),
-    error: shown("#answer .error"), along: now.cursor === null ? shown("#along") : [], summary: shown("#profile .verdict"), labels,
-    curve: [...document.querySelectorAll("#profile svg")].filter(bright).map(svg => svg.getAttribute("aria-valuemax")),
+    verdict: shown("#answer .verdict li"), error: shown("#answer .error"),
+    ways: all("#answer tbody tr").filter(bright).map(row => [...row.cells].map(text)),
+    along: now.cursor === null ? shown("#along") : [], summary: shown("#profile .verdict"), labels,
+    curve: all("#profile svg[aria-valuemax]").filter(bright).map(svg => svg.getAttribute("aria-valuemax")),
     reach: shown("#reach-said p"), homeward: shown("#homeward p"),
-    files: [...document.querySelectorAll("#step-save button")].filter(one => !/GeoTIFF|Zarr|Copy/.test(one.textContent) && !one.matches(":disabled")).map(text),
-    says: [...document.querySelectorAll(".asked")].map(text), busy: here("answer").getAttribute("aria-busy"),
+    files: all("#step-save button:enabled").map(text).filter(words => !/GeoTIFF|Zarr|Copy/.test(words)),
+    says: all(".asked").map(text), busy: here("answer").getAttribute("aria-busy"),
   };
 }"""
 
@@ -87,7 +97,7 @@ class Service:
 
 
 def check(look: dict[str, Any], service: Service) -> int:
-    """Whatever is not dim must be what the service answers to the question that the controls show; how much that was."""
+    """Whatever is not dim must be what the service answers to the question of the controls. 1 where anything was."""
     asked, state = look["asked"], look["state"]
     shown = ("verdict", "ways", "error", "along", "summary", "labels", "curve", "reach", "homeward", "files")
     if not any(look[name] for name in shown):

