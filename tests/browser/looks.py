@@ -55,7 +55,7 @@ LOOK = """() => {
     ways: all("#answer tbody tr").filter(bright).map(row => [...row.cells].map(text)),
     along: now.cursor === null ? shown("#along") : [], summary: shown("#profile .verdict"), labels,
     curve: all("#profile svg[aria-valuemax]").filter(bright).map(svg => svg.getAttribute("aria-valuemax")),
-    reach: shown("#reach-said p"), homeward: shown("#homeward p"),
+    reach: shown("#reach-said p").filter(words => !words.startsWith("Searching")), homeward: shown("#homeward p"),
     files: all("#step-save button:enabled").map(text).filter(words => !/GeoTIFF|Zarr|Copy/.test(words)),
     says: all(".asked").map(text), busy: here("answer").getAttribute("aria-busy"),
   };
