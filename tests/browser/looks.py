@@ -56,7 +56,7 @@ LOOK = """() => {
     along: now.cursor === null ? shown("#along") : [], summary: shown("#profile .verdict"), labels,
     curve: all("#profile svg[aria-valuemax]").filter(bright).map(svg => svg.getAttribute("aria-valuemax")),
     reach: shown("#reach-said p").filter(words => !words.startsWith("Searching")), homeward: shown("#homeward p"),
-    files: all("#step-save button:enabled").map(text).filter(words => !/GeoTIFF|Zarr|Copy/.test(words)),
+    files: all("#step-save button:enabled").map(text).filter(words => now.answer && !/GeoTIFF|Zarr|Copy/.test(words)),
     says: all(".asked").map(text), busy: here("answer").getAttribute("aria-busy"),
   };
 }"""
@@ -105,6 +105,7 @@ def check(look: dict[str, Any], service: Service) -> int:
     for name, label in (("start", "Start"), ("goal", "Goal")):
         if state[name]:
             for place in ([float(one) for one in asked[name].split(",")], asked["pins"][label]):
+                assert len(place) == 2, (name, look)
                 assert math.dist(place, state[name]) < 0.008, (name, look)
     here = f"/v1/costmaps/{asked['map']}"
     battery = {
