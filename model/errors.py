@@ -18,6 +18,7 @@
     ├── ForbiddenError               a foreign web page, or not what this key may do 403
     ├── RateError                    more requests or jobs at once than a key may  429
     ├── StorageFullError             no room: the disk's, or what a key may keep   507
+    ├── DamagedError                 what was kept is lost or not what was written 500
     └── BusyError                    come back later                               503
 
 `service/problems.py` alone maps the tree to HTTP statuses and exit codes. Anything else that escapes is our bug.
@@ -149,6 +150,12 @@ class StorageFullError(JoulemapError):
     """No room to keep more: of the disk, or of what one key may keep."""
 
     code = "storage_full"
+
+
+class DamagedError(JoulemapError):
+    """What was kept is lost in part, or is not what was written; `file` is in the context."""
+
+    code = "damaged"
 
 
 class BusyError(JoulemapError):

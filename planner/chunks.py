@@ -11,18 +11,17 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, BytesCodec, Endian
-from zarr.storage import LocalStore
 
-from joulemap.model.errors import InputError
 from joulemap.model.threads import share_out
 from joulemap.planner.blosc_blocks import decoded_part
+from joulemap.planner.checked_store import CheckedStore
+from joulemap.planner.checksums import damaged
 
 BORDER_CELLS = 3
 """Rows and columns of a border: as far as the longest grid move reaches."""
@@ -49,25 +48,27 @@ def read_chunk(of: zarr.Array[Any], i: int, j: int, top: int = 0, down: int | No
 
     Raises
     ------
-    InputError
-        If the chunk is damaged.
+    DamagedError
+        If the chunk is lost, or is not what was written.
     """
     high, wide = of.chunks[:2]
     rows, cols = min(high, of.shape[0] - i * high), min(wide, of.shape[1] - j * wide)
     down = rows if down is None else down
     store = of.store_path.store
-    if not isinstance(store, LocalStore) or not _is_own(of):
+    if not isinstance(store, CheckedStore) or not _is_own(of):
         return np.asarray(of[i * high + top : i * high + down, j * wide : j * wide + cols])
-    file = Path(store.root) / of.path / of.metadata.encode_chunk_key((i, j, *(0,) * (of.ndim - 2)))
+    sums = store.checksums
+    file = f"{of.path}/{of.metadata.encode_chunk_key((i, j, *(0,) * (of.ndim - 2)))}".removeprefix("/")
+    if file not in sums:  # zarr writes no chunk that holds nothing but the fill value
+        return np.full((down - top, cols, *of.shape[2:]), of.fill_value, dtype=of.dtype)
     row_bytes = math.prod(of.chunks[1:]) * of.dtype.itemsize
     try:
-        begin, data = decoded_part(file, top * row_bytes, down * row_bytes)
+        with sums.open(file) as content:
+            begin, data = decoded_part(content, top * row_bytes, down * row_bytes)
         values = np.frombuffer(data, of.dtype, (down - top) * row_bytes // of.dtype.itemsize, top * row_bytes - begin)
         return values.reshape(down - top, *of.chunks[1:])[:, :cols]
-    except FileNotFoundError:  # zarr writes no chunk that holds nothing but the fill value
-        return np.full((down - top, cols, *of.shape[2:]), of.fill_value, dtype=of.dtype)
     except (RuntimeError, ValueError) as error:
-        raise InputError(f"{file} is a damaged chunk of a cost lattice: {error}", path=str(file)) from error
+        raise damaged(f"{sums.folder.name}/{file}", str(error)) from error
 
 
 def read_array(of: zarr.Array[Any]) -> NDArray[Any]:
@@ -85,8 +86,8 @@ def read_array(of: zarr.Array[Any]) -> NDArray[Any]:
 
     Raises
     ------
-    InputError
-        If a chunk is damaged.
+    DamagedError
+        If a chunk is lost, or is not what was written.
     """
     out = np.empty(of.shape, of.dtype)
     high, wide = of.chunks[:2]

@@ -22,6 +22,9 @@ from numba import njit
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
+from joulemap.model.errors import DamagedError
+from joulemap.planner.checked_store import CheckedStore
+from joulemap.planner.checksums import MADE_FROM_IT, Checksums
 from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.potential import SWEEPS
 from joulemap.planner.stored_lattice import StoredLattice
@@ -30,8 +33,7 @@ BLOCK_CELLS = 32
 """Side of a block: fine enough to follow hills, coarse enough that a map of 10,000 x 10,000 cells has 100,000."""
 SHARES = (1.0, 0.5, 0.0)
 """Shares of the rise that are taken from the energies; where prices are low on descents a smaller one says more."""
-FOLDER = "coarse"
-_VERSION = 1
+_VERSION = 2
 _THREADS = 2
 _COMPRESSOR = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")
 
@@ -86,7 +88,7 @@ def coarse_level(
     CoarseLevel
         The coarse level.
     """
-    name = f"{FOLDER}-{len(moves.offsets)}"
+    name = f"{MADE_FROM_IT}{len(moves.offsets)}"
     place = stored.path / name
     made = _opened(place)
     if made is not None and made.block_cells == block_cells:
@@ -97,8 +99,9 @@ def coarse_level(
         partial = place = Path(tempfile.mkdtemp(prefix="joulemap-coarse-"))
     try:
         _make(partial, stored, moves, block_cells, progress)
+        Checksums.take(partial).write()
         if place != partial:
-            partial.chmod(0o755)
+            partial.chmod(stored.path.stat().st_mode & 0o777)  # a temporary folder is its owner's alone
             if made is not None:
                 shutil.rmtree(place)
             try:
@@ -114,9 +117,17 @@ def coarse_level(
 
 
 def _opened(place: Path) -> CoarseLevel | None:
-    if not (place / "zarr.json").is_file():
+    """The coarse level that is there; one that is damaged, or of an older version, is removed: it is made again."""
+    try:
+        sums = Checksums.read(place)
+        if sums is not None:
+            sums.verify()
+    except DamagedError:
+        sums = None
+    if sums is None:
+        shutil.rmtree(place, ignore_errors=True)
         return None
-    group = zarr.open_group(place, mode="r", use_consolidated=False)
+    group = zarr.open_group(CheckedStore(sums), mode="r", use_consolidated=False)
     if group.attrs.get("version") != _VERSION:
         shutil.rmtree(place, ignore_errors=True)
         return None

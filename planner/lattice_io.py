@@ -8,7 +8,7 @@ import json
 import secrets
 import shutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -18,9 +18,12 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from joulemap.model.errors import InputError, JoulemapError
+from joulemap.model.errors import DamagedError, InputError, JoulemapError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
+from joulemap.planner import checksums, older_maps
+from joulemap.planner.checked_store import CheckedStore
+from joulemap.planner.checksums import Checksums, damaged
 from joulemap.planner.chunks import read_array
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_xarray import CRS_VARIABLE, DIMENSIONS, attributes_of, coordinates_of
@@ -30,6 +33,8 @@ FORMAT = "joulemap.cost-lattice/1"
 """Dimension names, coordinates and units came later and are no part of it: folders without them are read as well."""
 _ARRAYS = ("traction_per_m", "elevation_m", "gradient", "blocked")
 _OPTIONAL = ("std_j",)
+_CHECKED = "checksums"
+"""Attribute of a lattice that has checksums: without it they are only missing in a folder of an older version."""
 _COMPRESSOR = BloscCodec(cname="lz4", clevel=1, shuffle="shuffle")  # noise of the last bits does not compress: be quick
 
 
@@ -146,6 +151,23 @@ class LatticeFolder:
             if data is not None:
                 group[name][rows, cols] = data  # type: ignore[index]
 
+    def read_unfinished(self, provenance: dict[str, Any]) -> CostLattice:
+        """Read a lattice all of whose tiles are written, before it is finished.
+
+        Parameters
+        ----------
+        provenance : dict
+            As of `finish`.
+
+        Returns
+        -------
+        CostLattice
+            In memory.
+        """
+        group = zarr.open_group(self.partial, mode="r+")
+        group.attrs["provenance"] = provenance
+        return _in_memory(self.partial, group)
+
     def finish(self, provenance: dict[str, Any], *, replace: bool = True) -> None:
         """Write how the lattice was made, and move it into place where it is not there yet.
 
@@ -165,14 +187,15 @@ class LatticeFolder:
             for torn in self.partial.rglob("*.partial"):  # a chunk whose writer was killed; it was written again
                 torn.unlink()
             _describe(self.partial, provenance)
+            Checksums.take(self.partial).write()
             if replace:
                 shutil.rmtree(self.path, ignore_errors=True)
             self.partial.rename(self.path)
             if not all((self.path / name / "zarr.json").is_file() for name in _ARRAYS):  # zarr made the folder anew
                 shutil.rmtree(self.path, ignore_errors=True)
                 raise FileNotFoundError(errno.ENOENT, "the lattice was discarded while it was finished", str(self.path))
-        else:
-            _describe(self.path, provenance)
+        elif not self.is_whole:
+            raise FileNotFoundError(errno.ENOENT, "there is no lattice to be finished", str(self.path))
 
     def discard(self) -> None:
         """Remove the folder, finished or not: first what makes it whole, so that nobody reads a part of it.
@@ -248,17 +271,23 @@ def _lay_out(place: Path, tiling: Tiling, robot: Robot, *, with_std: bool) -> No
 
 def _describe(folder: Path, provenance: dict[str, Any]) -> None:
     """Write the provenance, and a copy of all metadata in one place: without it xarray gives a warning."""
-    zarr.open_group(folder, mode="r+").attrs["provenance"] = provenance
+    zarr.open_group(folder, mode="r+").attrs.update({"provenance": provenance, _CHECKED: checksums.FILE})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # zarr 3 has no standard for it yet; both libraries read it
         zarr.consolidate_metadata(folder)
 
 
 def _is_lattice(path: Path) -> bool:
+    """Whether a folder may be replaced: a lattice, or a damaged one."""
+    if (path / checksums.FILE).is_file() and any((path / name).is_dir() for name in _ARRAYS):
+        return True
     if not (path / "zarr.json").is_file():
         return False
-    node = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
-    return str(node.get("attributes", {}).get("format", "")).startswith(FORMAT.split("/")[0])
+    try:
+        node = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+        return str(node["attributes"]["format"]).startswith(FORMAT.split("/")[0])
+    except (ValueError, KeyError, TypeError):
+        return all((path / name).is_dir() for name in _ARRAYS)
 
 
 def open_group(path: str | Path) -> zarr.Group:
@@ -272,25 +301,51 @@ def open_group(path: str | Path) -> zarr.Group:
     Returns
     -------
     zarr.Group
-        For reading.
+        For reading; everything that is read is verified.
 
     Raises
     ------
     InputError
         If `path` is missing or is not a cost lattice.
+    DamagedError
+        If it is a damaged one.
     """
     path = Path(path)
     if not path.exists():
         raise InputError(f"there is no cost map {path}", path=str(path))
-    if not (path / "zarr.json").is_file():
-        raise InputError(
-            f"{path} is not a cost lattice, which is a folder written by `joulemap costmap`", path=str(path)
-        )
-    group = zarr.open_group(path, mode="r", use_consolidated=False)  # what is there, not what was there once
-    found = group.attrs.get("format")
+    sums = Checksums.read(path) or _unchecked(path)
+    if "zarr.json" not in sums:
+        raise _no_lattice(path)
+    group = zarr.open_group(CheckedStore(sums), mode="r", use_consolidated=False)  # what is there, not what was once
+    _check_format(path, group.attrs)
+    return group
+
+
+def _unchecked(path: Path) -> Checksums:
+    """The checksums of a folder of an older version. Raises InputError, DamagedError."""
+    try:
+        node = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
+        attributes: dict[str, Any] = node["attributes"]
+    except (FileNotFoundError, NotADirectoryError):
+        raise _no_lattice(path) from None
+    except (ValueError, KeyError, TypeError) as error:
+        if not _is_lattice(path):
+            raise _no_lattice(path) from error
+        raise damaged(f"{path.name}/zarr.json", f"{type(error).__name__} {error}") from error
+    _check_format(path, attributes)
+    if _CHECKED in attributes:
+        raise damaged(f"{path.name}/{checksums.FILE}", "it is missing")
+    return older_maps.checked(path, node)
+
+
+def _no_lattice(path: Path) -> InputError:
+    return InputError(f"{path} is not a cost lattice, which is a folder written by `joulemap costmap`", path=str(path))
+
+
+def _check_format(path: Path, attributes: Mapping[str, Any]) -> None:
+    found = attributes.get("format")
     if found != FORMAT:
         raise InputError(f"{path} holds format {found!r}, expected {FORMAT!r}", path=str(path))
-    return group
 
 
 def load_lattice(path: str | Path) -> CostLattice:
@@ -309,9 +364,14 @@ def load_lattice(path: str | Path) -> CostLattice:
     Raises
     ------
     InputError
-        If `path` is missing, is not a cost lattice, or is a damaged one.
+        If `path` is missing or is not a cost lattice.
+    DamagedError
+        If it is a damaged one.
     """
-    group = open_group(path)
+    return _in_memory(path, open_group(path))
+
+
+def _in_memory(path: str | Path, group: zarr.Group) -> CostLattice:
     meta: dict[str, Any] = dict(group.attrs)
     try:
         arrays: dict[str, Any] = {
@@ -325,8 +385,10 @@ def load_lattice(path: str | Path) -> CostLattice:
             provenance=meta["provenance"],
             **arrays,
         )
+    except DamagedError:
+        raise
     except (KeyError, TypeError, JoulemapError) as error:
-        raise InputError(f"{path} is a damaged cost lattice: {error}", path=str(path)) from error
+        raise damaged(Path(path).name, f"{type(error).__name__} {error}") from error
 
 
 def export_npz(lattice: CostLattice) -> bytes:

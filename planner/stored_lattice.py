@@ -10,10 +10,11 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from joulemap.model.errors import InputError, JoulemapError
+from joulemap.model.errors import DamagedError, JoulemapError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.planner.avoid import Polygon, without
+from joulemap.planner.checksums import damaged
 from joulemap.planner.chunks import Chunks
 from joulemap.planner.lattice import Blocked, CostLattice
 from joulemap.planner.lattice_io import open_group
@@ -56,7 +57,9 @@ class StoredLattice:
     Raises
     ------
     InputError
-        If `path` is missing, is not a cost lattice, or is a damaged one.
+        If `path` is missing or is not a cost lattice.
+    DamagedError
+        If it is a damaged one, here or when a window is read.
     """
 
     def __init__(self, path: str | Path, *, kept_bytes: int = 100_000_000) -> None:
@@ -70,8 +73,10 @@ class StoredLattice:
             self._arrays: dict[str, zarr.Array[Any]] = {name: group[name] for name in _FILLS if name in group}  # type: ignore[misc]
             self.headings = int(self._arrays["traction_per_m"].shape[2])
             self.chunk = int(self._arrays["traction_per_m"].chunks[0])
+        except DamagedError:
+            raise
         except (KeyError, TypeError, JoulemapError) as error:
-            raise InputError(f"{path} is a damaged cost lattice: {error}", path=str(path)) from error
+            raise damaged(self.path.name, f"{type(error).__name__} {error}") from error
         self._chunks = Chunks(kept_bytes)
         self._avoided: tuple[Polygon, ...] = ()
 

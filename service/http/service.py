@@ -54,7 +54,7 @@ class Service(SentFiles, Made):
         self.maps = OpenMaps(
             self.store.load_lattice,
             size=settings.open_costmaps,
-            place=lambda costmap_id: self.store.here(self.store.lattice_path(costmap_id)),
+            place=self.store.lattice_folder,
             most_cells=settings.max_cells_in_memory,
             memory_bytes=int(1e9 * settings.route_memory_gb),
         )

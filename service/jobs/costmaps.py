@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from joulemap.model.errors import DamagedError
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.store import Store
 from joulemap.service.work import tiles, vaulted
@@ -52,12 +54,18 @@ def order_of(store: Store, costmap_id: str, models_dir: Path) -> MapOrder | Vaul
         spacing_m=asked["spacing_m"],
         headings=asked["headings"],
         models_dir=models_dir,
-        finished=tuple(store.lattice_path(found).resolve() for found in store.alike(row)),
     )
     store.begin(costmap_id)
     if isinstance(store.vault, ObjectVault):  # what other machines have finished is no file here
-        return VaultedOrder(store.vault.url, store.folder.resolve(), replace(order, finished=()))
-    return order
+        return VaultedOrder(store.vault.url, store.folder.resolve(), order)
+    return replace(order, finished=tuple(_intact(store, store.alike(row))))
+
+
+def _intact(store: Store, costmap_ids: Iterable[str]) -> Iterator[Path]:
+    """The folders of those cost maps that are not known to be damaged."""
+    for costmap_id in costmap_ids:
+        with suppress(DamagedError):
+            yield store.lattice_folder(costmap_id).resolve()
 
 
 async def make(

@@ -16,6 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from joulemap.model.errors import JoulemapError
 from joulemap.model.terrain.readers import read_heightmap
+from joulemap.planner.checked_store import CheckedStore
 from joulemap.planner.lattice_io import open_group
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.sizes import bytes_of
@@ -195,12 +196,12 @@ class Check:
                 wrong = f"{place.relative_to(self._dir)} is not in the object store"
             elif row.bytes is not None and size < row.bytes:
                 wrong = f"{place.relative_to(self._dir)} has {size} bytes, {row.bytes} were kept"
-            elif unlike := [str(path.relative_to(self._dir)) for path in self._unlike(table, row.id, place)]:
+            elif unlike := [str(path.relative_to(self._dir)) for path in self._store.unlike(table, row.id, place)]:
                 more = f" and {len(unlike) - 3} more" if len(unlike) > 3 else ""
                 wrong = f"{', '.join(unlike[:3])}{more}: the content is not what was kept"
         if wrong is not None:
             in_store = isinstance(self._store.vault, ObjectVault) and place.exists()
-            if in_store and any(self._unlike(table, row.id, place)):
+            if in_store and any(self._store.unlike(table, row.id, place)):
                 remedy, repair = "delete the copy; the object store has it", partial(_delete, place)
             elif table in (CostmapRow, CalibrationRow):
                 remedy, repair = "make it again", lambda: self._ask_again(table, row.id)
@@ -218,7 +219,8 @@ class Check:
             if lost:
                 raise FileNotFoundError(f"there is no {lost[0]}")
         elif table is CostmapRow:
-            _read_all(place)
+            folder = self._store.lattice_folder(row.id)
+            CheckedStore.of(open_group(folder)).checksums.verify()
         else:
             json.loads((place / "report.json").read_text(encoding="utf-8"))
             model = self._models / row.id
@@ -230,17 +232,6 @@ class Check:
             if unlike := [path.name for path in changed(model, kept)]:
                 raise ValueError(f"{', '.join(unlike)} of its model: the content is not what was kept")
         return bytes_of(place)
-
-    def _unlike(self, table: Any, row_id: str, place: Path) -> Iterator[Path]:
-        """Files and folders of a row that have another content than was kept."""
-        vault = self._store.vault
-        if isinstance(vault, ObjectVault):
-            parts = vault.parts(str(place.relative_to(self._dir))) or {}
-            yield from changed(place, {name: part.sha256 for name, part in parts.items()})
-            return
-        with self._store.sessions() as session:
-            kept = session.scalar(select(table.sums).where(table.id == row_id))
-        yield from changed(place, kept or {})
 
     def _strangers(self, known: set[str]) -> Iterator[Finding]:
         """Files that belong to no row, and what killed processes left."""
@@ -334,18 +325,6 @@ _ASKED_AGAIN: dict[str, Any] = {
 
 def _read_stats(path: Path, name: str) -> dict[str, Any]:
     return heightmap_stats(read_heightmap(path, filename=name))
-
-
-def _read_all(folder: Path) -> None:
-    """Read every chunk of a lattice. Raises InputError, OSError or ValueError where one is damaged."""
-    group = open_group(folder)
-    for name, array in group.arrays():
-        rows = array.chunks[0] if array.chunks else 1
-        try:
-            for row in range(0, array.shape[0] if array.shape else 1, rows):
-                array[row : row + rows] if array.shape else array[...]
-        except RuntimeError as error:  # as the compressor says it
-            raise ValueError(f"{name} cannot be read: {error}") from error
 
 
 def _delete(path: Path) -> None:

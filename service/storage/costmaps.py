@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import select
 
+from joulemap.planner import checksums
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.lattice_io import LatticeFolder, load_lattice
 from joulemap.service.storage.jobs import KeptJobs, new_job
@@ -125,7 +127,33 @@ class KeptCostmaps(KeptJobs):
         CostLattice
             In memory.
         """
-        return load_lattice(self.here(self.lattice_path(costmap_id)))
+        return load_lattice(self.lattice_folder(costmap_id))
+
+    def lattice_folder(self, costmap_id: str) -> Path:
+        """Return the folder of a cost map for reading.
+
+        One of an older version has no checksums of its own: it is compared with those of its row, once.
+
+        Parameters
+        ----------
+        costmap_id : str
+            Id of a cost map that is done.
+
+        Returns
+        -------
+        Path
+            It is there.
+
+        Raises
+        ------
+        DamagedError
+            If it is not what was kept.
+        """
+        place = self.here(self.lattice_path(costmap_id))
+        if place.exists() and not (place / checksums.FILE).exists():
+            for part in self.unlike(CostmapRow, costmap_id, place):
+                raise checksums.damaged(f"{place.name}/{part.name}", "its content is not what was kept")
+        return place
 
     def delete_costmap(self, costmap_id: str) -> None:
         """Delete a cost map: the row first, so that a job that still makes it stops.

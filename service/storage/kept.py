@@ -22,9 +22,10 @@ from joulemap.service.storage.claims import Claims
 from joulemap.service.storage.columns import add_missing_columns
 from joulemap.service.storage.data_folder import DataFolder
 from joulemap.service.storage.finite import dumps
+from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.owners import NOBODY, Caller
 from joulemap.service.storage.sizes import bytes_of
-from joulemap.service.storage.sums import sums_of
+from joulemap.service.storage.sums import changed, sums_of
 from joulemap.service.storage.tables import (
     CALIBRATION,
     Base,
@@ -147,6 +148,31 @@ class Kept:
         if self._engine is not None:
             self._engine.dispose()
         self._folder.leave()
+
+    def unlike(self, table: Any, row_id: str, place: Path) -> Iterator[Path]:
+        """Yield the files and folders of a row that have another content than was kept.
+
+        Parameters
+        ----------
+        table : type of Base
+            Where its row is.
+        row_id : str
+            Its id.
+        place : Path
+            Its files in the data folder.
+
+        Yields
+        ------
+        Path
+            One after another; none where no checksums were kept.
+        """
+        if isinstance(self.vault, ObjectVault):
+            parts = self.vault.parts(str(place.relative_to(self._dir))) or {}
+            yield from changed(place, {name: part.sha256 for name, part in parts.items()})
+            return
+        with self._sessions() as session:
+            kept = session.scalar(select(table.sums).where(table.id == row_id))
+        yield from changed(place, kept or {})
 
     def may_see(self, row: Any) -> bool:
         """Return whether a row is there for the caller.

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
 from joulemap.model.energy.calibrated import CalibratedPredictor
 from joulemap.model.energy.predictor import Predictor
-from joulemap.model.errors import InputError
+from joulemap.model.errors import DamagedError, InputError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
-from joulemap.planner.lattice_io import LatticeFolder, open_group
+from joulemap.planner.lattice_io import open_group
+from joulemap.planner.stored_lattice import StoredLattice
 from joulemap.planner.tiles import Tiling
 
 
@@ -47,7 +47,7 @@ class StoredBase:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Return the base's answer, bit by bit the same.
 
-        Read from the cost map; computed where `frame` is not a part of it, or where it was deleted.
+        Read from the cost map; computed where `frame` is not a part of it, or where it was deleted or is damaged.
 
         Parameters
         ----------
@@ -69,16 +69,15 @@ class StoredBase:
         """
         place = _place_in(self._tiling.frame, frame)
         if place is not None:
+            rows, cols = place
             try:
-                group = zarr.open_group(self._place, mode="r")
-                traction = np.asarray(group["traction_per_m"][place])  # type: ignore[index]
-                std = np.asarray(group["std_j"][place]) if "std_j" in group else None  # type: ignore[index]
-                if LatticeFolder(
-                    self._place
-                ).is_whole:  # a map that is deleted stops being whole before it loses a tile
-                    return traction, std
-            except (OSError, KeyError):
+                found = StoredLattice(self._place, kept_bytes=0).window(
+                    rows.start, rows.stop, cols.start, cols.stop, what=("traction_per_m", "std_j")
+                )
+            except (InputError, DamagedError, OSError):  # it was deleted, is deleted at this moment, or is damaged
                 pass
+            else:
+                return found.traction_per_m, found.std_j
         return self._base.traction_and_std(heightmap, robot, frame, headings_rad)
 
 
@@ -105,7 +104,7 @@ def with_stored_base(source: Predictor, tiling: Tiling, finished: Iterable[Path]
     for place in finished:
         try:
             made: Any = open_group(place).attrs["provenance"]
-        except (InputError, KeyError):  # it was deleted meanwhile
+        except (InputError, DamagedError, OSError, KeyError):  # it was deleted meanwhile, or is damaged
             continue
         if made["model"] == base:
             stored: Any = StoredBase(source.base, place, tiling)

@@ -18,14 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import zarr
-
 from joulemap.model.errors import NegativeCycleError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.readers import open_ground
 from joulemap.planner.figures import figures_of, joined_figures
 from joulemap.planner.lattice_build import build_tile, knows_spread, provenance_of
-from joulemap.planner.lattice_io import LatticeFolder, load_lattice
+from joulemap.planner.lattice_io import LatticeFolder
 from joulemap.service.cost_lattices import prepare_build
 from joulemap.service.work.stored_base import with_stored_base
 
@@ -224,9 +222,8 @@ def _summary(tiles: Tiles) -> dict[str, Any]:
     if figures["energy_per_m"] is not None and figures["energy_per_m"]["min"] < 0.0:
         from joulemap.planner.plan import RoutePlanner  # loads slowly
 
-        zarr.open_group(order.folder.partial, mode="r+").attrs["provenance"] = provenance  # else it cannot be read
         try:
-            RoutePlanner(load_lattice(order.folder.partial)).prepare()
+            RoutePlanner(order.folder.read_unfinished(provenance)).prepare()
         except NegativeCycleError as error:  # the map is good to look at, every question will say the same
             provenance["warnings"].append(error.message)
     return {

@@ -248,8 +248,10 @@ def _chunks(here: MapOrder, folder: Path, number: int) -> list[str]:
     """The files of one tile; a chunk without a file holds nothing but unknown cells."""
     rows, cols = tiles.Tiles.of(here).tiling[number]
     found = []
-    for name, array in zarr.open_group(folder, mode="r", use_consolidated=False).arrays():
-        if array.ndim < 2:
+    group = zarr.open_group(folder, mode="r", use_consolidated=False)
+    for name in sorted(path.name for path in folder.iterdir() if path.is_dir()):
+        array = group[name]
+        if not isinstance(array, zarr.Array) or array.ndim < 2:
             continue
         at = (rows.start // array.chunks[0], cols.start // array.chunks[1], *(0 for _ in array.shape[2:]))
         chunk = f"{name}/{array.metadata.encode_chunk_key(at)}"

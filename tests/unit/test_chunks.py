@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import zarr
 from zarr.codecs import BloscCodec, GzipCodec
 
-from joulemap.model.errors import InputError
+from joulemap.model.errors import DamagedError
+from joulemap.planner.checked_store import CheckedStore
+from joulemap.planner.checksums import PIECE_BYTES, Checksums
 from joulemap.planner.chunks import Chunks, read_array, read_chunk
 
 VALUES = np.random.default_rng(5).normal(size=(25, 33, 4)).astype(np.float32)
+
+
+def checked(written: zarr.Array) -> zarr.Array:
+    """The same array, as a cost map's are opened."""
+    folder = Path(str(written.store_path.store.root))
+    opened = zarr.open_array(CheckedStore(Checksums.take(folder)), mode="r")
+    assert isinstance(opened, zarr.Array)
+    return opened
 
 
 @pytest.mark.parametrize("endian", ["little", "big"])
@@ -26,6 +38,7 @@ def test_an_array_is_read_whoever_wrote_it(tmp_path, endian, compressor, chunks)
         compressors=compressor,
     )
     array[:] = VALUES
+    array = checked(array)
     np.testing.assert_array_equal(read_array(array), VALUES)
 
 
@@ -34,20 +47,50 @@ def test_what_was_never_written_is_the_fill_value(tmp_path) -> None:
         tmp_path / "a", shape=(9, 9), chunks=(4, 4), dtype="uint8", fill_value=7, compressors=BloscCodec()
     )
     array[4:8, 4:8] = 1
+    array = checked(array)
     assert read_chunk(array, 0, 2).tolist() == [[7]] * 4
     assert read_chunk(array, 1, 1).tolist() == [[1] * 4] * 4
 
 
 @pytest.mark.parametrize("content", [b"", b"no chunk", None])
-def test_a_damaged_chunk_is_named(tmp_path, content) -> None:
+def test_a_chunk_that_no_decoder_takes_is_named(tmp_path, content) -> None:
     array = zarr.create_array(
         tmp_path / "a", shape=VALUES.shape, chunks=VALUES.shape, dtype="float32", compressors=BloscCodec()
     )
     array[:] = VALUES
     (file,) = (path for path in (tmp_path / "a" / "c").rglob("*") if path.is_file())
-    file.write_bytes(file.read_bytes()[:-9] if content is None else content)
-    with pytest.raises(InputError, match=r"c/0/0/0 is a damaged chunk"):
-        read_chunk(array, 0, 0)
+    file.write_bytes(file.read_bytes()[:-9] if content is None else content)  # before its checksum is taken
+    with pytest.raises(DamagedError, match=r"damaged: a/c/0/0/0: "):
+        read_chunk(checked(array), 0, 0)
+
+
+@pytest.mark.parametrize("way", ["chunks", "zarr"])
+def test_a_bit_of_the_rows_that_are_read_and_a_lost_chunk_are_errors(tmp_path, way) -> None:
+    """Also in a part of a chunk that is read without the rest."""
+    values = np.random.default_rng(7).normal(size=(80, 100, 16)).astype(np.float32)
+    array = zarr.create_array(
+        tmp_path / "a", shape=values.shape, chunks=(40, 100, 16), dtype="float32", compressors=BloscCodec(clevel=1)
+    )
+    array[:] = values
+    array = checked(array)
+    file = tmp_path / "a" / "c" / "1" / "0" / "0"
+    content = bytearray(file.read_bytes())
+    assert len(content) > 6 * PIECE_BYTES
+    content[-20] ^= 4
+    file.write_bytes(content)
+
+    def _read(i: int, top: int, down: int) -> None:
+        got = read_chunk(array, i, 0, top, down) if way == "chunks" else array[40 * i + top : 40 * i + down]
+        np.testing.assert_array_equal(got, values[40 * i + top : 40 * i + down])
+
+    _read(0, 0, 40)
+    if way == "chunks":
+        _read(1, 0, 5)
+    with pytest.raises(DamagedError, match="a/c/1/0/0: its content"):
+        _read(1, 30, 40)
+    file.unlink()
+    with pytest.raises(DamagedError, match="a/c/1/0/0: it is missing"):
+        _read(1, 0, 40)
 
 
 @pytest.mark.parametrize("shuffle", ["noshuffle", "shuffle", "bitshuffle"])
@@ -63,6 +106,7 @@ def test_some_rows_are_those_of_the_whole(tmp_path, shuffle, values, block) -> N
         compressors=BloscCodec(cname="lz4", shuffle=shuffle, blocksize=block),
     )
     array[:] = values
+    array = checked(array)
     for i, rows in ((0, 16), (1, 9)):
         for top in range(rows):
             for down in range(top + 1, rows + 1):
@@ -76,6 +120,7 @@ def test_the_last_block_may_be_shorter(tmp_path) -> None:
         tmp_path / "a", shape=values.shape, chunks=values.shape, dtype="float32", compressors=BloscCodec(clevel=1)
     )
     array[:] = values
+    array = checked(array)
     for top in range(70):
         np.testing.assert_array_equal(read_chunk(array, 0, 0, top), values[top:])
 
@@ -83,6 +128,7 @@ def test_the_last_block_may_be_shorter(tmp_path) -> None:
 def test_no_more_is_kept_than_allowed(tmp_path, monkeypatch) -> None:
     array = zarr.create_array(tmp_path / "a", shape=(80, 8), chunks=(8, 8), dtype="uint8", compressors=BloscCodec())
     array[:] = np.arange(640, dtype=np.uint8).reshape(80, 8)
+    array = checked(array)
     read: list[int] = []
     monkeypatch.setattr(
         "joulemap.planner.chunks.read_chunk", lambda of, i, *more: read.append(i) or read_chunk(of, i, *more)
@@ -100,6 +146,7 @@ def test_parts_are_those_of_the_whole_in_any_order(tmp_path) -> None:
         tmp_path / "a", shape=VALUES.shape, chunks=(12, 16, 4), dtype="float32", compressors=BloscCodec()
     )
     array[:] = VALUES
+    array = checked(array)
     chunks, rng = Chunks(4000), np.random.default_rng(6)
     for _ in range(2000):
         i, j = rng.integers(3, size=2)

@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 from joulemap.model.energy.physics import PhysicsPredictor
-from joulemap.model.errors import HeightmapError, InputError, TooLargeError
+from joulemap.model.errors import DamagedError, HeightmapError, InputError, TooLargeError
 from joulemap.model.frames import GridFrame, heading_bins
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
@@ -137,8 +137,10 @@ def test_what_is_not_a_lattice_is_refused(tmp_path):
     for chunk in (tmp_path / "b.zarr" / "gradient").rglob("*"):
         if chunk.is_file():
             chunk.unlink()
-    with pytest.raises(InputError, match="damaged"):
+    with pytest.raises(DamagedError, match=r"b\.zarr/gradient/zarr\.json: it is missing"):
         load_lattice(tmp_path / "b.zarr")
+    save_lattice(build_lattice(surface(rolling), ROBOT, PhysicsPredictor()), tmp_path / "b.zarr")  # made again
+    assert load_lattice(tmp_path / "b.zarr").headings == 16
 
 
 def test_exports_hold_the_prices_and_what_is_blocked():

@@ -74,13 +74,6 @@ def test_unknown_is_a_code_and_no_missing_value(tmp_path):
     assert "std_j" not in data
 
 
-def test_a_later_word_on_how_it_was_made_is_seen_by_both_readers(tmp_path):
-    save_lattice(slope(), tmp_path / "a.zarr")
-    LatticeFolder(tmp_path / "a.zarr").finish({"warnings": ["late"]})
-    assert opened(tmp_path / "a.zarr").attrs["provenance"] == {"warnings": ["late"]}
-    assert load_lattice(tmp_path / "a.zarr").provenance == {"warnings": ["late"]}
-
-
 def test_a_folder_from_before_there_were_names_still_loads(tmp_path):
     lattice = slope()
     save_lattice(lattice, tmp_path / "new.zarr")

@@ -1,0 +1,264 @@
+"""Checksums of the files of a cost map: what is read from disk is what was written, or it is an error.
+
+The file `checksums` beside the arrays names every file of the folder, with its size and a CRC-32C of each piece of it.
+A part of a file is verified without reading the rest of it. A file that is not named was never written.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from joulemap.model.errors import DamagedError
+
+FILE = "checksums"
+PIECE_BYTES = 32_768
+"""Of one checksum: small beside the rows of a chunk that are read at a time, large beside its own 4 bytes."""
+
+
+MADE_FROM_IT = "coarse-"
+"""Beginning of the names of folders that are made from the others, when they are needed; they have their own."""
+
+
+class OpenFile:
+    """A file that is open; every piece that is read is verified.
+
+    Parameters
+    ----------
+    source : int
+        Its descriptor.
+    size : int
+        Its length [bytes].
+    pieces : ndarray of uint32
+        Checksum of each piece.
+    words : str
+        How the file is named in an error.
+    """
+
+    def __init__(self, source: int, size: int, pieces: NDArray[np.uint32], words: str) -> None:
+        self._source, self.size, self._pieces, self._words = source, size, pieces, words
+
+    def read(self, first: int, end: int) -> bytes:
+        """Return some bytes of the file.
+
+        Parameters
+        ----------
+        first, end : int
+            Where they begin, and where they end.
+
+        Returns
+        -------
+        bytes
+            As they were written; fewer where the file ends before.
+
+        Raises
+        ------
+        DamagedError
+            If they are others than were written.
+        """
+        end = min(end, self.size)
+        a, b = first // PIECE_BYTES, -(-end // PIECE_BYTES)
+        begin = a * PIECE_BYTES
+        data = os.pread(self._source, min(b * PIECE_BYTES, self.size) - begin, begin)
+        for number, found in enumerate(_pieces(data), a):
+            if found != self._pieces[number]:
+                raise damaged(self._words, "its content is not what was written")
+        return data[first - begin : end - begin]
+
+
+class Checksums:
+    """The files of a folder, as they were when their checksums were taken.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    files : mapping
+        By name within the folder: size [bytes], and the checksum of each piece.
+    """
+
+    def __init__(self, folder: Path, files: Mapping[str, tuple[int, NDArray[np.uint32]]]) -> None:
+        self.folder, self._files = folder, files
+
+    @classmethod
+    def take(cls, folder: Path) -> Checksums:
+        """Take the checksums of all files that are there now.
+
+        Parameters
+        ----------
+        folder : Path
+            The folder.
+
+        Returns
+        -------
+        Checksums
+            Not written yet.
+        """
+        files = {}
+        for file in sorted(_files(folder)):
+            content = file.read_bytes()
+            pieces = np.fromiter(_pieces(content), np.uint32)
+            files[file.relative_to(folder).as_posix()] = len(content), pieces
+        return cls(folder, files)
+
+    @classmethod
+    def read(cls, folder: Path) -> Checksums | None:
+        """Read what `write` wrote.
+
+        Parameters
+        ----------
+        folder : Path
+            The folder.
+
+        Returns
+        -------
+        Checksums or None
+            None where there are none.
+
+        Raises
+        ------
+        DamagedError
+            If they are damaged themselves.
+        """
+        try:
+            own, _, content = (folder / FILE).read_bytes().partition(b"\n")
+        except FileNotFoundError:
+            return None
+        if own != _own(content):
+            raise damaged(f"{folder.name}/{FILE}", "its content is not what was written")
+        files = json.loads(content)
+        return cls(
+            folder, {name: (size, np.frombuffer(bytes.fromhex(sums), ">u4")) for name, (size, sums) in files.items()}
+        )
+
+    def write(self) -> None:
+        """Keep the checksums in their folder."""
+        files = {name: [size, pieces.astype(">u4").tobytes().hex()] for name, (size, pieces) in self._files.items()}
+        content = json.dumps(files, separators=(",", ":")).encode()
+        begun = self.folder / f"{FILE}.{secrets.token_hex(4)}.partial"
+        try:
+            begun.write_bytes(_own(content) + b"\n" + content)
+            begun.replace(self.folder / FILE)
+        finally:
+            begun.unlink(missing_ok=True)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._files
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._files)
+
+    @contextmanager
+    def open(self, name: str) -> Iterator[OpenFile]:
+        """Open a file for reading.
+
+        Parameters
+        ----------
+        name : str
+            Its name in the folder; it is one of these.
+
+        Yields
+        ------
+        OpenFile
+            Verifies what it reads.
+
+        Raises
+        ------
+        DamagedError
+            If the file is missing, or has another size.
+        """
+        size, pieces = self._files[name]
+        words = f"{self.folder.name}/{name}"
+        try:
+            source = os.open(self.folder / name, os.O_RDONLY)
+        except (FileNotFoundError, NotADirectoryError):
+            raise damaged(words, "it is missing") from None
+        try:
+            found = os.fstat(source).st_size
+            if found != size:
+                raise damaged(words, f"it has {found} bytes, and {size} were written")
+            yield OpenFile(source, size, pieces, words)
+        finally:
+            os.close(source)
+
+    def content(self, name: str) -> bytes:
+        """Return a whole file.
+
+        Parameters
+        ----------
+        name : str
+            Its name in the folder; it is one of these.
+
+        Returns
+        -------
+        bytes
+            As it was written.
+
+        Raises
+        ------
+        DamagedError
+            If it is missing, or damaged.
+        """
+        with self.open(name) as file:
+            return file.read(0, file.size)
+
+    def verify(self) -> None:
+        """Read every file.
+
+        Raises
+        ------
+        DamagedError
+            If one is missing, or damaged.
+        """
+        for name in self:
+            self.content(name)
+
+
+def damaged(what: str, why: str) -> DamagedError:
+    """Return the error of a part of a cost map, with what to do.
+
+    Parameters
+    ----------
+    what : str
+        The folder and the file in it.
+    why : str
+        What is wrong.
+
+    Returns
+    -------
+    DamagedError
+        To be raised.
+    """
+    return DamagedError(
+        f"the cost map is damaged: {what}: {why}. Make it again (`joulemap costmap`; for a service `joulemap check "
+        "--repair`), or take it from a backup",
+        file=what,
+    )
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for path in folder.iterdir():
+        if path.is_file() and path.name != FILE and not path.name.endswith(".partial"):
+            yield path
+        elif path.is_dir() and not path.name.startswith((".", MADE_FROM_IT)):
+            yield from _files(path)
+
+
+def _pieces(content: bytes) -> Iterator[int]:
+    if len(content) <= PIECE_BYTES:
+        yield google_crc32c.value(content)
+        return
+    for begin in range(0, len(content), PIECE_BYTES):
+        yield google_crc32c.value(content[begin : begin + PIECE_BYTES])
+
+
+def _own(content: bytes) -> bytes:
+    return b"%08x" % google_crc32c.value(content)
