@@ -175,7 +175,9 @@ def error_of(problem: Mapping[str, Any], status: int | None = None) -> JoulemapE
 
 
 def _error_of_status(status: int) -> type[JoulemapError]:
-    """The branch of the tree that is answered so, the first of several."""
+    """The branch of the tree that is answered so, the first of several; 500 says nothing without a code."""
+    if status == HTTPStatus.INTERNAL_SERVER_ERROR:
+        return JoulemapError
     named = next((cls for cls, row in TABLE.items() if row.status == status), None)
     if named is not None:
         return named

@@ -51,7 +51,9 @@ def _wrong(found: Any) -> str:
 
 def writable(settings: Settings) -> Settings:
     """The same settings, with a data folder. Raises OSError where it cannot be written."""
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    from joulemap.service.storage.private import FOLDER_MODE
+
+    settings.data_dir.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
     if not os.access(settings.data_dir, os.W_OK):
         raise PermissionError(errno.EACCES, "no right to write there", str(settings.data_dir))
     return settings
@@ -67,15 +69,20 @@ def used(settings: Settings) -> Settings:
 
 @contextmanager
 def opened_store(settings: Settings, *, alone: bool = False) -> Iterator[Store]:
-    """The store of a data folder. alone : no service may use it meanwhile. Raises ConflictError, InputError."""
+    """The store of a data folder; what is written meanwhile is for this account alone.
+
+    alone : no service may use it meanwhile. Raises ConflictError, InputError.
+    """
     from sqlalchemy.exc import DatabaseError
 
+    from joulemap.service.storage.private import private_files
     from joulemap.service.storage.store import Store
 
     store = Store(settings.data_dir, settings.resolved_database_url, objects=settings.store)
     try:
-        store.open(as_service=alone, alone=alone)
-        yield store
+        with private_files():
+            store.open(as_service=alone, alone=alone)
+            yield store
     except DatabaseError as error:
         where = _PASSWORD.sub(r"\1***@", settings.resolved_database_url)
         raise InputError(f"the database {where} cannot be used: {' '.join(str(error.orig).split())}") from error

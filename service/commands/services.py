@@ -43,10 +43,12 @@ def serve(
     from joulemap.service.http.app import create_app
     from joulemap.service.http.connections import Connections, most_connections
     from joulemap.service.http.logs import log_config
+    from joulemap.service.storage.private import others_get_nothing
 
     settings = writable(settings_of(host=host, port=port, data_dir=data_dir))
     with opened_store(settings):  # what is wrong with the database is said here, and not by the server
         pass
+    others_get_nothing()
     sys.setswitchinterval(_SWITCH_S)
     app = create_app(settings)
     connections = Connections(most_connections(settings.max_connections), on_stop=app.state.service.job_events.end)

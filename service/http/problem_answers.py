@@ -17,7 +17,7 @@ from sqlalchemy.exc import TimeoutError as SQLAlchemyTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from joulemap.model.errors import BusyError, JoulemapError, StorageFullError
+from joulemap.model.errors import BusyError, DamagedError, JoulemapError, StorageFullError
 from joulemap.service.problems import MAX_ERRORS, MEDIA_TYPE, from_outside, jsonable, problem, problem_of
 
 _LOG = logging.getLogger("joulemap.service")
@@ -77,7 +77,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(JoulemapError)
     async def _tree(request: Request, error: JoulemapError) -> JSONResponse:
         body = problem_of(error, request_id(request))
-        if isinstance(error, StorageFullError):
+        if isinstance(error, StorageFullError | DamagedError):
             _LOG.warning("request %s: %s", request_id(request), error)
         elif body["status"] >= 500 and not isinstance(error, BusyError):
             _LOG.error("request %s failed", request_id(request), exc_info=error)

@@ -24,6 +24,7 @@ from sqlalchemy.engine import Engine
 from sqlalchemy.orm import Session
 
 from joulemap.model.errors import ConflictError, InputError
+from joulemap.service.storage.private import FOLDER_MODE
 from joulemap.service.storage.store import Store
 from joulemap.service.storage.tables import (
     CALIBRATION,
@@ -72,7 +73,7 @@ def back_up(
         raise ConflictError(f"{target} is there already: name a folder that is not there yet", path=str(target))
     partial = target.with_name(f"{target.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
+    partial.mkdir(mode=FOLDER_MODE, parents=True)  # it holds the hashes of the keys
     try:
         _copy_database(store.engine, partial / DATABASE)
         copied = create_engine(f"sqlite:///{partial / DATABASE}")

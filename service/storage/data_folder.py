@@ -13,6 +13,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
 from joulemap.model.errors import ConflictError
+from joulemap.service.storage.private import FOLDER_MODE
 from joulemap.service.storage.tables import JOBS, QUEUED, RUNNING
 
 FOLDERS = ("heightmaps", "costmaps", "runs", "calibrations", "uploads")
@@ -41,9 +42,10 @@ class DataFolder:
         self._locks: list[IO[str]] = []
 
     def make(self) -> None:
-        """Make the folders that are missing."""
+        """Make the folders that are missing, for this account alone."""
+        self.path.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
         for name in FOLDERS:
-            (self.path / name).mkdir(parents=True, exist_ok=True)
+            (self.path / name).mkdir(mode=FOLDER_MODE, exist_ok=True)
 
     def use(self, *, alone: bool) -> None:
         """Use the folder as a service.

@@ -24,6 +24,7 @@ from joulemap.service.storage.data_folder import DataFolder
 from joulemap.service.storage.finite import dumps
 from joulemap.service.storage.object_vault import ObjectVault
 from joulemap.service.storage.owners import NOBODY, Caller
+from joulemap.service.storage.private import close_database, say_what_is_open
 from joulemap.service.storage.sizes import bytes_of
 from joulemap.service.storage.sums import changed, sums_of
 from joulemap.service.storage.tables import (
@@ -105,6 +106,11 @@ class Kept:
         if as_service:
             self._folder.use(alone=alone)
         self._engine = _engine_of(self._url)
+        file = self._engine.url.database
+        if self._engine.dialect.name == "sqlite" and file and not file.startswith((":memory:", "file:")):
+            close_database(Path(file))
+        if as_service:
+            say_what_is_open(self._dir)
         if self._engine.dialect.name == "sqlite":
             event.listen(self._engine, "connect", _set_up_sqlite)
         with self._engine.begin() as connection:
