@@ -55,10 +55,10 @@ def test_what_an_older_map_lost_before_it_was_opened_is_missed(older, tmp_path, 
         ("zarr.json", b'"resolution_m": 1.0', b'"resolution_m": 3.0', "x: the coordinates"),
         ("zarr.json", b'"attributes"', b'"attribu\xf4es"', "zarr.json: "),
         (
-            "traction_per_m/zarr.json",
+            "gradient/zarr.json",
             b'"little"',
             b'"bittle"',
-            "traction_per_m/zarr.json: it is not what zarr.json says",
+            "gradient/zarr.json: it is not what zarr.json says",
         ),
     ],
 )

@@ -33,7 +33,7 @@ def serving(folder: Path, log: Path) -> Iterator[str]:
     url = f"http://127.0.0.1:{port}"
     with log.open("w") as said, subprocess.Popen(command, env=settings, stderr=said, umask=0o022) as process:
         try:
-            deadline = time.monotonic() + 240.0
+            deadline = time.monotonic() + 400.0  # where kernels are compiled first
             while True:
                 assert process.poll() is None, log.read_text()
                 assert time.monotonic() < deadline, log.read_text()
