@@ -175,7 +175,7 @@ def _stolen_s() -> float:
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) / _TICK_HZ
 
 
-async def _until_ready(server: Server, connection: Connection, deadline_s: float = 300.0) -> None:
+async def until_ready(server: Server, connection: Connection, deadline_s: float = 300.0) -> None:
     deadline = time.monotonic() + deadline_s
     while time.monotonic() < deadline and server.process.poll() is None:
         try:
@@ -232,7 +232,7 @@ def _point(cells: int, chance: random.Random) -> list[float]:
 
 async def _attack(server: Server, options: argparse.Namespace) -> dict[str, Any]:
     first = Connection(server.port)
-    await _until_ready(server, first)
+    await until_ready(server, first)
     costmap, heightmap = await _cost_map(first, options.cells)
     chance = random.Random(options.seed)
     place = f"/v1/costmaps/{costmap}"
@@ -354,13 +354,28 @@ def main() -> None:
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="print the memory every so many seconds")
     parser.add_argument("--data-dir", type=Path, help="keep the cost map here for the next time")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--stalled", type=int, default=0, help="instead: connections that ask and never read")
+    parser.add_argument("--streams", type=int, default=0, help="instead: connections that follow a job")
+    parser.add_argument("--addresses", type=int, default=1, help="from so many addresses of the loopback network")
+    parser.add_argument("--rate", type=float, default=400.0, help="of which at most so many are opened in a second")
+    parser.add_argument(
+        "--again", type=float, default=0.0, metavar="S", help="and again so long after they were closed"
+    )
     parser.add_argument("--json", type=Path, help="also write the figures here")
     parser.add_argument("settings", nargs="*", metavar="NAME=VALUE", help="settings of the service: JOULEMAP_...=...")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.data_dir or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
-        server = Server(folder, dict(pair.split("=", 1) for pair in options.settings))
+        settings = dict(pair.split("=", 1) for pair in options.settings)
+        if options.stalled or options.streams:
+            from tests.crowd import measure  # which imports this module
+
+            found = measure(folder, options, settings)
+            if options.json:
+                options.json.write_text(json.dumps(found, indent=1))
+            return
+        server = Server(folder, settings)
         try:
             found = asyncio.run(_attack(server, options))
         finally:
