@@ -185,6 +185,9 @@ def error_of(code: str, message: str, context: dict[str, Any]) -> JoulemapError:
     return next((kind for kind in kinds if kind.code == code), InputError)(message, **context)
 
 
+_COMPARED = 100  # letters of a wrong name: comparing takes longer than in proportion
+
+
 def nearest_name(name: str, known: Iterable[str]) -> str | None:
     """Return the known name that a wrong one most likely means.
 
@@ -200,7 +203,7 @@ def nearest_name(name: str, known: Iterable[str]) -> str | None:
     str or None
         A known name that contains `name` or is spelled nearly like it; None where none is near.
     """
-    given, names = name.lower(), {other.lower(): other for other in known}
+    given, names = name[:_COMPARED].lower(), {other.lower(): other for other in known}
     longer = [other for other in names if len(given) >= 3 and given in other]
     near = get_close_matches(given, longer or names, n=1, cutoff=0.0 if longer else 0.6)
     return names[near[0]] if near else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import unquote
@@ -57,8 +58,28 @@ class Settings(BaseSettings):
     max_connections: int = Field(
         default=1000,
         ge=8,
-        description="most connections at a time, and fewer where the system permits fewer open files; one more closes "
-        "that which has been silent longest in the middle of a request",
+        description="most connections that are answered at a time, besides probes, and fewer where the system permits "
+        "fewer open files; twice as many may be open",
+    )
+    client_connections: int | None = Field(
+        default=None,
+        gt=0,
+        description="most connections that are answered at a time of one address, and of one key; default: a quarter "
+        "of max_connections",
+    )
+    client_streams: int | None = Field(
+        default=None,
+        gt=0,
+        description="most streams of server-sent events at a time of one address, and of one key; default: a tenth of "
+        "max_connections",
+    )
+    stalled_s: float = Field(
+        default=10.0, gt=0, description="an answer ends of which the client takes nothing for so long [s]"
+    )
+    trusted_proxies: Names = Field(
+        default=(),
+        description="addresses or networks of proxies, separated by commas, whose header X-Forwarded-For says from "
+        "which address a request comes; default: none, and a client is known by the address that connects",
     )
     queue_size: int = Field(default=32, gt=0, description="most jobs of a kind that wait or run at a time")
     max_run_mb: float = Field(default=64.0, gt=0, description="largest file of one measured run [MB]")
@@ -122,11 +143,18 @@ class Settings(BaseSettings):
     )
     warm_models: tuple[str, ...] = Field(default=(DEFAULT_MODEL,), description="models loaded at start-up")
 
-    @field_validator("allowed_hosts", "cors_origins", mode="before")
+    @field_validator("allowed_hosts", "cors_origins", "trusted_proxies", mode="before")
     @classmethod
     def _separated_by_commas(cls, value: str | tuple[str, ...]) -> tuple[str, ...]:
         names = value.split(",") if isinstance(value, str) else value
         return tuple(name.strip().lower().rstrip("/") for name in names if name.strip())
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _networks(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for name in value:
+            ip_network(name, strict=False)  # its words say which, and what it is not
+        return value
 
     @field_validator("scheduler")
     @classmethod
@@ -171,6 +199,16 @@ class Settings(BaseSettings):
     def resolved_database_url(self) -> str:
         """The database's URL: SQLite in the data directory where none was given."""
         return self.database_url or f"sqlite:///{self.data_dir.resolve() / 'joulemap.db'}"
+
+    @property
+    def most_client_connections(self) -> int:
+        """Connections of one client: four that take all of theirs are needed to fill the service."""
+        return self.client_connections or max(1, self.max_connections // 4)
+
+    @property
+    def most_client_streams(self) -> int:
+        """Event streams of one client."""
+        return self.client_streams or max(1, self.max_connections // 10)
 
     @property
     def resolved_models_dir(self) -> Path:

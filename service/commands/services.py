@@ -41,7 +41,7 @@ def serve(
     import uvicorn
 
     from joulemap.service.http.app import create_app
-    from joulemap.service.http.connections import Connections, most_connections
+    from joulemap.service.http.connections import most_connections
     from joulemap.service.http.logs import log_config
     from joulemap.service.storage.private import others_get_nothing
 
@@ -50,15 +50,18 @@ def serve(
         pass
     others_get_nothing()
     sys.setswitchinterval(_SWITCH_S)
+    settings = settings.model_copy(update={"max_connections": most_connections(settings.max_connections)})
     app = create_app(settings)
-    connections = Connections(most_connections(settings.max_connections), on_stop=app.state.service.job_events.end)
     signal.signal(signal.SIGTERM, _end)  # uvicorn sends it once more when the service has stopped
     uvicorn.run(
         app,
-        http=connections.protocol,  # type: ignore[arg-type]
+        http=app.state.service.connections.protocol,
+        ws="none",
         host=settings.host,
         port=settings.port,
         access_log=False,  # the service writes a line of its own, with the id of the request
+        proxy_headers=bool(settings.trusted_proxies),
+        forwarded_allow_ips=",".join(settings.trusted_proxies),
         log_config=log_config(settings.log_format),
         timeout_graceful_shutdown=settings.shutdown_s,
     )

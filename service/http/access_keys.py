@@ -6,6 +6,7 @@ import ipaddress
 import logging
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import anyio
 from sqlalchemy.exc import SQLAlchemyError
@@ -13,6 +14,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from joulemap.model.errors import ForbiddenError, JoulemapError, UnauthorizedError
+from joulemap.service.http.access_at_once import PROBE_PATHS, AtOnce
 from joulemap.service.http.access_origin import HEALTH_PATHS
 from joulemap.service.http.access_rate import Buckets
 from joulemap.service.http.problem_answers import response
@@ -127,13 +129,15 @@ class KeyCheck:
         Answers what is not refused.
     keys : Keys
         Those of the service.
+    answered : AtOnce
+        Connections that are answered, of each key.
     away : callable, optional
         Whether the database is known not to answer: then nothing waits for it.
     """
 
-    def __init__(self, app: ASGIApp, *, keys: Keys, away: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, app: ASGIApp, *, keys: Keys, answered: AtOnce, away: Callable[[], bool] = lambda: False) -> None:
         self._app = app
-        self._keys, self._away = keys, away
+        self._keys, self._answered, self._away = keys, answered, away
         self._buckets = Buckets()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -143,22 +147,30 @@ class KeyCheck:
         state = scope.setdefault("state", {})
         state["caller"] = NOBODY
         path = scope["path"]
-        if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDERS):
+        with ExitStack() as stack:
             try:
-                if self._away():
-                    raise no_database()
-                caller = await self._keys.caller(Headers(scope=scope))
-                if caller.name is not None and caller.requests_per_s is not None:
-                    self._buckets.take(caller.name, caller.requests_per_s)
-                if path in _OPERATOR_PATHS and not caller.sees_all:
-                    raise ForbiddenError(f"{path} is for keys of an operator: `joulemap keys add NAME --operator`")
+                if path not in _OPEN_PATHS and not path.startswith(_OPEN_FOLDERS):
+                    state["caller"] = await self._caller(scope, stack)
             except JoulemapError as error:
                 body = problem_of(error, state.get("request_id"))
                 headers = {"WWW-Authenticate": "Bearer"} if isinstance(error, UnauthorizedError) else {}
                 await response(body, headers)(scope, receive, send)
                 return
-            state["caller"] = caller
-        await self._app(scope, receive, send)
+            await self._app(scope, receive, send)
+
+    async def _caller(self, scope: Scope, stack: ExitStack) -> Caller:
+        """On whose behalf a request is, which is counted until the stack is left."""
+        path = scope["path"]
+        if self._away():
+            raise no_database()
+        caller = await self._keys.caller(Headers(scope=scope))
+        if path in _OPERATOR_PATHS and not caller.sees_all:
+            raise ForbiddenError(f"{path} is for keys of an operator: `joulemap keys add NAME --operator`")
+        if caller.name is not None and path not in PROBE_PATHS:
+            if caller.requests_per_s is not None:
+                self._buckets.take(caller.name, caller.requests_per_s)
+            stack.enter_context(self._answered.one_of(f"key {caller.name}"))
+        return caller
 
 
 def warn_if_open(store: Store, host: str) -> None:

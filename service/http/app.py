@@ -16,6 +16,7 @@ from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
 from joulemap.service.http import documents, problem_answers
+from joulemap.service.http.access_at_once import Admission
 from joulemap.service.http.access_keys import KeyCheck, Keys, warn_if_open
 from joulemap.service.http.access_origin import TrustedPages
 from joulemap.service.http.limits import RequestLimits
@@ -101,7 +102,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     problem_answers.install(app)
     documents.install(app)
     # The middleware that is added last sees a request first.
-    app.add_middleware(KeyCheck, keys=Keys(service.store, settings), away=service.database_is_away)
+    keys = Keys(service.store, settings)
+    app.add_middleware(KeyCheck, keys=keys, away=service.database_is_away, answered=service.answered)
     app.add_middleware(
         CORSMiddleware,
         allow_origins=settings.cors_origins,
@@ -121,6 +123,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         other_bytes=int(settings.max_json_mb * 1e6),
         upload_paths=("/v1/heightmaps", "/v1/costmaps", "/v1/runs"),
     )
+    app.add_middleware(Admission, connections=service.connections, each=service.answered)
     app.add_middleware(Observed, metrics=service.metrics)
     return app
 

@@ -1,7 +1,8 @@
-"""HTTP connections within limits: how many, how large a header, and how long nothing of a request may arrive.
+"""HTTP connections within limits: how many, how large a header, and how long a client may neither send nor read.
 
-The server itself waits for the rest of a request for ever, and collects a header of any size. A client that opens a
-thousand connections and stays silent on each would then take all open files, and one endless header the event loop.
+The server itself waits for ever for the rest of a request, and for a client that reads no answer, and it collects a
+header of any size. A client that opens a thousand connections and stays silent on each would then take all open files,
+and one endless header the event loop.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from __future__ import annotations
 import asyncio
 import json
 import resource
-from collections import OrderedDict
+import socket
+import struct
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any
@@ -23,10 +26,14 @@ HEADER_BYTES = 65_536
 SILENT_S = 20.0
 """Longest time until a header is whole, and from one `PROGRESS_BYTES` of a body to the next [s]."""
 PROGRESS_BYTES = 16_384
+_DISCARDED_BYTES = 1_000_000_000  # of a body whose request was answered before it came, so that the answer is read
 _FRAMING = 8  # bytes of chunked transfer coding for each byte of a body: pieces of one byte need five
 _LOOK_S = 1.0
+_NO_LINGERING = struct.pack("ii", 1, 0)
+_RETRY_S = 5
 _FILES_FOR_OTHERS = 256  # maps, logs, the database, pipes of the workers
-_FILES_EACH = 2  # the connection, and the file that is being sent over it
+_FILES_EACH = 3  # the connection, the file that is being sent over it, and one more connection: see `_SPARE`
+_SPARE = 2  # connections for each that may be answered, so that a probe or a clear refusal is always possible
 
 
 class Connections:
@@ -35,17 +42,30 @@ class Connections:
     Parameters
     ----------
     most : int
-        At a time. One more closes that which has been silent longest in the middle of a request.
+        That are answered at a time. So many more may be open, which wait for their client or are refused. Beyond that,
+        a new one closes that which has waited longest for its client.
+    stalled_s : float
+        Longest time in which a client takes nothing of an answer that waits for it [s].
     silent_s : float, optional
         See `SILENT_S`.
     on_stop : callable, optional
         Called once when the server begins to stop.
     """
 
-    def __init__(self, most: int, *, silent_s: float = SILENT_S, on_stop: Callable[[], object] | None = None) -> None:
-        self.most, self.silent_s, self._on_stop = most, silent_s, on_stop
+    def __init__(
+        self,
+        most: int,
+        *,
+        stalled_s: float,
+        silent_s: float = SILENT_S,
+        on_stop: Callable[[], object] | None = None,
+    ) -> None:
+        self.most, self.silent_s, self.stalled_s, self._on_stop = most, silent_s, stalled_s, on_stop
+        self.open: set[_Connection] = set()
         self.waiting: OrderedDict[_Connection, float] = OrderedDict()
-        """Those that owe the rest of a request, and since when; those that wait longest come first."""
+        """Those that owe a request or the rest of it, and since when; those that wait longest come first."""
+        self.stalled: OrderedDict[_Connection, float] = OrderedDict()
+        """Those whose client takes nothing of its answer, and since when; in the same order."""
         self._looking = False
 
     def protocol(self, *arguments: Any, **options: Any) -> asyncio.Protocol:
@@ -71,15 +91,11 @@ class Connections:
         connection : Protocol
             On which it comes.
         """
-        loop = asyncio.get_running_loop()
-        self.waiting[connection] = loop.time()
+        self.waiting[connection] = asyncio.get_running_loop().time()
         self.waiting.move_to_end(connection)
-        if not self._looking:
-            self._looking = True
-            loop.call_later(_LOOK_S, self._look)
 
     def owes_nothing(self, connection: _Connection) -> None:
-        """Note that a request is whole, or that its connection is closed.
+        """Note that a request is whole.
 
         Parameters
         ----------
@@ -88,16 +104,52 @@ class Connections:
         """
         self.waiting.pop(connection, None)
 
-    def make_room(self, newest: _Connection) -> None:
-        """Close the connection that has been silent longest, or the newest where all are being answered.
+    def opened(self, newest: _Connection) -> None:
+        """Note a new connection, and close another one where there are too many.
+
+        That is the one that has waited longest for its client, of the address with the most that wait.
 
         Parameters
         ----------
         newest : Protocol
-            The one too many.
+            The new one.
         """
-        closed = next(iter(self.waiting), newest)
-        closed.give_up(503, "too_many_connections", f"more than {self.most} connections are open")
+        self.open.add(newest)
+        self.owes(newest)
+        if len(self.open) > _SPARE * self.most:
+            crowded = Counter(one.address for one in self.waiting).most_common(1)[0][0]
+            closed = next(one for one in self.waiting if one.address == crowded)
+            words = f"{len(self.open)} connections are open, and at most {_SPARE * self.most} may be"
+            closed.give_up(503, "too_many_connections", words)
+        if not self._looking:
+            self._looking = True
+            asyncio.get_running_loop().call_later(_LOOK_S, self._look)
+
+    def lost(self, connection: _Connection) -> None:
+        """Note that a connection is closed.
+
+        Parameters
+        ----------
+        connection : Protocol
+            Which it was.
+        """
+        self.open.discard(connection)
+        self.waiting.pop(connection, None)
+        self.stalled.pop(connection, None)
+
+    def end_a_stalled_one(self) -> bool:
+        """End the connection whose client has taken nothing of its answer for longest, for another one's sake.
+
+        Returns
+        -------
+        bool
+            Whether there was one.
+        """
+        for connection in self.stalled:
+            connection.cut_off()
+            del self.stalled[connection]
+            return True
+        return False
 
     def stopping(self) -> None:
         """Note that the server stops."""
@@ -107,15 +159,21 @@ class Connections:
 
     def _look(self) -> None:
         loop = asyncio.get_running_loop()
+        now = loop.time()
         for connection, since in list(self.waiting.items()):
-            if loop.time() - since < self.silent_s:
+            if now - since < self.silent_s:
                 break
             if connection.is_held_up:
                 self.owes(connection)
             else:
                 words = f"the rest of the request did not arrive within {self.silent_s:g} s"
                 connection.give_up(408, "request_timeout", words)
-        self._looking = bool(self.waiting)
+        for connection in list(self.open):
+            if connection.takes_its_answer():
+                self.stalled.pop(connection, None)
+            elif now - self.stalled.setdefault(connection, now) >= self.stalled_s:
+                connection.cut_off()
+        self._looking = bool(self.open)
         if self._looking:
             loop.call_later(_LOOK_S, self._look)
 
@@ -124,22 +182,35 @@ class _Connection(HttpToolsProtocol):
     def __init__(self, all_of_them: Connections, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._all, self._bytes, self._body, self._noted = all_of_them, 0, 0, 0
+        self._in_header, self._unsent, self._took = False, 0, False
 
     @property
     def is_held_up(self) -> bool:
         """Whether the service does not read what arrives, because it has not worked off what came before."""
         return bool(self.flow.read_paused)
 
+    @property
+    def address(self) -> str:
+        """From where it comes."""
+        return self.client[0] if self.client else ""
+
+    def takes_its_answer(self) -> bool:
+        """Whether nothing of an answer waits for the client, or some of it went out since this was asked last."""
+        before, self._unsent = self._unsent, self.transport.get_write_buffer_size()
+        took, self._took = self._took or self._unsent < before, False
+        return took or not self._unsent
+
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        if len(self.connections) > self._all.most:
-            self._all.make_room(self)
-        if not transport.is_closing():
-            self._all.owes(self)
+        self._all.opened(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._all.owes_nothing(self)
+        self._all.lost(self)
         super().connection_lost(exc)
+
+    def resume_writing(self) -> None:
+        self._took = True
+        super().resume_writing()
 
     def data_received(self, data: bytes) -> None:
         self._bytes += len(data)
@@ -153,29 +224,50 @@ class _Connection(HttpToolsProtocol):
 
     def on_message_begin(self) -> None:
         self._bytes = self._body = self._noted = 0
+        self._in_header = True
         if self not in self._all.waiting:
             self._all.owes(self)
         super().on_message_begin()
 
+    def on_headers_complete(self) -> None:
+        self._in_header = False
+        super().on_headers_complete()
+
     def on_body(self, body: bytes) -> None:
         self._body += len(body)
         super().on_body(body)
+        if self._body > _DISCARDED_BYTES and self.cycle.response_complete:
+            self.transport.close()
 
     def on_message_complete(self) -> None:
-        self._all.owes_nothing(self)
         super().on_message_complete()
+        if self.cycle.response_complete:  # it was refused before it was whole
+            self._all.owes(self)
+        else:
+            self._all.owes_nothing(self)
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        if not self.transport.is_closing() and self.cycle.response_complete:
+            self._all.owes(self)
 
     def shutdown(self) -> None:
         self._all.stopping()
         super().shutdown()
 
+    def cut_off(self) -> None:
+        """Close the connection at once, also what the system still has to send."""
+        self.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGERING)
+        self.transport.abort()
+
     def give_up(self, status: int, code: str, words: str) -> None:
-        """Answer with a problem, where no answer has begun, and close the connection."""
+        """Answer with a problem, where a request is not answered yet, and close the connection."""
         self._all.owes_nothing(self)
-        answering = self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete
-        if not answering:
+        cycle = self.cycle
+        if cycle is None or not cycle.response_started or (cycle.response_complete and self._in_header):
             body = json.dumps(problem(status, code, HTTPStatus(status).phrase, words, None)).encode()
-            header = f"content-type: {MEDIA_TYPE}\r\ncontent-length: {len(body)}\r\nconnection: close\r\n\r\n"
+            retry = f"retry-after: {_RETRY_S}\r\n" if status == 503 else ""
+            header = f"content-type: {MEDIA_TYPE}\r\n{retry}content-length: {len(body)}\r\nconnection: close\r\n\r\n"
             self.transport.write(STATUS_LINE[status] + header.encode() + body)
         self.transport.close()
 

@@ -115,7 +115,6 @@ class _Reply:
         headers = [
             (b"content-type", MEDIA_TYPE.encode()),
             (b"content-length", str(len(body)).encode()),
-            (b"connection", b"close"),
             (b"x-request-id", self._request_id),
         ]
         await self._send({"type": "http.response.start", "status": 413, "headers": headers})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import re
@@ -22,6 +23,7 @@ from joulemap.service.problems import MAX_ERRORS, MEDIA_TYPE, from_outside, json
 
 _LOG = logging.getLogger("joulemap.service")
 _CLOSED = 499  # as nginx logs a request whose client closed the connection; nobody reads it
+_LONGEST_VALUE = 1000  # letters
 _BODY, _THE_BODY = "body", "the body "
 
 
@@ -129,8 +131,15 @@ def _field_error(error: Mapping[str, Any]) -> dict[str, Any]:
     message = str(error["msg"]).removeprefix("Value error, ")
     found = {"field": jsonable(field), "message": jsonable(message)}
     if error["type"] != "missing" and "input" in error:
-        found["value"] = jsonable(error["input"], depth=2)
+        found["value"] = _shown(error["input"])
         ours = error["type"] in ("value_error", "unknown_field")  # these words name the value where it matters
         if not ours and isinstance(error["input"], (int, float, str)) and not isinstance(error["input"], bool):
             found["message"] = f"{found['message']}, got {str(jsonable(error['input']))[:60]}"
     return found
+
+
+def _shown(value: Any) -> Any:
+    """A value as it was sent, or the beginning of its text where that is long: a problem may have many of them."""
+    shown = jsonable(value, depth=2)
+    text = json.dumps(shown)
+    return shown if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."

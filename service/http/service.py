@@ -11,6 +11,8 @@ from importlib.metadata import version
 from joulemap.model.energy.predictor import MODEL_NAMES, Predictor
 from joulemap.model.errors import BusyError, JoulemapError, NotFoundError
 from joulemap.planner.plan import RoutePlanner
+from joulemap.service.http.access_at_once import AtOnce
+from joulemap.service.http.connections import Connections
 from joulemap.service.http.health import NOT_YET, OK, Health
 from joulemap.service.http.job_events import JobEvents, look_into
 from joulemap.service.http.kernels import Kernels
@@ -62,6 +64,11 @@ class Service(SentFiles, Made):
         self.plans = plan_queue(settings, self.maps, self.metrics.saw_work)
         self.prices = price_queue(settings, self.maps, self.metrics.saw_work)
         self.job_events = JobEvents(look_into(self.store))
+        self.connections = Connections(
+            settings.max_connections, stalled_s=settings.stalled_s, on_stop=self.job_events.end
+        )
+        self.answered = AtOnce("connections", settings.most_client_connections, "JOULEMAP_CLIENT_CONNECTIONS")
+        self.streams = AtOnce("event streams", settings.most_client_streams, "JOULEMAP_CLIENT_STREAMS")
         queues = [self.plans, self.prices]
         watch(settings, self.store, health=self.health, metrics=self.metrics, maps=self.maps, queues=queues)
         self.jobs = Jobs(self.store, settings, on_made=self._open_made)

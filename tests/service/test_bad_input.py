@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -349,6 +350,39 @@ def test_hostile_json(client: TestClient, costmap_id: str) -> None:
             answer = client.post(target, content=text, headers={"Content-Type": "application/json"})
             assert answer.status_code in (400, 422), answer.text
             check_problem(answer, answer.status_code, answer.json()["code"])
+
+
+def _keys(count: int, *, length: int = 0) -> bytes:
+    return json.dumps({f"{number}{'k' * length}": 1 for number in range(count)}).encode()
+
+
+HUGE_BODIES = {
+    "more keys than are read": _keys(500_000),
+    "more keys than a request has": _keys(1_900),
+    "some unknown keys": _keys(90),
+    "long keys": _keys(900, length=7_000),
+    "a key of megabytes": _keys(1, length=7_000_000),
+    "deep lists": b'{"start": %b1%b}' % (b"[" * 100_000, b"]" * 100_000),
+    "deep objects": b'{"start": ' * 900 + b"1" + b"}" * 900,
+    "many wrong points": json.dumps({name: [["x", None]] * 50_000 for name in ("path", "stops", "runs")}).encode(),
+    "long values": json.dumps({f"start_{n}": ["v" * 400] * 100 for n in range(99)}).encode(),
+    "large values": json.dumps({"robot": {f"{n}": {f"{m}": "v" * 50 for m in range(10)} for n in range(90)}}).encode(),
+}
+QUESTIONS = ("paths", "tours", "feasibility", "return", "reach", "speeds")
+POST_PLACES = ["costmaps", "calibrations", *(f"costmaps/{{}}/{name}" for name in QUESTIONS)]
+
+
+@pytest.mark.parametrize("place", POST_PLACES)
+@pytest.mark.parametrize("kind", HUGE_BODIES)
+def test_huge_json_gets_a_short_problem_soon(client: TestClient, costmap_id: str, place: str, kind: str) -> None:
+    began = time.monotonic()
+    url = f"/v1/{place.format(costmap_id)}"
+    answer = client.post(url, content=HUGE_BODIES[kind], headers={"Content-Type": "application/json"})
+    assert time.monotonic() - began < 3.0
+    assert answer.status_code in (413, 422)
+    check_problem(answer, answer.status_code, answer.json()["code"])
+    assert len(answer.content) < 50_000
+    assert len(answer.json()["context"].get("errors", [])) <= 20
 
 
 def test_wheels_that_spin_for_thousands_of_kilometres_are_refused_at_once(client):

@@ -17,6 +17,8 @@ import uvicorn
 from joulemap.service.http.connections import HEADER_BYTES, PROGRESS_BYTES, Connections, most_connections
 
 SILENT_S = 1.5
+STALLED_S = 1.0
+PIECE, LONG = 50_000, 20_000_000
 POST = b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n"
 GET = b"GET / HTTP/1.1\r\nHost: localhost\r\n"
 
@@ -27,14 +29,30 @@ class Running(NamedTuple):
     """Is given a word when the server begins to stop."""
 
     @contextmanager
-    def connected(self) -> Iterator[socket.socket]:
-        with socket.create_connection(("127.0.0.1", self.port), timeout=20.0) as connection:
+    def connected(self, address: str = "127.0.0.1", *, receive_bytes: int | None = None) -> Iterator[socket.socket]:
+        with socket.socket() as connection:
+            connection.settimeout(20.0)
+            if receive_bytes is not None:
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
+            connection.bind((address, 0))
+            connection.connect(("127.0.0.1", self.port))
             yield connection
 
 
 async def app(scope: Any, receive: Any, send: Any) -> None:
-    """Answers with the number of bytes of the body; /slow reads it late."""
+    """Answers with the number of bytes of the body; /slow reads it late, /long answers at length, /no without it."""
     size, more = 0, True
+    if scope["path"] == "/long":
+        headers = [(b"content-length", str(LONG).encode())]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        for _ in range(LONG // PIECE):
+            await send({"type": "http.response.body", "body": b"a" * PIECE, "more_body": True})
+        await send({"type": "http.response.body"})
+        return
+    if scope["path"] == "/no":
+        await send({"type": "http.response.start", "status": 413, "headers": [(b"content-length", b"2")]})
+        await send({"type": "http.response.body", "body": b"no"})
+        return
     if scope["path"] == "/slow":
         await asyncio.sleep(3.0 * SILENT_S)
     while more:
@@ -49,7 +67,7 @@ async def app(scope: Any, receive: Any, send: Any) -> None:
 @contextmanager
 def running(most: int = 100, silent_s: float = SILENT_S) -> Iterator[Running]:
     stopped: list[str] = []
-    connections = Connections(most, silent_s=silent_s, on_stop=lambda: stopped.append("stopped"))
+    connections = Connections(most, stalled_s=STALLED_S, silent_s=silent_s, on_stop=lambda: stopped.append("stopped"))
     listening = socket.create_server(("127.0.0.1", 0))
     config = uvicorn.Config(app, http=connections.protocol, lifespan="off", log_level="error")  # type: ignore[arg-type]
     server = uvicorn.Server(config)
@@ -88,6 +106,11 @@ def answer(connection: socket.socket) -> tuple[int, bytes]:
         if end and len(body) >= length:
             break
     return int(found.split()[1]), body
+
+
+def read_all(connection: socket.socket) -> None:
+    while connection.recv(65_536):
+        pass
 
 
 def refusal(connection: socket.socket) -> tuple[int, str]:
@@ -174,7 +197,7 @@ def test_a_body_in_chunks_of_a_byte_is_read(server: Running) -> None:
 
 
 def test_silent_connections_make_room(server: Running) -> None:
-    with running(most=8) as server, ExitStack() as stack:
+    with running(most=4) as server, ExitStack() as stack:
         silent = [stack.enter_context(server.connected()) for _ in range(8)]
         silent[0].sendall(POST % 10)
         time.sleep(0.3)
@@ -186,15 +209,58 @@ def test_silent_connections_make_room(server: Running) -> None:
         assert answer(silent[1]) == (200, b"0")
 
 
-def test_where_all_are_answered_the_newest_has_no_room() -> None:
-    with running(most=8) as server, ExitStack() as stack:
-        asking = [stack.enter_context(server.connected()) for _ in range(8)]
-        for connection in asking:
-            connection.sendall(GET.replace(b"GET /", b"GET /slow") + b"\r\n")
-        time.sleep(0.3)
+def test_idle_connections_make_room_without_a_word() -> None:
+    with running(most=4) as server, ExitStack() as stack:
+        idle = [stack.enter_context(server.connected()) for _ in range(8)]
+        for connection in idle:
+            connection.sendall(GET + b"\r\n")
+            assert answer(connection) == (200, b"0")
         with server.connected() as connection:
-            assert refusal(connection) == (503, "too_many_connections")
-        assert [answer(connection)[0] for connection in asking] == [200] * 8
+            connection.sendall(GET + b"\r\n")
+            assert answer(connection) == (200, b"0")
+        assert idle[0].recv(1) == b""
+        idle[1].sendall(GET + b"\r\n")
+        assert answer(idle[1]) == (200, b"0")
+
+
+def test_those_who_wait_at_the_most_crowded_address_make_room() -> None:
+    with running(most=4) as server, ExitStack() as stack:
+        alone = stack.enter_context(server.connected("127.0.0.2"))
+        time.sleep(0.1)
+        crowd = [stack.enter_context(server.connected()) for _ in range(8)]
+        assert refusal(crowd[0]) == (503, "too_many_connections")
+        alone.sendall(GET + b"\r\n")
+        assert answer(alone) == (200, b"0")
+
+
+def test_an_answer_that_nobody_reads_is_ended(server: Running) -> None:
+    with server.connected(receive_bytes=4_096) as connection:
+        connection.sendall(GET.replace(b"GET /", b"GET /long") + b"\r\n")
+        time.sleep(STALLED_S + 2.5)  # it is looked at once a second
+        with pytest.raises(ConnectionResetError):
+            read_all(connection)
+
+
+def test_an_answer_that_is_read_slowly_is_not_ended(server: Running) -> None:
+    with server.connected(receive_bytes=100_000) as connection:
+        connection.sendall(GET.replace(b"GET /", b"GET /long") + b"\r\n")
+        began, size = time.monotonic(), 0
+        while piece := connection.recv(200_000):
+            size += len(piece)
+            if size > LONG:
+                break
+            time.sleep(0.02)
+        assert size > LONG
+        assert time.monotonic() - began > 2.0 * STALLED_S
+
+
+def test_who_is_refused_while_sending_reads_why(server: Running) -> None:
+    size = 30_000_000
+    with server.connected() as connection:
+        connection.sendall((POST % size).replace(b"POST /", b"POST /no") + b"a" * size)
+        assert answer(connection) == (413, b"no")
+        connection.sendall(GET + b"\r\n")
+        assert answer(connection) == (200, b"0")
 
 
 def test_it_is_told_once_that_the_server_stops() -> None:
@@ -209,11 +275,11 @@ def test_it_is_told_once_that_the_server_stops() -> None:
 @pytest.mark.parametrize(
     ("soft", "hard", "most", "opened"),
     [
-        (1_024, 524_288, 1_000, 2_256),
-        (1_024, 1_024, 384, 1_024),
+        (1_024, 524_288, 1_000, 3_256),
+        (1_024, 1_024, 256, 1_024),
         (256, 256, 8, 256),
         (4_096, 4_096, 1_000, 4_096),
-        (1_024, -1, 1_000, 2_256),
+        (1_024, -1, 1_000, 3_256),
         (-1, -1, 1_000, -1),
     ],
 )

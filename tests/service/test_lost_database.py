@@ -19,6 +19,7 @@ from sqlalchemy.exc import OperationalError
 from starlette.datastructures import Headers
 
 from joulemap.model.errors import BusyError, NotFoundError
+from joulemap.service.http.access_at_once import AtOnce
 from joulemap.service.http.access_keys import KeyCheck, Keys
 from joulemap.service.storage.store import Store
 from tests.service.clusters import free_port
@@ -144,7 +145,12 @@ def test_nothing_waits_for_a_database_that_is_known_to_be_away(tmp_path: Path) -
         await send({"type": "http.response.body", "body": b""})
 
     store: Any = SimpleNamespace(sessions=lambda: pytest.fail("it was asked"))
-    checked: Any = KeyCheck(_app, keys=Keys(store, settings_for(tmp_path, workers=0)), away=lambda: away[0])
+    checked: Any = KeyCheck(
+        _app,
+        keys=Keys(store, settings_for(tmp_path, workers=0)),
+        answered=AtOnce("connections", 10, "-"),
+        away=lambda: away[0],
+    )
     client = TestClient(checked)
     refused = client.get("/v1/costmaps")
     assert (refused.status_code, refused.headers["retry-after"]) == (503, "5")

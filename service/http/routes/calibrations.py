@@ -17,6 +17,7 @@ from joulemap.model.robot import Robot
 from joulemap.service.exports.track import track_of_drive
 from joulemap.service.http.dependencies import Limit, Offset, ServiceDep
 from joulemap.service.http.documents import problems
+from joulemap.service.http.quick_json import QuickJsonRoute
 from joulemap.service.http.route_files import FILES, Coordinates, FileFormat, route_file_wanted
 from joulemap.service.http.routes.waiting import Prefer, job_answer
 from joulemap.service.http.service import Service
@@ -29,7 +30,7 @@ from joulemap.service.storage.stats import frame_of_stats
 from joulemap.service.storage.tables import CALIBRATION, CalibrationRow, RunsRow
 from joulemap.service.work.calibrations import PAGE, SEGMENTS
 
-router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"])
+router = APIRouter(prefix="/calibrations", tags=["runs and calibrations"], route_class=QuickJsonRoute)
 PLACE = "/v1/calibrations"
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"  # it loads nothing
 

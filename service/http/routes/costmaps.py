@@ -56,7 +56,7 @@ async def make_costmap(
     kind = media_type(request)
     if kind == "multipart/form-data":
         async with request.form(max_files=1, max_fields=20) as form:
-            wanted = _form_options(form)
+            wanted = await anyio.to_thread.run_sync(_form_options, form)
             await anyio.to_thread.run_sync(_check_settings, service, wanted)
             heightmap = await take_form(request, form, service, options)
     elif kind == "application/json":
@@ -97,7 +97,7 @@ def delete_costmap(costmap_id: str, service: ServiceDep) -> None:
 
 async def _json_request(request: Request) -> CostmapRequest:
     try:
-        return CostmapRequest.model_validate_json(await request.body())
+        return await anyio.to_thread.run_sync(CostmapRequest.model_validate_json, await request.body())
     except ValidationError as error:
         raise invalid(error, "body") from error
 

@@ -8,8 +8,9 @@ from typing import Any
 
 from anyio.to_thread import run_sync
 from fastapi import APIRouter
-from sse_starlette import EventSourceResponse, ServerSentEvent
+from sse_starlette import ServerSentEvent
 
+from joulemap.service.http.access_at_once import EventStream
 from joulemap.service.http.dependencies import ServiceDep
 from joulemap.service.http.document_rules import event_schema
 from joulemap.service.http.documents import problems
@@ -32,22 +33,22 @@ _EVENTS: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get(f"{COSTMAP}/events", tags=_MAPS, response_class=EventSourceResponse, responses=_EVENTS)
-async def follow_costmap(costmap_id: str, service: ServiceDep) -> EventSourceResponse:
+@router.get(f"{COSTMAP}/events", tags=_MAPS, response_class=EventStream, responses=_EVENTS)
+async def follow_costmap(costmap_id: str, service: ServiceDep) -> EventStream:
     """Follow a cost map that is being made, as server-sent events: `progress` at every change, and one `end`.
 
     The status in `end` is that of the cost map, or `deleted`. A browser's EventSource connects again after the end:
     close it then.
     """
     await run_sync(service.store.costmap, costmap_id)
-    return EventSourceResponse(_events(service, costmap_id))
+    return EventStream(_events(service, costmap_id))
 
 
-@router.get(f"{CALIBRATION}/events", tags=_LOOP, response_class=EventSourceResponse, responses=_EVENTS)
-async def follow_calibration(calibration_id: str, service: ServiceDep) -> EventSourceResponse:
+@router.get(f"{CALIBRATION}/events", tags=_LOOP, response_class=EventStream, responses=_EVENTS)
+async def follow_calibration(calibration_id: str, service: ServiceDep) -> EventStream:
     """Follow a calibration that is being made, as server-sent events, like a cost map."""
     await run_sync(service.store.calibration, calibration_id)
-    return EventSourceResponse(_events(service, calibration_id))
+    return EventStream(_events(service, calibration_id))
 
 
 @router.post(f"{COSTMAP}/cancel", tags=_MAPS, responses=problems(404, 409))

@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 from anyio.to_thread import run_sync
 from fastapi import APIRouter, Header, Request, Response
-from sse_starlette import EventSourceResponse
 
 from joulemap.planner.budget import battery_along
 from joulemap.planner.stopping import check_stop
 from joulemap.service.exports.track import track_of_plan, track_of_task, track_of_tour
 from joulemap.service.feasibility import assess, judge_routes
+from joulemap.service.http.access_at_once import EventStream
 from joulemap.service.http.asked import answer_of, same_robot, warnings_of
 from joulemap.service.http.dependencies import KernelsDep
 from joulemap.service.http.document_rules import event_schema
@@ -96,7 +96,7 @@ async def find_path(
         return await service.plans.do(costmap_id, lambda: _find(report))
 
     if EVENTS in (accept or ""):
-        return EventSourceResponse(events(_found))
+        return EventStream(events(_found))
     return await while_connected(request, _found(lambda _share: None))
 
 

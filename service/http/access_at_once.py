@@ -1,0 +1,165 @@
+"""How many connections and event streams one client has at a time, and that a probe is always answered."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+
+from sse_starlette import EventSourceResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from joulemap.model.errors import BusyError, JoulemapError, RateError
+from joulemap.service.http.access_origin import HEALTH_PATHS
+from joulemap.service.http.connections import Connections
+from joulemap.service.http.problem_answers import response
+from joulemap.service.problems import problem_of
+
+PROBE_PATHS = (*HEALTH_PATHS, "/metrics")
+"""They are answered at once and whole, so that they need no limit."""
+_RETRY_S = 5.0
+
+
+class AtOnce:
+    """How many of something each client has now.
+
+    Parameters
+    ----------
+    what : str
+        In the plural, for the words of a refusal.
+    most : int
+        Of one address, and of one key.
+    setting : str
+        That changes `most`.
+    """
+
+    def __init__(self, what: str, most: int, setting: str) -> None:
+        self._what, self._most, self._setting = what, most, setting
+        self._now: Counter[str] = Counter()
+
+    @contextmanager
+    def one_of(self, client: str) -> Iterator[None]:
+        """Count one more of a client meanwhile.
+
+        Parameters
+        ----------
+        client : str
+            As it is called in the words of a refusal.
+
+        Yields
+        ------
+        None
+            Nothing.
+
+        Raises
+        ------
+        RateError
+            If the client has as many as it may.
+        """
+        if self._now[client] >= self._most:
+            raise RateError(
+                f"{client} has {self._now[client]} {self._what} at a time, and may have {self._most} "
+                f"({self._setting}): end one, or wait as long as Retry-After says",
+                found=self._now[client],
+                limit=self._most,
+                retry_after_s=_RETRY_S,
+            )
+        self._now[client] += 1
+        try:
+            yield
+        finally:
+            self._now[client] -= 1
+            if not self._now[client]:
+                del self._now[client]
+
+
+class Admission:
+    """Answers 429 where an address has too many connections that are being answered, and 503 where all have together.
+
+    A client that does not take its answer makes room for another one. Probes are always let in.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        Answers what is not refused.
+    connections : Connections
+        Of the server.
+    each : AtOnce
+        Connections that are answered, of each client.
+    """
+
+    def __init__(self, app: ASGIApp, *, connections: Connections, each: AtOnce) -> None:
+        self._app, self._connections, self._each = app, connections, each
+        self._answered = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or scope["path"] in PROBE_PATHS:
+            await self._app(scope, receive, send)
+            return
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(self._each.one_of(address_of(scope)))
+                self._check_room()
+            except JoulemapError as error:
+                answer = response(problem_of(error, scope["state"]["request_id"]))
+                if not {b"content-length", b"transfer-encoding"}.intersection(name for name, _ in scope["headers"]):
+                    answer.headers["Connection"] = "close"  # where a body comes, closing would lose the answer
+                await answer(scope, receive, send)
+                return
+            self._answered += 1
+            stack.callback(self._ended)
+            await self._app(scope, receive, send)
+
+    def _check_room(self) -> None:
+        most = self._connections.most
+        if self._answered >= most and not self._connections.end_a_stalled_one():
+            raise BusyError(
+                f"{self._answered} connections are being answered, and at most {most} may be at a time "
+                "(JOULEMAP_MAX_CONNECTIONS)",
+                found=self._answered,
+                limit=most,
+                retry_after_s=_RETRY_S,
+            )
+
+    def _ended(self) -> None:
+        self._answered -= 1
+
+
+class EventStream(EventSourceResponse):
+    """Server-sent events; answers 429 where the address or the key has too many such streams."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the events.
+
+        Parameters
+        ----------
+        scope, receive, send : object
+            Of the request.
+        """
+        streams: AtOnce = scope["app"].state.service.streams
+        with ExitStack() as stack:
+            stack.enter_context(streams.one_of(address_of(scope)))
+            if (name := scope["state"]["caller"].name) is not None:
+                stack.enter_context(streams.one_of(f"key {name}"))
+            await super().__call__(scope, receive, send)
+
+
+def address_of(scope: Scope) -> str:
+    """Return the address from which a request comes, in words; that before a proxy which is trusted.
+
+    Parameters
+    ----------
+    scope : Scope
+        Of the request.
+
+    Returns
+    -------
+    str
+        Of an IPv6 address the network of 64 bits, all of which one client usually has.
+    """
+    address = (scope.get("client") or ("unknown",))[0]
+    if ":" in address:
+        with suppress(ValueError):  # a trusted proxy may write anything
+            address = str(ipaddress.IPv6Network((address, 64), strict=False))
+    return f"address {address[:100]}"
