@@ -88,6 +88,8 @@ class JobEvents:
         self._followed: Counter[str] = Counter()
         self._states: Mapping[str, JobState] = {}
         self._looked = asyncio.Event()
+        self._changed: dict[str, asyncio.Event] = {}
+        """Of a job: set when its state is another one. So those who follow a job that does nothing cost nothing."""
         self._pause_s = _FIRST_S
         self._ended = False
         self._task: asyncio.Task[None] | None = None
@@ -108,22 +110,27 @@ class JobEvents:
         JobState or None
             The state.
         """
+        if job_id not in self._followed:
+            self._pause_s = _FIRST_S
         self._followed[job_id] += 1
-        self._pause_s = _FIRST_S
         try:
             seen: JobState | None = JobState("", -1.0)
+            await self._next_look().wait()
             while not self._ended:
-                looked = self._next_look()
-                await looked.wait()
+                changed = self._changed.setdefault(job_id, asyncio.Event())
                 state = self._states.get(job_id)
                 if state != seen:
                     seen = state
                     yield state
                 if state is None or state.over:
                     return
+                self._next_look()  # whose task may have ended
+                await changed.wait()
         finally:
             self._followed[job_id] -= 1
-            self._followed += Counter()  # without those that nobody follows any more
+            if not self._followed[job_id]:
+                del self._followed[job_id]
+                self._changed.pop(job_id, None)
 
     async def until_over(self, job_id: str, timeout_s: float) -> None:
         """Wait until a job is over or deleted, or the service stops.
@@ -143,6 +150,8 @@ class JobEvents:
         """Let nobody wait any longer, because the service stops."""
         self._ended = True
         self._looked.set()
+        for changed in self._changed.values():
+            changed.set()
 
     def _next_look(self) -> asyncio.Event:
         """What the next look that begins from now on sets."""
@@ -158,6 +167,7 @@ class JobEvents:
                 return
             self._pause_s = min(1.3 * self._pause_s, _LONGEST_S)
             looked, self._looked = self._looked, asyncio.Event()
+            before = self._states
             try:
                 self._states = await anyio.to_thread.run_sync(self._look, list(self._followed), limiter=self._thread)
             except SQLAlchemyError as error:  # it comes back: who waits sees the states of before, and waits again
@@ -165,3 +175,6 @@ class JobEvents:
                 self._states = {**dict.fromkeys(self._followed, UNKNOWN), **self._states}
             finally:
                 looked.set()
+                for job_id in list(self._changed):
+                    if before.get(job_id) != self._states.get(job_id):
+                        self._changed.pop(job_id).set()
