@@ -62,3 +62,22 @@ def test_a_wall_of_one_cell_holds_the_bound_off():
     start, goal = (np.array(lattice.frame.rowcol(*at[name])) for name in "ab")
     around = 2.0 * np.hypot(10.0, 8.0)
     assert energy_bound(lattice, bound_table(lattice), start, goal) >= 0.9 * around
+
+
+def test_a_limit_of_the_cross_slope_closes_headings_across_the_slope_and_no_others():
+    """Uphill is 22 degrees north of east: to the north-east the ground tilts a robot little, to the south-east much."""
+    along, across = np.array([[10.0, 2.0], [2.0, 10.0]]), np.array([[2.0, 2.0], [10.0, 10.0]])
+    bounds = {}
+    for most_deg in (20.0, 1.8):
+        lattice = plane_lattice(13, 13, 0.06, 0.024, robot=Robot(max_cross_slope_deg=most_deg))
+        prices = bound_table(lattice)
+        ways = along, along[::-1], across, across[::-1]
+        bounds[most_deg] = [energy_bound(lattice, prices, *ends) for ends in ways]
+        assert np.isnan([path_price(lattice, ends) for ends in ways]).tolist() == [
+            False,
+            False,
+            *(2 * [most_deg < 2.0]),
+        ]
+    assert bounds[1.8][:2] == pytest.approx(bounds[20.0][:2], rel=1e-6)
+    assert bounds[1.8][2] > 1.05 * bounds[20.0][2]
+    assert bounds[1.8][3] > 1.05 * bounds[20.0][3]

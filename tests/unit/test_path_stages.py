@@ -1,0 +1,54 @@
+"""Each stage of the any-angle step alone brings a path back to the straight line, on flat ground at 1 J/m.
+
+There the least energy is the distance, so what each stage must reach is known.
+"""
+
+import numpy as np
+import pytest
+
+from joulemap.model.robot import Robot
+from joulemap.planner.deform import bent
+from joulemap.planner.edges import path_price, price_arrays
+from joulemap.planner.refine import shortcuts
+from joulemap.planner.settle import settled
+from tests.reference.lattices import ascii_lattice
+
+LENGTH = 32.0
+COLS = np.linspace(4.0, 4.0 + LENGTH, 9)
+
+
+def flat(turn_j_per_rad=0.0):
+    robot = Robot(idle_power_w=0.5, speed_mps=0.5, turn_j_per_rad=turn_j_per_rad)
+    return ascii_lattice("\n".join(["." * 41] * 21), robot=robot)[0]
+
+
+def test_shortcuts_leave_out_the_vertices_of_a_zigzag():
+    lattice = flat()
+    zigzag = np.column_stack([np.where(np.arange(9) % 2, 12.0, 10.0), COLS])
+    assert path_price(lattice, zigzag) > 1.1 * LENGTH
+    np.testing.assert_array_equal(shortcuts(lattice, zigzag), zigzag[[0, -1]])
+
+
+@pytest.mark.parametrize("turn_j_per_rad", [0.0, 2.0])
+@pytest.mark.parametrize(
+    ("every", "rows"), [(1, [10, 10, 10, 10, 11, 10, 10, 10, 10]), (4, [10, 11, 12, 13, 14, 13, 12, 11, 10])]
+)
+def test_bending_takes_a_bulge_back_with_one_vertex_or_a_whole_stretch(turn_j_per_rad, every, rows):
+    lattice = flat(turn_j_per_rad)
+    bulge = np.column_stack([np.array(rows, float), COLS])
+    everywhere = np.ones(len(bulge), dtype=np.bool_)
+    found = bent(*price_arrays(lattice), turn_j_per_rad, bulge, everywhere, every, 1.0, 0.0, 24)
+    np.testing.assert_array_equal(found[[0, -1]], bulge[[0, -1]])
+    assert path_price(lattice, bulge) > 1.003 * LENGTH
+    assert path_price(lattice, found) == pytest.approx(LENGTH, rel=1e-9)
+
+
+def test_settling_takes_a_wave_back_to_within_a_hundredth_of_what_it_costs():
+    lattice = flat()
+    wave = np.column_stack([10.0 + 0.4 * np.sin(np.pi * (COLS - 4.0) / 8.0 + 1e-12), COLS])
+    wave[:, 0] += 0.2 * np.sin(np.pi * (COLS - 4.0) / LENGTH)
+    wave[[0, -1], 0] = 10.0
+    found = settled(*price_arrays(lattice), wave, np.array([0.25, 0.25, 0.0625]), np.ones(len(wave), dtype=np.bool_))
+    np.testing.assert_array_equal(found[[0, -1]], wave[[0, -1]])
+    assert path_price(lattice, wave) > 1.0005 * LENGTH
+    assert path_price(lattice, found) - LENGTH < 0.01 * (path_price(lattice, wave) - LENGTH)
