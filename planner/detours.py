@@ -109,25 +109,23 @@ def largest_lag(cells: float) -> float:
     return LAGS[0] * math.sqrt(max(cells, LEAST_CELLS)) / cells
 
 
-def best_of_corridors(lattice: CostLattice, whole: Sequence[Improved], others: Sequence[Points]) -> Points:
+def best_of_corridors(lattice: CostLattice, best: Improved, others: Sequence[Points]) -> Points:
     """Return the best of what the any-angle step makes of some paths.
 
     Parameters
     ----------
     lattice : CostLattice
         Prices and limits.
-    whole : sequence of Improved
-        Paths that were improved as a whole, at least one.
+    best : Improved
+        A path that was improved as a whole, the best known.
     others : sequence of ndarray of float, (n, 2)
-        (row, col) polylines with the same ends that may be driven. They are compared with the first of the improved
-        paths, so that it should be the best known.
+        (row, col) polylines with the same ends that may be driven.
 
     Returns
     -------
     ndarray of float, (m, 2)
         (row, col) polyline.
     """
-    best = whole[0]
     detours = [detour for other in others if (detour := _detour(lattice, best, other)) is not None]
     stages = best.stages if path_length(best.points) <= BENT_DETOURS_CELLS else STAGES[:-1]
 
@@ -137,30 +135,14 @@ def best_of_corridors(lattice: CostLattice, whole: Sequence[Improved], others: S
             detour.replaced_j + share * (usual_j - best.prices_j[-1]) + lag * detour.unit_j
             for usual_j, lag in zip(best.prices_j[1:], LAGS[1:], strict=False)
         ]
-        return competed(lattice, detour, stages, most_j)
+        return _competed(lattice, detour, stages, most_j)
 
     won = [points for points in share_out(_improve, detours) if points is not None]
-    cheapest, *rest = sorted(whole, key=lambda path: path.prices_j[-1])
-    return combined(lattice, cheapest.points, [*(path.points for path in rest), *won])
+    return _combined(lattice, best.points, won)
 
 
-def combined(lattice: CostLattice, points: Points, others: Sequence[Points]) -> Points:
-    """Return the cheapest way over a path and others, without the corners where it changes between them.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-    others : sequence of ndarray of float, (m, 2)
-        As for `with_crossovers`.
-
-    Returns
-    -------
-    ndarray of float, (k, 2)
-        (row, col) polyline with the ends of `points` and at most the same energy.
-    """
+def _combined(lattice: CostLattice, points: Points, others: Sequence[Points]) -> Points:
+    """The cheapest way over a path and others, without the corners where it changes between them."""
     way = with_crossovers(lattice, points, others)
     if way is points:
         return points
@@ -190,24 +172,11 @@ def improved(lattice: CostLattice, grid: Points) -> Improved:
     for stage in stages:
         points = stage(lattice, points)
         prices_j.append(path_price(lattice, points))
-    return Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), cell_energy(lattice, points))
+    return Improved(grid, stages, tuple(prices_j), points, subdivided(points, 1.0), _cell_energy(lattice, points))
 
 
-def cell_energy(lattice: CostLattice, points: Points) -> float:
-    """Return the mean energy of a cell's length of a path.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-
-    Returns
-    -------
-    float
-        Mean of the energies of legs without their signs [J]: with regeneration the energy of a whole path may be 0.
-    """
+def _cell_energy(lattice: CostLattice, points: Points) -> float:
+    """Mean energy of a cell's length [J], without signs: with regeneration the energy of a whole path may be 0."""
     return float(np.abs(leg_prices(lattice, points)).sum()) / max(path_length(points), 1.0)
 
 
@@ -239,25 +208,8 @@ def _nearest(vertices: Points, place: Points) -> int:
     return int(np.argmin(((vertices - place) ** 2).sum(axis=1)))
 
 
-def competed(lattice: CostLattice, detour: Detour, stages: Sequence[Stage], most_j: Sequence[float]) -> Points | None:
-    """Return a detour after some stages of the any-angle step.
-
-    Parameters
-    ----------
-    lattice : CostLattice
-        Prices and limits.
-    detour : Detour
-        The detour.
-    stages : sequence of callable
-        As `path_stages` returns them.
-    most_j : sequence of float
-        Most energy after each stage [J]; stages beyond these are not done.
-
-    Returns
-    -------
-    ndarray of float, (n, 2), or None
-        (row, col) polyline; None where it costs more after a stage than it may.
-    """
+def _competed(lattice: CostLattice, detour: Detour, stages: Sequence[Stage], most_j: Sequence[float]) -> Points | None:
+    """A detour after some stages; None where it costs more after a stage than it may, most_j [J]."""
     points = detour.points
     for stage, most in zip(stages, most_j, strict=False):
         points = stage(lattice, points)

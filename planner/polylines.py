@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -100,90 +99,6 @@ def subdivided(points: Points, leg_cells: float) -> Points:
         (row, col) polyline.
     """
     return _cut(np.ascontiguousarray(points, dtype=np.float64), leg_cells)
-
-
-def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return where some flags are set.
-
-    Parameters
-    ----------
-    flags : ndarray of bool, (n,)
-        The flags.
-
-    Returns
-    -------
-    list of (int, int)
-        The first index of each stretch, and that after its last.
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
-def stretches_around(points: Points, flags: NDArray[np.bool_], cells: float) -> list[tuple[int, int]]:
-    """Return the parts of a polyline that are near flagged vertices along it.
-
-    Parameters
-    ----------
-    points : ndarray of float, (n, 2)
-        (row, col) polyline.
-    flags : ndarray of bool, (n,)
-        Which of its vertices are flagged.
-    cells : float
-        How far before and after such a vertex a part begins and ends [cells].
-
-    Returns
-    -------
-    list of (int, int)
-        The first vertex of each part, and that after its last; they do not overlap.
-    """
-    along, around = distances_along(points), np.zeros(len(points), dtype=np.bool_)
-    for first, after in stretches(flags):
-        around[(along >= along[first] - cells) & (along <= along[after - 1] + cells)] = True
-    return stretches(around)
-
-
-def near_lines(
-    places: Points, lines: Sequence[Points], within: float, *, all_or_none: bool = False
-) -> NDArray[np.bool_]:
-    """Return which places are near some polylines.
-
-    Parameters
-    ----------
-    places : ndarray of float, (n, 2)
-        (row, col) of the places.
-    lines : sequence of ndarray of float, (m, 2)
-        (row, col) polylines.
-    within : float
-        Distance that counts as near [cells].
-    all_or_none : bool, default False
-        Whether it is only asked if all are near: places after the first that is not count as not near.
-
-    Returns
-    -------
-    ndarray of bool, (n,)
-        Whether each place is within the distance of a leg.
-    """
-    legs = np.vstack([np.hstack([line[:-1], line[1:]]) for line in lines])
-    near: NDArray[np.bool_] = _near(places, legs, within, all_or_none)
-    return near
-
-
-@njit(cache=True, nogil=True)
-def _near(places, legs, within, all_or_none):
-    """As `near_lines`; legs : start and end of every leg, (m, 4)."""
-    near, count, k = np.zeros(places.shape[0], dtype=np.bool_), legs.shape[0], 0
-    for i in range(places.shape[0]):
-        for _ in range(count):  # beginning with the leg that the place before is near to
-            drow, dcol = legs[k, 2] - legs[k, 0], legs[k, 3] - legs[k, 1]
-            row, col = places[i, 0] - legs[k, 0], places[i, 1] - legs[k, 1]
-            share = min(max((row * drow + col * dcol) / max(drow * drow + dcol * dcol, 1e-12), 0.0), 1.0)
-            if math.hypot(row - share * drow, col - share * dcol) <= within:
-                near[i] = True
-                break
-            k = k + 1 if k + 1 < count else 0
-        if all_or_none and not near[i]:
-            break
-    return near
 
 
 @njit(cache=True, nogil=True)

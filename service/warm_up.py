@@ -19,9 +19,6 @@ from joulemap.service.feasibility import assess
 from joulemap.service.models import DEFAULT_MODEL
 from joulemap.service.point_costs import costs_at
 
-_ROUNDABOUT = np.array([(9.0, 1.0), (3.0, 1.5), (9.0, 5.0), (2.0, 9.0)])
-"""A path of the small map (row, col) with cheaper ways beside it."""
-
 
 def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None = None) -> float:
     """Load every compiled kernel and the named models, and return how long it took.
@@ -48,10 +45,8 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
     """
     from joulemap.model.runs.cutting import cut_segments
     from joulemap.model.runs.reader import run_of
-    from joulemap.planner.beside import with_ways_beside
     from joulemap.planner.lattice_io import save_lattice
     from joulemap.planner.plan import PLANNERS, RoutePlanner
-    from joulemap.planner.shaken import with_stretches
     from joulemap.planner.stored_planner import StoredPlanner
 
     began = time.perf_counter()
@@ -65,8 +60,6 @@ def warm_up(*, models: Sequence[str] = (DEFAULT_MODEL,), models_dir: Path | None
         for planner in PLANNERS:
             with suppress(NoRouteError):  # a sampling planner on a busy machine may find none in so short a time
                 router.plan((2.2, 2.3), (9.1, 8.7), planner=planner, time_limit_s=0.05, alternatives=1)
-        with_ways_beside(lattice, _ROUNDABOUT)
-        with_stretches(lattice, _ROUNDABOUT, [_ROUNDABOUT], np.random.default_rng(0))
         assess(router, battery=robot.battery, start=(2.2, 2.3), goal=(9.1, 8.7), round_trip=True)
         with tempfile.TemporaryDirectory() as folder:
             save_lattice(lattice, f"{folder}/map.zarr")

@@ -20,7 +20,6 @@ from joulemap.model.terrain.readers import read_heightmap
 from tests.bench.calibration import bench_calibration
 from tests.bench.homeward import compare_return
 from tests.bench.large_maps import bench_large, bench_start_up
-from tests.bench.last_steps import compare_last_steps
 from tests.bench.lattice import bench_bins, bench_lattice, bench_tiles
 from tests.bench.objectives import compare_objectives
 from tests.bench.quality import compare_options, compare_peers, compare_planners
@@ -47,15 +46,14 @@ def main() -> None:
     only.add_argument("--peers", action="store_true", help="set other people's searches beside ours instead")
     only.add_argument("--heightmap", type=Path, help="compare the planners' energies on this map instead")
     only.add_argument("--quality", action="store_true", help="set the default answer beside every other option of ours")
-    only.add_argument("--last-steps", action="store_true", help="leave out each last step of short paths in turn")
     only.add_argument("--reach", action="store_true", help="set reach beside planning to one goal after another")
     only.add_argument("--return", action="store_true", dest="homeward", help="ask a service until where one comes home")
     only.add_argument("--objectives", action="store_true", help="set routes that weigh odds beside the cheapest ones")
     parser.add_argument("--tasks", type=int, default=10, help="random tasks a map (--quality, --reach, ...)")
-    parser.add_argument("--seed", type=int, default=11, help="of the random tasks of --quality and --last-steps")
+    parser.add_argument("--seed", type=int, default=11, help="of the random tasks of --quality")
     parser.add_argument("--map", default="", metavar="NAME", help="only maps that have this in their name: --quality")
     parser.add_argument("--sampling", type=float, default=0.0, help="seconds of BIT* with --quality; 10 for the whole")
-    parser.add_argument("--real", type=Path, help="a heightmap for --quality, --last-steps, --reach and --objectives")
+    parser.add_argument("--real", type=Path, help="a heightmap for --quality, --reach and --objectives")
     options = parser.parse_args()
     console = Console(width=140)
     if options.heightmap:
@@ -63,9 +61,6 @@ def main() -> None:
     elif options.quality:
         real = read_heightmap(options.real) if options.real else None
         console.print(compare_options(real, options.tasks, options.sampling, options.seed, options.map))
-    elif options.last_steps:
-        real = read_heightmap(options.real) if options.real else None
-        console.print(compare_last_steps(real, options.tasks, options.seed))
     elif options.reach:
         for found in compare_reach(read_heightmap(options.real) if options.real else None, options.tasks):
             console.print(found)

@@ -1,11 +1,11 @@
-"""The shape of polylines: corners, equal parts and parts around vertices, whatever rounding does to them."""
+"""The shape of polylines: corners and equal parts, whatever rounding does to them."""
 
 import math
 
 import numpy as np
 import pytest
 
-from joulemap.planner.polylines import corners, distances_along, path_length, stretches_around, subdivided
+from joulemap.planner.polylines import corners, distances_along, path_length, subdivided
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -31,15 +31,6 @@ def test_rounding_adds_no_part(shift):
     assert len(parts) == 8
     assert np.diff(distances_along(parts)).max() <= 1.0 + 1e-9
     assert path_length(parts) == pytest.approx(7.0)
-
-
-def test_parts_around_vertices_that_are_near_each_other_are_one():
-    line = np.column_stack([np.zeros(41), np.arange(41.0)])
-    flags = np.zeros(41, dtype=bool)
-    flags[[3, 10, 12, 30]] = True
-    assert stretches_around(line, flags, 2.0) == [(1, 6), (8, 15), (28, 33)]
-    assert stretches_around(line, flags, 100.0) == [(0, 41)]
-    assert stretches_around(line, ~flags & flags, 2.0) == []
 
 
 def test_distances_along_end_with_the_length():
