@@ -461,8 +461,15 @@ def path_energy(traction, gradient, blocked, terms, turn_j_per_rad, points):
         Energy [J]; NaN where a leg may not be driven.
     """
     energy = polyline_energies(traction, gradient, blocked, terms, points).sum()
+    before, here = 0, 1
     for k in range(2, points.shape[0] if turn_j_per_rad > 0.0 else 0):
+        if points[here, 0] == points[before, 0] and points[here, 1] == points[before, 1]:
+            here = k  # the robot has not left its first place
+            continue
+        if points[k, 0] == points[here, 0] and points[k, 1] == points[here, 1]:
+            continue  # a vertex that repeats the one before it hides no turn
         energy += turn_j_per_rad * turn_angle(
-            points[k - 2, 0], points[k - 2, 1], points[k - 1, 0], points[k - 1, 1], points[k, 0], points[k, 1]
+            points[before, 0], points[before, 1], points[here, 0], points[here, 1], points[k, 0], points[k, 1]
         )
+        before, here = here, k
     return energy

@@ -259,9 +259,8 @@ def pieces_of(lattice: CostLattice, points: NDArray[np.float64]) -> Pieces:
     heading = path_headings(fine)
     driven = np.hypot(*np.diff(fine, axis=0).T) * spacing
     if lattice.robot.turn_j_per_rad > 0.0 and energy.size > 1:
-        change = np.abs(wrap_angle(np.diff(heading)))
-        moving = (driven[1:] > 0) & (driven[:-1] > 0)
-        energy[1:] += lattice.robot.turn_j_per_rad * np.where(moving, change, 0.0)
+        moving = np.flatnonzero(driven > 0.0)  # a point that repeats the one before it hides no turn
+        energy[moving[1:]] += lattice.robot.turn_j_per_rad * np.abs(wrap_angle(np.diff(heading[moving])))
     return Pieces(fine, driven, heading, energy)
 
 

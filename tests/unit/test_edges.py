@@ -10,9 +10,11 @@ from joulemap.planner.edges import (
     energy_per_m_at,
     interpolation_matrix,
     leg_prices,
+    path_price,
     price_world_path,
     world_points,
 )
+from joulemap.planner.route import price_route
 from tests.reference.lattices import ascii_lattice, plane_lattice, random_lattice
 from tests.reference.quadrature import fourier_at, leg_energy_by_midpoints
 
@@ -147,3 +149,14 @@ def test_bad_points_are_named():
     with pytest.raises(PointError, match="shape"):
         price_world_path(lattice, [1.0, 2.0])
     assert np.isnan(price_world_path(lattice, [[1.0, 1.0], [1.0, 99.0]]))
+
+
+def test_vertices_in_one_place_hide_no_turn():
+    lattice = ascii_lattice("\n".join(["." * 20] * 20), robot=Robot(turn_j_per_rad=30.0))[0]
+    corner = np.array([(4.0, 4.0), (4.0, 12.0), (12.0, 12.0)])
+    repeated = corner[[0, 0, 1, 1, 1, 2, 2]]
+    assert path_price(lattice, repeated) == pytest.approx(path_price(lattice, corner), rel=1e-12)
+    routes = [price_route(lattice, np.column_stack(lattice.frame.xy(*path.T))) for path in (corner, repeated)]
+    assert [route.energy_j for route in routes] == pytest.approx([path_price(lattice, corner)] * 2)
+    for route in routes:
+        assert route.profile.cumulative_j[-1] == pytest.approx(route.energy_j, rel=1e-9)
