@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import InputError
-from joulemap.planner.corridors import plateaus
+from joulemap.planner.any_angle.best import improved
 from joulemap.planner.edges import Points, path_price
 from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
+from joulemap.planner.plateaus import plateaus
 from joulemap.planner.polylines import path_length, subdivided
-from joulemap.planner.refine import refine_path
 from joulemap.planner.search import GridPath, grid_search, joined_points
 
 STRETCH = 1.3
@@ -129,10 +129,10 @@ def improved_ways(lattice: CostLattice, best: Points, others: Sequence[Points]) 
     separation_m, limit = _separation_m(lattice, best), STRETCH * max(path_price(lattice, best), 0.0)
     away_m, kept = _metres_from(lattice, best), []
     for other in others:
-        way = refine_path(lattice, other)
+        way = improved(lattice, other)
         if _share_beyond(lattice, way, away_m, separation_m) < LEAST_SHARE:
             far = int(np.argmax(away_m[_cells(lattice, other)][1:-1])) + 1
-            ahead, behind = (refine_path(lattice, half) for half in (other[: far + 1], other[far:]))
+            ahead, behind = (improved(lattice, half) for half in (other[: far + 1], other[far:]))
             way = np.vstack([ahead, behind[1:]])
         if _share_beyond(lattice, way, away_m, separation_m) >= LEAST_SHARE and path_price(lattice, way) <= limit:
             kept.append(way)

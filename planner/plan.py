@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from joulemap.model.threads import both
 from joulemap.planner.alternatives import alternative_paths, improved_ways
 from joulemap.planner.answers import Plan, RoundTrip
+from joulemap.planner.any_angle.best import ANY_ANGLE_NEIGHBOURS, best_path, improved, shorter_of, tightened
 from joulemap.planner.avoid import Polygon, checked_polygons, window_of, without
-from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path, shorter_of
 from joulemap.planner.bound import BoundTable, bound_table, energy_bound, quick_bound
 from joulemap.planner.edges import Points, leg_prices_between, path_price
 from joulemap.planner.fields import field_towards
@@ -27,7 +27,6 @@ from joulemap.planner.moves import MoveTable, distance_table, move_table, repric
 from joulemap.planner.places import end_point
 from joulemap.planner.planners import PLANNERS, Options, planner_named
 from joulemap.planner.reach import ReachField, reach_field
-from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.search import grid_search
 from joulemap.planner.tours import cheapest_tour
@@ -250,14 +249,14 @@ class RoutePlanner:
             table = self._table(neighbours, distance=False)
             options = Options(time_limit_s, seed, from_grid, progress)
             points, found = asked.search(lattice, table, start, goal, options)
-            points = refine_path(lattice, points) if refine else points
+            points = improved(lattice, points) if refine else points
         if lattice.robot.turn_j_per_rad > 0.0 and not asked.weighs_turning:
             notes.append(f"{planner} does not weigh turning while it searches; the energy given includes it")
         details: dict[str, Any] = {"planner": planner, "neighbours": neighbours, "refined": refine, **found}
         shortest = shorter_of(lattice, self._distances, shortest, points)
         details["from_shortest"] = path_price(lattice, shortest) < path_price(lattice, points)
         if details["from_shortest"]:  # the route never costs more than the shortest path
-            points = best_of(lattice, [shortest, points]) if refine else shortest
+            points = improved(lattice, shortest) if refine else shortest
         ways = [points]
         if alternatives > 0:
             table = self._table(neighbours, distance=False)
@@ -381,7 +380,6 @@ class RoutePlanner:
         return best.points, {
             "expanded": best.expanded,
             "grid_energy_j": best.grid_energy_j,
-            "corridors": best.corridors,
         }
 
     def _shortest(self, start: Points, goal: Points, neighbours: int, refine: bool) -> Points:
@@ -389,7 +387,7 @@ class RoutePlanner:
         if refine and np.isfinite(leg_prices_between(self._distances, start[None], goal[None])[0]):
             return np.vstack([start, goal])
         points = grid_search(self._distances, self._table(neighbours, distance=True), start, goal).points
-        return refine_corners(self._distances, refine_coarsely(self._distances, points)) if refine else points
+        return tightened(self._distances, points) if refine else points
 
     def _route(self, points: Points, notes: list[str]) -> Route:
         x, y = self.lattice.frame.xy(points[:, 0], points[:, 1])

@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from joulemap.model.threads import both, share_out
+from joulemap.planner.any_angle.best import improved
 from joulemap.planner.buckets import SETTLED
 from joulemap.planner.edges import Points
 from joulemap.planner.fields import EnergyField, field_from, field_towards
@@ -25,7 +26,6 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.moves import MoveTable
 from joulemap.planner.places import free_places
 from joulemap.planner.potential import parts_of
-from joulemap.planner.refine import STAGES, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.search import joined_points
 from joulemap.planner.states import Search
@@ -36,9 +36,6 @@ Need = Callable[[Sequence[Route]], float]
 FEWEST, MOST, TOGETHER = 10, 64, 4_000
 """Anchors in a ring: as many as their routes together are so many cells long, within these limits. Chosen by trying on
 one hillside; `python -m tests.bench --reach` judges them on five maps."""
-_IMPROVED_BY = STAGES[:3]
-"""Without the last two stages, which take half of the time and gain some hundredths of a percent: less than half a cell
-on a way of a thousand cells."""
 _STEP = 0.5 * math.log(2.0)
 """Step of the rings' energies, as a natural logarithm."""
 _FIRST = 4
@@ -184,7 +181,7 @@ class ReachField:
 
         def _improve(leg: tuple[NDArray[np.int64], EnergyField]) -> Route:
             cell, ways = leg
-            return self._route(refine_path(self.lattice, _way(ways, cell), stages=_IMPROVED_BY))
+            return self._route(improved(self.lattice, _way(ways, cell)))
 
         routes = share_out(_improve, legs)
         return [[routes[k + j] for j in range(len(fields))] for k in range(0, len(legs), len(fields))]

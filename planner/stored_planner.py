@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 
 from joulemap.model.errors import InputError
 from joulemap.planner.answers import Plan, RoundTrip
+from joulemap.planner.any_angle.best import ANY_ANGLE_NEIGHBOURS, best_path, improved, shorter_of, tightened
 from joulemap.planner.avoid import checked_polygons
-from joulemap.planner.best import ANY_ANGLE_NEIGHBOURS, best_of, best_path, shorter_of
 from joulemap.planner.bound import quick_bound
 from joulemap.planner.coarse import CoarseLevel, coarse_level
 from joulemap.planner.edges import Points, path_price
@@ -28,7 +28,6 @@ from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import MovePrices
 from joulemap.planner.moves import move_table
 from joulemap.planner.places import end_point
-from joulemap.planner.refine import refine_coarsely, refine_corners, refine_path
 from joulemap.planner.route import Route, price_route
 from joulemap.planner.stored_lattice import StoredLattice
 from joulemap.planner.strip import Strip
@@ -210,7 +209,7 @@ class StoredPlanner:
         details["from_shortest"] = path_price(self.lattice, shortest) < path_price(self.lattice, points)
         if details["from_shortest"]:
             self._strip.read_along(shortest, cells=MARGIN_CELLS if refine else 4)
-            points = best_of(self.lattice, [shortest, points]) if refine else shortest
+            points = improved(self.lattice, shortest) if refine else shortest
         details["grid_gap"] = _gap(details["grid_energy_j"], details["grid_bound_j"])
         details["seconds"] = time.perf_counter() - began
         least = quick_bound(self.lattice, start, goal)
@@ -277,7 +276,7 @@ class StoredPlanner:
         if level is not None:
             return self._best(start, goal, found.points), details
         distances = _of_distances(lattice)
-        return refine_corners(distances, refine_coarsely(distances, found.points)), details
+        return tightened(distances, found.points), details
 
     def _best(self, start: Points, goal: Points, points: Points) -> Points:
         """The best path of all corridors around one, where these are small enough, else that one at any angle."""
@@ -285,7 +284,7 @@ class StoredPlanner:
         low = np.maximum(np.floor(points.min(axis=0)).astype(np.int64) - MARGIN_CELLS, 0)
         high = np.minimum(np.ceil(points.max(axis=0)).astype(np.int64) + MARGIN_CELLS + 1, shape)
         if int(np.prod(high - low)) > min(SURROUNDINGS_CELLS, self._memory // _BYTES_PER_CELL):
-            return refine_path(self.lattice, points)
+            return improved(self.lattice, points)
         around = self.stored.window(int(low[0]), int(high[0]), int(low[1]), int(high[1]))
         table = move_table(around, neighbours=ANY_ANGLE_NEIGHBOURS)
         found = best_path(around, table, start - low, goal - low).points + low

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from joulemap.model.errors import BlockedError
-from joulemap.planner.best import best_path
+from joulemap.planner.any_angle.best import best_path
 from joulemap.planner.edges import Points
 from joulemap.planner.lattice import CostLattice
 from joulemap.planner.move_prices import MovePrices

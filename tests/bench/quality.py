@@ -15,6 +15,7 @@ from joulemap.model.errors import JoulemapError, NoRouteError
 from joulemap.model.robot import Robot
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.synthesis import sample_terrain
+from joulemap.planner.any_angle.best import improved
 from joulemap.planner.bound import bound_table, energy_bound
 from joulemap.planner.edges import leg_prices_between, path_price
 from joulemap.planner.heuristics import guide_everywhere
@@ -23,7 +24,6 @@ from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.move_prices import move_offsets
 from joulemap.planner.moves import MoveTable, move_table, table_of
 from joulemap.planner.plan import SAMPLING_PLANNERS, RoutePlanner
-from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
 from joulemap.planner.states import new_search, run_search
 from tests.bench.maps import CORNERS, free_corner, physics_lattice, terrain
@@ -100,8 +100,8 @@ def compare_peers(cells: int, resolution_m: float) -> Table:
     found = grid_search(lattice, table, start, goal)
     rows.append(PeerRow("ours, A*, 16", took, energy_j=found.energy_j))
     grid = found.points
-    took = seconds(lambda: refine_path(lattice, grid), repeats=1)
-    best = path_price(lattice, refine_path(lattice, grid))
+    took = seconds(lambda: improved(lattice, grid), repeats=1)
+    best = path_price(lattice, improved(lattice, grid))
     rows.append(PeerRow("ours, any-angle after it", took, energy_j=best))
     ends = [tuple(float(v) for v in lattice.frame.xy(*end)) for end in (start, goal)]
     for name in ("rrtstar", "bitstar"):

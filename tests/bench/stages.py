@@ -16,10 +16,10 @@ from joulemap.model.energy.predictor import load_predictor
 from joulemap.model.terrain.heightmap import Heightmap
 from joulemap.model.terrain.patches import cut_patches
 from joulemap.model.terrain.writers import write_geotiff
+from joulemap.planner.any_angle.best import improved
 from joulemap.planner.lattice_build import build_lattice
 from joulemap.planner.moves import move_table
 from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
 from tests.bench.maps import CORNERS, ROBOT, free_corner, physics_lattice, terrain
 from tests.bench.searches import search_rows
@@ -64,7 +64,7 @@ def bench(cells: int, resolution_m: float) -> list[Row]:
     for neighbours in (8, 16, 32):
         rows += [(size, *row) for row in search_rows(lattice, neighbours, start, goal)]
     path = grid_search(lattice, move_table(lattice), start, goal).points
-    rows.append((size, "any-angle improvement", seconds(lambda: refine_path(lattice, path)), "", None))
+    rows.append((size, "any-angle improvement", seconds(lambda: improved(lattice, path)), "", None))
     planner = RoutePlanner(lattice)
     ends = [tuple(float(v) for v in lattice.frame.xy(*p)) for p in (start, goal)]
     rows.append((size, "a whole plan, moves priced before", seconds(lambda: planner.plan(*ends)), "", None))

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from joulemap.model.errors import BlockedError, NegativeCycleError, NoRouteError
+from joulemap.planner.any_angle.best import improved
 from joulemap.planner.edges import path_price
 from joulemap.planner.fields import field_from, field_towards
 from joulemap.planner.graph import lattice_graph
 from joulemap.planner.heuristics import guide_everywhere
 from joulemap.planner.moves import move_table
-from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
 from joulemap.planner.states import layer_count, new_search, run_search
 from tests.reference.lattices import random_lattice
@@ -70,7 +70,7 @@ def test_astar_equals_dijkstra_equals_networkx(seed, neighbours, regeneration, t
     other = grid_search(lattice, table, start.astype(float), goal.astype(float), planner="dijkstra")
     assert other.energy_j == pytest.approx(found.energy_j, rel=1e-9, abs=1e-6)
     assert path_price(lattice, found.points) == pytest.approx(found.energy_j, rel=1e-6, abs=1e-3)
-    refined = refine_path(lattice, found.points)
+    refined = improved(lattice, found.points)
     assert path_price(lattice, refined) <= path_price(lattice, found.points) + 1e-9
     np.testing.assert_array_equal(refined[[0, -1]], found.points[[0, -1]])
 

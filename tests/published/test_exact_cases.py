@@ -7,11 +7,11 @@ from scipy.optimize import linprog
 from joulemap.model.errors import NoRouteError
 from joulemap.model.frames import GridFrame
 from joulemap.model.robot import Robot
+from joulemap.planner.any_angle.best import improved
 from joulemap.planner.edges import path_price
 from joulemap.planner.move_prices import move_offsets
 from joulemap.planner.moves import move_table
 from joulemap.planner.plan import RoutePlanner
-from joulemap.planner.refine import refine_path
 from joulemap.planner.search import grid_search
 from tests.reference.lattices import plane_lattice, surface_lattice, uniform_lattice
 
@@ -67,7 +67,7 @@ def test_isotropic_worst_case_of_the_grids():
             found = grid_search(lattice, table, start, goal)
             straight = np.hypot(*(goal - start))
             ratios.append(found.energy_j / straight)
-            assert path_price(lattice, refine_path(lattice, found.points)) == pytest.approx(straight, rel=1e-9)
+            assert path_price(lattice, improved(lattice, found.points)) == pytest.approx(straight, rel=1e-9)
         assert max(ratios) == pytest.approx(worst, abs=1.5e-3)
 
 

@@ -8,7 +8,7 @@ import pytest
 from joulemap.model.battery import Battery
 from joulemap.model.errors import BlockedError, InputError, NegativeCycleError, NoRouteError, PointError
 from joulemap.model.robot import Robot
-from joulemap.planner.best import shorter_of
+from joulemap.planner.any_angle.best import shorter_of
 from joulemap.planner.budget import judge
 from joulemap.planner.edges import path_price, price_world_path
 from joulemap.planner.ompl_problem import price_floor_per_m

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from joulemap.planner.deform import turn_sides
+from joulemap.planner.any_angle.bending import ACROSS, set_sides
 from joulemap.planner.kernels import heading_memory, leg_energy_with, polyline_energies
 
 DAMPING = 1e-3
@@ -24,34 +24,13 @@ _PROBED = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 1.0), (-1.0, 
 
 
 @njit(cache=True, nogil=True)
-def settled(traction, gradient, blocked, terms, points, probes, hindered):
-    """Return a polyline after one step of Newton's method for each of some probes.
+def settled(traction, gradient, blocked, terms, points, probes):
+    """The polyline after one step of Newton's method for each of some probes: (n, 2) float64, at most as dear.
 
-    Parameters
-    ----------
-    traction : ndarray of float32, (rows, cols, K)
-        As for `kernels.leg_energy`, like the next three.
-    gradient : ndarray of float32, (rows, cols, 2)
-        Rise per metre.
-    blocked : ndarray of uint8, (rows, cols)
-        `Blocked` codes.
-    terms : ndarray of float64, (6,)
-        Terms of the price.
-    points : ndarray of float64, (n, 2)
-        (row, col) polyline that may be driven, n >= 2. Turning costs nothing.
-    probes : ndarray of float64, (R,)
-        Offsets of the probes of each round [cells]; no vertex moves further than twice that in the round.
-    hindered : ndarray of bool, (n,)
-        Is set where a probe of the last round may not be driven.
-
-    Returns
-    -------
-    ndarray of float64, (n, 2)
-        The polyline, at most as dear.
-
-    References
-    ----------
-    Nocedal & Wright 2006, section 3.4 (modified Hessians).
+    traction, gradient, blocked, terms : as for `kernels.leg_energy`. points : (row, col) polyline that may be driven
+    (n, 2), n >= 2; turning costs nothing. probes : offsets of the probes of each round [cells]; no vertex moves
+    further than twice that in the round. Where a probe may not be driven, the vertex goes to the other side if that
+    costs less (Nocedal & Wright 2006, section 3.4, for the modified Hessian).
     """
     points = points.copy()
     n = points.shape[0]
@@ -59,11 +38,12 @@ def settled(traction, gradient, blocked, terms, points, probes, hindered):
     arrays = (memory, traction, gradient, blocked, terms)
     side = np.zeros((n, 2))
     slope, curve, mixed, shift = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    hindered = np.zeros(n, dtype=np.bool_)
     ahead = np.empty((n, 2))  # what a probe of the vertex to either side costs more
     energy = polyline_energies(traction, gradient, blocked, terms, points)
     for r in range(probes.size):
         probe = probes[r]
-        turn_sides(points, side, 0.0, 0, n)
+        set_sides(points, side, ACROSS, 0, n)
         _probe(arrays, points, side, probe, energy, slope, curve, mixed, ahead)
         for i in range(n):
             hindered[i] = math.isnan(ahead[i, 0] + ahead[i, 1])

@@ -1,0 +1,214 @@
+"""The cheapest path over line points of the cells of a region (Dijkstra 1959, with buckets of energy).
+
+Along a chord the traction is a quadratic, whose mean is a sum over four cells with shares that depend on the chord
+alone; and chords have few headings, so the traction of a cell is interpolated once for each of these.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from joulemap.model.frames import wrap_angle
+from joulemap.planner.any_angle.chords import AROUND, Chords, chords_of
+from joulemap.planner.buckets import BUCKETS, put
+from joulemap.planner.edges import Points, interpolation_matrix, leg_prices_between, price_arrays
+from joulemap.planner.kernels import fill_tractions, mean_response
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.polylines import distinct
+from joulemap.planner.stopping import check_stop, stop_flag
+
+_WIDTH = 0.05
+"""Width of a bucket [energy of a typical cell]; any width gives the same path."""
+
+_ROUNDING = 1e-12
+"""Relative gain that counts as rounding, so that no loop of negative prices goes on for ever."""
+
+
+@cache
+def _heading_weights(parts: int, bins: int) -> NDArray[np.float64]:
+    """The weights of heading bins at the headings of chords, (H, K)."""
+    return interpolation_matrix(chords_of(parts).heading_rad, bins).astype(np.float32)
+
+
+def cheapest_over_line_points(
+    lattice: CostLattice, region: NDArray[np.bool_], start: Points, goal: Points, *, parts: int, typical_j: float
+) -> Points:
+    """The (row, col) of the cheapest path over line points of a region, (n, 2); n = 0 where there is none.
+
+    region : cells that take part, (rows, cols). parts : of a side between two centres. typical_j : energy of a typical
+    cell [J]. A turn counts from the best way to its point, so where turning costs the path may not be the cheapest.
+    """
+    cells = np.flatnonzero(region)
+    slot = np.full(region.shape, -1, dtype=np.int32)
+    slot.ravel()[cells] = np.arange(cells.size)
+    chords, robot = chords_of(parts), lattice.robot
+    begins, spent = _joined(lattice, slot, cells, chords, start, outward=True)
+    ends, rest = _joined(lattice, slot, cells, chords, goal, outward=False)
+    least = robot.hotel_per_m * lattice.frame.resolution_m if robot.regeneration == 0.0 else -math.inf
+    turn = np.zeros((0, 0))
+    if robot.turn_j_per_rad > 0.0:
+        headings = chords.heading_rad
+        turn = robot.turn_j_per_rad * np.abs(wrap_angle(headings[None, :] - headings[:, None]))
+    weights = _heading_weights(parts, lattice.headings)
+    way = _cheapest(
+        *price_arrays(lattice), chords, weights, slot, cells, begins, spent, ends, rest,
+        least, 1.0 / (_WIDTH * typical_j), turn, stop_flag(),
+    )  # fmt: skip
+    check_stop()
+    return distinct(np.vstack([start[None], way, goal[None]])) if len(way) else way
+
+
+def _joined(
+    lattice: CostLattice,
+    slot: NDArray[np.int32],
+    cells: NDArray[np.int64],
+    chords: Chords,
+    place: Points,
+    *,
+    outward: bool,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The line points of the squares in which a place lies, and the energies of the legs from it, or to it [J]."""
+    kinds, (rows, cols) = len(chords.places), slot.shape
+    low, high = np.maximum(np.floor(place - 1e-9), 0), np.ceil(place + 1e-9)
+    top, left = low.astype(np.int64)
+    bottom, right = np.minimum(high, [rows - 1, cols - 1]).astype(np.int64)
+    slots = slot[top : bottom + 1, left : right + 1].ravel()
+    numbers = (kinds * slots[slots >= 0, None] + np.arange(kinds)).ravel()
+    corners = np.column_stack(np.divmod(cells[numbers // kinds], cols))
+    there = corners + chords.places[numbers % kinds]
+    inside = (there <= high).all(axis=1)
+    numbers, there = numbers[inside], there[inside]
+    here = np.tile(place, (len(there), 1))
+    prices = leg_prices_between(lattice, *((here, there) if outward else (there, here)))
+    return numbers, np.where(np.isnan(prices), np.inf, prices)
+
+
+@njit(cache=True, nogil=True)
+def _cheapest(
+    traction, gradient, blocked, terms, chords, weights, slot, cells, begins, spent, ends, rest,
+    least_per_cell, per_j, turn, stop,
+):  # fmt: skip
+    """The (row, col) of the line points of the cheapest way, (k, 2); k = 0 where there is none.
+
+    weights : of the heading bins at the headings of chords, (H, K). slot : number of each cell among those that take
+    part, -1 for the others; cells : their flat indices. A line point has the number kinds * number of its cell + kind.
+    begins, ends : line points that are joined to the start and to the goal; spent, rest : energies of joining each [J].
+    least_per_cell : what a way of one cell costs at least [J]; below 0 where prices may be negative. turn : energy of
+    turning from one heading to another (H, H) [J], or (0, 0).
+    """
+    rows, cols = slot.shape
+    spacing, hotel, regeneration = terms[0], terms[1], terms[2]
+    kinds = len(chords.places)
+    turning = turn.size > 0
+    label, joined = np.full(kinds * cells.size, np.inf), np.full(kinds * cells.size, np.inf)
+    expanded = np.full(label.size, np.inf)
+    came = np.full(label.size, -1, dtype=np.int32)
+    arrived_by = np.full(label.size if turning else 1, -1, dtype=np.int16)
+    at_headings = np.empty((cells.size, weights.shape[0]), dtype=np.float32)
+    known = np.zeros(cells.size, dtype=np.bool_)
+    around = np.empty(AROUND * AROUND, dtype=np.int64)
+    queue = np.empty((BUCKETS, 64), dtype=np.uint32)
+    count = np.zeros(BUCKETS, dtype=np.int64)
+    low = np.inf
+    for k in range(ends.size):
+        joined[ends[k]] = rest[k]
+    for k in range(begins.size):
+        low = min(low, spent[k])
+    current = np.int64(0) if low == np.inf else np.int64(math.floor(low * per_j))
+    waiting = 0
+    for k in range(begins.size):
+        if spent[k] < label[begins[k]]:
+            label[begins[k]] = spent[k]
+            due = min(np.int64(math.floor(spent[k] * per_j)), current + BUCKETS - 1)
+            queue = put(queue, count, due, begins[k])
+            waiting += 1
+    total, last = np.inf, np.int64(-1)
+    while waiting > 0 and (current < total * per_j or least_per_cell < 0.0) and stop[0] == 0:
+        here_slot = current & (BUCKETS - 1)
+        q = 0
+        while q < count[here_slot]:
+            point = np.int64(queue[here_slot, q])
+            q += 1
+            so_far = label[point]
+            if so_far >= expanded[point]:
+                continue
+            due = np.int64(math.floor(so_far * per_j))
+            if due > current:  # it waited in the last bucket of the ring
+                queue = put(queue, count, min(due, current + BUCKETS - 1), point)
+                waiting += 1
+                continue
+            expanded[point] = so_far
+            if so_far + joined[point] < total:
+                total, last = so_far + joined[point], point
+            here, kind = point // kinds, point % kinds
+            row, col = cells[here] // cols, cells[here] % cols
+            for k in range(around.size):
+                i, j = row + k // AROUND - 1, col + k % AROUND - 1
+                there = np.int64(slot[i, j]) if 0 <= i < rows and 0 <= j < cols else -1
+                around[k] = there
+                if there >= 0 and not known[there]:
+                    known[there] = True
+                    fill_tractions(
+                        at_headings[there], traction, gradient, blocked, terms, chords.directions, weights, i, j
+                    )
+            heading_in = arrived_by[point] if turning else -1
+            for n in range(chords.first[kind], chords.first[kind + 1]):
+                there = around[chords.cell[n]]
+                if there < 0:
+                    continue
+                other = kinds * there + chords.kind[n]
+                before = label[other]
+                length = chords.length[n]
+                if so_far + length * least_per_cell >= before:
+                    continue
+                a, b = around[chords.corners[n, 0]], around[chords.corners[n, 1]]
+                c, d = around[chords.corners[n, 2]], around[chords.corners[n, 3]]
+                if min(min(a, b), min(c, d)) < 0:
+                    continue
+                h = chords.heading[n]
+                ta, tb, tc, td = at_headings[a, h], at_headings[b, h], at_headings[c, h], at_headings[d, h]
+                share = chords.share[n]
+                mean = share[0] * ta + share[1] * tb + share[2] * tc + share[3] * td
+                if math.isnan(mean):
+                    continue
+                if min(min(ta, tb), min(tc, td)) < 0.0:
+                    blend = chords.blend[n]
+                    t0 = blend[0, 0] * ta + blend[0, 1] * tb + blend[0, 2] * tc + blend[0, 3] * td
+                    tm = blend[1, 0] * ta + blend[1, 1] * tb + blend[1, 2] * tc + blend[1, 3] * td
+                    t1 = blend[2, 0] * ta + blend[2, 1] * tb + blend[2, 2] * tc + blend[2, 3] * td
+                    mean = mean_response(t0, tm, t1, regeneration)
+                arrived = so_far + (hotel + mean) * length * spacing
+                if turning and heading_in >= 0:
+                    arrived += turn[heading_in, h]
+                if not arrived < before - _ROUNDING * abs(arrived):
+                    continue
+                label[other], came[other] = arrived, point
+                if turning:
+                    arrived_by[other] = h
+                due = max(np.int64(math.floor(arrived * per_j)), current)
+                queue = put(queue, count, min(due, current + BUCKETS - 1), other)
+                waiting += 1
+        waiting -= count[here_slot]
+        count[here_slot] = 0
+        current += 1
+    return _way_to(last, came, cells, cols, chords.places)
+
+
+@njit(cache=True)
+def _way_to(last, came, cells, cols, places):
+    """The (row, col) of the line points by which the search came to one, (k, 2)."""
+    count, at = 0, last
+    while at >= 0:
+        count += 1
+        at = np.int64(came[at])
+    way, at = np.empty((count, 2)), last
+    for k in range(count - 1, -1, -1):
+        cell, kind = cells[at // len(places)], at % len(places)
+        way[k, 0], way[k, 1] = cell // cols + places[kind, 0], cell % cols + places[kind, 1]
+        at = np.int64(came[at])
+    return way

@@ -1,0 +1,119 @@
+"""The cells in which the best path may lie: those of all grid paths whose energy is within a margin of the least.
+
+A grid of 32 neighbours makes a path up to 1.31 % dearer than it is at any angle, and not every path by the same share:
+the differences add up like a random walk, so their share falls with the root of the length. An A* search that goes on
+until every cell is settled whose path costs at most the margin more, and a second one back from the goal among those
+cells alone, give the least energy of a path through each cell.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from joulemap.planner.edges import Points
+from joulemap.planner.heuristics import energy_bounds, guide_everywhere, guide_towards
+from joulemap.planner.lattice import CostLattice
+from joulemap.planner.moves import MoveTable
+from joulemap.planner.polylines import subdivided
+from joulemap.planner.search import GridPath, direct_energy, joined_points, no_route, terminals
+from joulemap.planner.states import layer_count, new_search, run_search
+
+CLOSED_LAG, OPEN_LAG = 0.15, 0.015
+"""Most energy of a grid path beyond the least, as a share of the energy of a cell, for each root of its length [cells]:
+where moves are closed beside the cheapest path, and elsewhere. Tried on five maps (`python -m tests.bench.guard`); half
+of the first makes answers on a real hillside 0.06 % dearer in the mean, twice as much none cheaper."""
+LEAST_CELLS = 400.0
+"""Shorter paths have the margin of this length: a passage costs the same on a short way [cells]."""
+CLOSED_GROWTH, OPEN_GROWTH = 2, 1
+"""Cells beside those of these paths that take part too."""
+_NONE = -1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Region:
+    """Where the best path may lie.
+
+    Attributes
+    ----------
+    grid : GridPath
+        The cheapest path over grid moves.
+    cells : ndarray of bool, (rows, cols), or None
+        The cells; None where start and goal are within a cell of each other and `grid` is the leg between them.
+    beside_closed : bool
+        Whether moves are closed beside the grid path.
+    """
+
+    grid: GridPath
+    cells: NDArray[np.bool_] | None
+    beside_closed: bool
+
+
+def region_between(lattice: CostLattice, table: MoveTable, start: Points, goal: Points) -> Region:
+    """The region of two places (row, col); raises NoRouteError if the goal cannot be reached."""
+    layers = layer_count(lattice, table)
+    seeds, cost = terminals(lattice, table, start, layers, outward=True)
+    targets, rest = terminals(lattice, table, goal, layers, outward=False)
+    guide = guide_towards(table, energy_bounds(table), goal, targets, rest.min(axis=1), lattice.frame.resolution_m)
+    distance = max(math.dist(start, goal), 1.0)
+    root_share = math.sqrt(max(distance, LEAST_CELLS)) / distance
+    margin = OPEN_LAG * root_share
+    ahead = new_search(table, layers, seeds, cost, backward=False)
+    last, total, expanded = run_search(ahead, table, np.unique(seeds), guide, targets, rest, margin=margin)
+    direct = direct_energy(lattice, start, goal)
+    if direct < math.inf and direct <= total:
+        return Region(GridPath(np.vstack([start, goal]), direct, expanded), None, False)
+    if last == _NONE:
+        raise no_route(lattice.robot, expanded)
+    cells = ahead.trace(table, last)[::-1] // layers
+    grid = GridPath(joined_points(lattice, start, cells, goal), float(total), expanded)
+    closed = bool(has_closed_move(table.energy, table.offsets, np.unique(cells)))
+    most = total + margin * abs(total)
+    if closed:
+        most = total + CLOSED_LAG * root_share * abs(total)
+        run_search(ahead, table, ahead.open_cells(), guide, most=most)
+    so_far = ahead.energy_j if layers == 1 else ahead.energy_j.reshape(-1, layers).min(axis=1)
+    behind = new_search(table, layers, targets, rest, backward=True)
+    budget = most + 1e-9 * abs(most)
+    run_search(behind, table, np.unique(targets), guide_everywhere(table, backward=True), spent=so_far, budget=budget)
+    reached = np.unique(np.flatnonzero(behind.energy_j < math.inf) // layers)
+    region = np.zeros(lattice.frame.shape, dtype=np.bool_)
+    for part in (reached, cells):
+        mark_around(region, part, lattice.frame.cols, CLOSED_GROWTH if closed else OPEN_GROWTH)
+    return Region(grid, region, closed)
+
+
+def region_around(lattice: CostLattice, points: Points, *, half_side: int) -> NDArray[np.bool_]:
+    """The cells within a few of a (row, col) polyline: (rows, cols) bool."""
+    near = np.zeros(lattice.frame.shape, dtype=np.bool_)
+    last = np.array(lattice.frame.shape) - 1
+    cells = np.clip(np.rint(subdivided(points, 1.0)).astype(np.int64), 0, last) @ np.array([lattice.frame.cols, 1])
+    mark_around(near, cells, lattice.frame.cols, half_side)
+    return near
+
+
+@njit(cache=True, nogil=True)
+def mark_around(taken, cells, cols, half_side):
+    """Set `taken` (rows, cols) in the squares around some flat cells; half_side : half their side [cells]."""
+    rows = taken.shape[0]
+    for cell in cells:
+        i, j = cell // cols, cell % cols
+        taken[
+            max(i - half_side, 0) : min(i + half_side + 1, rows), max(j - half_side, 0) : min(j + half_side + 1, cols)
+        ] = True
+
+
+@njit(cache=True, nogil=True)
+def has_closed_move(energy, offsets, cells):
+    """Whether a move from one of some flat cells is closed that does not leave the map."""
+    rows, cols, moves = energy.shape
+    for cell in cells:
+        i, j = cell // cols, cell % cols
+        for n in range(moves):
+            if math.isnan(energy[i, j, n]) and 0 <= i + offsets[n, 0] < rows and 0 <= j + offsets[n, 1] < cols:
+                return True
+    return False
